@@ -1,0 +1,1 @@
+"""Truth: plan expansion, the ledger, the lease protocol, validation and the archive."""

@@ -1,0 +1,1 @@
+"""The face: command line, one-machine runs, scenes, the dataset reader."""

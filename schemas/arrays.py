@@ -1,0 +1,100 @@
+"""Specs of every recorded array: recorder, validator and reader share this one list.
+
+Describes and checks arrays; never computes, stores or converts them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+__all__ = [
+    "ACTIONS_CONTINUOUS",
+    "ACTIONS_TOKENS",
+    "DEPTH_FRAME",
+    "EPISODE_ARRAYS",
+    "FRAME_SIZE_PX",
+    "IDS_FRAME",
+    "POSES",
+    "RGB_FRAME",
+    "ArraySpec",
+    "FloatArray",
+    "IntArray",
+]
+
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+FRAME_SIZE_PX = 640
+"""Width and height of every frame (paper Sec. III-B)."""
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """Shape, dtype, unit and bounds of an array; `None` in the shape stands for the episode length T."""
+
+    name: str
+    shape: tuple[int | None, ...]
+    dtype: DTypeLike
+    unit: str
+    low: float | tuple[float, ...] | None = None
+    high: float | tuple[float, ...] | None = None
+
+    def violations(self, array: NDArray[np.generic], length: int | None = None) -> list[str]:
+        """Says all that is wrong with `array`, in words that name what was asked and found.
+
+        Args:
+            array: the array to check.
+            length: the episode length T that a `None` in the shape must equal; `None` accepts any.
+
+        Returns:
+            One sentence a violation; empty when the array fits.
+        """
+        wanted = tuple(length if side is None else side for side in self.shape)
+        fits = array.ndim == len(wanted) and all(
+            want is None or want == got for want, got in zip(wanted, array.shape, strict=True)
+        )
+        if not fits:
+            return [f"{self.name}: shape {array.shape}, expected {self._show_shape(length)}"]
+        if array.dtype != np.dtype(self.dtype):
+            return [f"{self.name}: dtype {array.dtype}, expected {np.dtype(self.dtype)}"]
+        return self._value_violations(array)
+
+    def _value_violations(self, array: NDArray[np.generic]) -> list[str]:
+        if array.size == 0:
+            return []
+        if array.dtype.kind == "f" and not bool(np.isfinite(array).all()):
+            return [f"{self.name}: holds NaN or infinity"]
+        found = []
+        if self.low is not None and bool((array < np.asarray(self.low)).any()):
+            found.append(f"{self.name}: minimum {array.min()} is below {self.low} {self.unit}")
+        if self.high is not None and bool((array > np.asarray(self.high)).any()):
+            found.append(f"{self.name}: maximum {array.max()} is above {self.high} {self.unit}")
+        return found
+
+    def _show_shape(self, length: int | None) -> str:
+        return "(" + ", ".join(str(side if side is not None else length or "T") for side in self.shape) + ")"
+
+
+RGB_FRAME = ArraySpec("rgb_front", (FRAME_SIZE_PX, FRAME_SIZE_PX, 3), np.uint8, "sRGB")
+"""Front camera, rows from top to bottom."""
+
+DEPTH_FRAME = ArraySpec("depth_front", (FRAME_SIZE_PX, FRAME_SIZE_PX), np.float32, "m", 0.0, 30.0)
+"""Distance along the optical axis; 0 where nothing was hit within the clip range."""
+
+IDS_FRAME = ArraySpec("seg_front", (FRAME_SIZE_PX, FRAME_SIZE_PX), np.uint16, "instance id")
+"""Instance id of the nearest surface; 0 is nothing; the table id -> prim stands in meta.json."""
+
+ACTIONS_CONTINUOUS = ArraySpec("actions_continuous", (None, 2), np.float32, "(m/s, rad/s)", (0.0, -1.5), (1.0, 1.5))
+"""The commanded twist (v, w) of every step, after the slew limit."""
+
+ACTIONS_TOKENS = ArraySpec("actions_tokens", (None, 2), np.int16, "token", 0, 6)
+"""Nearest grid point of each action on the 7 x 7 grid."""
+
+POSES = ArraySpec("poses", (None, 7), np.float32, "(m, m, m, quaternion w x y z)")
+"""base_link in the world frame at frame t: (x, y, z, qw, qx, qy, qz)."""
+
+EPISODE_ARRAYS = (ACTIONS_CONTINUOUS, ACTIONS_TOKENS, POSES)
+"""The arrays of a bundle that are not frames, in the order of the file."""

@@ -1,0 +1,96 @@
+"""Arrays as bytes: `.npy` version 1.0, plain or zstandard-compressed, with every size known before it is allocated.
+
+Never unpickles; never accepts a dtype or shape that the caller did not ask for.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import zstandard
+from numpy.lib import format as npy_format
+from numpy.typing import DTypeLike, NDArray
+
+from schemas.errors import InvalidBundle
+
+__all__ = ["decode_npy", "decode_npy_zst", "encode_npy", "encode_npy_zst"]
+
+_MAX_HEADER_BYTES = 4096
+_MAX_WINDOW_BYTES = 128 << 20
+_MAGIC = b"\x93NUMPY\x01\x00"
+
+
+def encode_npy(array: NDArray[np.generic]) -> bytes:
+    """Returns the array as `.npy` 1.0 in C order; equal arrays give equal bytes."""
+    buffer = io.BytesIO()
+    npy_format.write_array(buffer, np.ascontiguousarray(array), version=(1, 0), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def decode_npy(name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | None]) -> NDArray[np.generic]:
+    """Reads an `.npy` whose dtype and shape are known in advance.
+
+    Args:
+        name: what to call the array in errors.
+        data: the whole file.
+        dtype: the only dtype accepted.
+        shape: the only shape accepted; `None` accepts any extent, bounded by the bytes at hand.
+
+    Raises:
+        InvalidBundle: the header or the length says otherwise.
+    """
+    offset, found_shape = _read_header(name, data, np.dtype(dtype))
+    if len(found_shape) != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, found_shape, strict=True)
+    ):
+        raise InvalidBundle("array refused", [f"{name}: shape {found_shape}, expected {tuple(shape)}"])
+    expected = math.prod(found_shape) * np.dtype(dtype).itemsize
+    if len(data) - offset != expected:
+        raise InvalidBundle("array refused", [f"{name}: {len(data) - offset} bytes of data, expected {expected}"])
+    return np.frombuffer(data, dtype, offset=offset).reshape(found_shape)
+
+
+def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[int, tuple[int, ...]]:
+    if not data.startswith(_MAGIC):
+        raise InvalidBundle("array refused", [f"{name}: not an .npy file of version 1.0"])
+    stream = io.BytesIO(data)
+    stream.seek(len(_MAGIC))
+    try:
+        shape, fortran_order, found = npy_format.read_array_header_1_0(stream, max_header_size=_MAX_HEADER_BYTES)
+    except (ValueError, SyntaxError, TypeError, KeyError) as error:
+        raise InvalidBundle("array refused", [f"{name}: unreadable .npy header ({error})"]) from error
+    if found != dtype or fortran_order:
+        order = "Fortran" if fortran_order else "C"
+        raise InvalidBundle("array refused", [f"{name}: dtype {found} in {order} order, expected {dtype} in C order"])
+    return stream.tell(), tuple(int(side) for side in shape)
+
+
+def encode_npy_zst(array: NDArray[np.generic], level: int = 1) -> bytes:
+    """Returns `.npy` inside one zstandard frame that states its size and carries a checksum."""
+    compressor = zstandard.ZstdCompressor(level, write_checksum=True, write_content_size=True)
+    return compressor.compress(encode_npy(array))
+
+
+def decode_npy_zst(
+    name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | None], max_bytes: int
+) -> NDArray[np.generic]:
+    """Reads what `encode_npy_zst` wrote; refuses a frame that states more than `max_bytes`.
+
+    `max_output_size` does not bound a frame that states its size, so the stated size is checked first and the
+    frame is then held to it by the library.
+
+    Raises:
+        InvalidBundle: the frame is damaged, too large, or followed by other bytes.
+    """
+    try:
+        stated = zstandard.get_frame_parameters(data).content_size
+        if stated > max_bytes:  # an unknown size reads as 2**64 - 1
+            raise InvalidBundle("array refused", [f"{name}: the zstd frame states {stated} bytes, limit {max_bytes}"])
+        decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+        raw = decompressor.decompress(data, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise InvalidBundle("array refused", [f"{name}: damaged zstd frame ({error})"]) from error
+    return decode_npy(name, raw, dtype, shape)

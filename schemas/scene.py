@@ -1,0 +1,239 @@
+"""The compiled scene: all a worker needs to simulate and render a place, in one content-hashed file.
+
+Owns the models, the array specs and the byte codec of the package; compiling one is the work of `factory.scenes`.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, fields
+from typing import Annotated, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from schemas.arrays import ArraySpec
+from schemas.base import Model, Name, NonNegative, Positive
+from schemas.container import ContainerReader, ContainerWriter, Limits
+from schemas.errors import InvalidBundle
+from schemas.ndarray import decode_npy_zst, encode_npy_zst
+from schemas.terms import Tier
+
+__all__ = [
+    "SCENE_ARRAYS",
+    "SCENE_FORMAT",
+    "TEXTURE_SIZE_PX",
+    "CompiledScene",
+    "Instance",
+    "SceneInfo",
+    "Target",
+    "decode_scene",
+    "encode_scene",
+]
+
+SCENE_FORMAT = 1
+"""Version of the compiled package; a reader refuses every other."""
+TEXTURE_SIZE_PX = 512
+MAX_SCENE_BYTES = 512 << 20
+_LIMITS = Limits(members=64, member_bytes=MAX_SCENE_BYTES)
+
+Vector3 = tuple[float, float, float]
+
+
+class Instance(Model):
+    """One thing that the id image can show."""
+
+    id: Annotated[int, Field(ge=1, le=65535)]
+    """The value in `seg_front`."""
+    prim_path: str
+    """Path of the USD prim."""
+    category: Name | None = None
+    """One of the scene's categories, or `None` for walls, floors and clutter."""
+
+
+class Target(Model):
+    """An object that can be named in an instruction and reached (DESIGN 3.3)."""
+
+    target_id: Name
+    """Stable name within the scene, e.g. `chair_007`."""
+    category: Name
+    instance_id: Annotated[int, Field(ge=1, le=65535)]
+    prim_path: str
+    centroid_m: Vector3
+    """Centre of the bounding box in the world frame, metres."""
+    size_m: Vector3
+    """Extent of the bounding box along the world axes, metres."""
+    colour: Name = "unknown"
+    """Dominant colour name, or `unknown`."""
+    straight_tiers: tuple[Tier, ...] = ()
+    """Tiers with a start pose from which the straight line to the success circle is free."""
+    connected_tiers: tuple[Tier, ...] = ()
+    """Tiers with a start pose from which the success circle can be driven to."""
+
+
+class SceneInfo(Model):
+    """The JSON part of the package."""
+
+    format: int = SCENE_FORMAT
+    name: Name
+    source: str
+    """What was compiled, in words: `built-in office, seed 0` or the file name of a USD stage."""
+    source_sha256: str
+    """Digest of all that went in: layers, textures, rules, compiler version."""
+    metres_per_unit: Positive
+    """Of the source stage; everything in the package is in metres, z up."""
+    bounds_m: tuple[Vector3, Vector3]
+    """Lower and upper corner of the visible geometry."""
+    grid_origin_m: tuple[float, float]
+    """World x, y of the outer corner of grid cell (0, 0)."""
+    grid_resolution_m: Positive = 0.05
+    targets: tuple[Target, ...]
+    instances: tuple[Instance, ...]
+    texture_count: Annotated[int, Field(ge=0, le=64)] = 0
+    floor_height_m: float = 0.0
+    free_area_m2: NonNegative = 0.0
+    """Area of the connected floor on which the robot can stand."""
+    notes: tuple[str, ...] = ()
+    """What the importer had to skip or guess, one line each."""
+
+    @model_validator(mode="after")
+    def _targets_are_instances(self) -> SceneInfo:
+        known = {instance.id for instance in self.instances}
+        stray = [target.target_id for target in self.targets if target.instance_id not in known]
+        if stray:
+            raise ValueError(f"targets without an instance: {stray}")
+        return self
+
+    def target(self, target_id: str) -> Target:
+        """Returns a target by its name; `KeyError` when the scene has none of that name."""
+        return next_or_raise(self.targets, target_id)
+
+
+def next_or_raise(targets: tuple[Target, ...], target_id: str) -> Target:
+    """Returns the target of that name or raises `KeyError`."""
+    for target in targets:
+        if target.target_id == target_id:
+            return target
+    raise KeyError(target_id)
+
+
+@dataclass(frozen=True)
+class CompiledScene:
+    """A place ready to simulate: world frame in metres, z up, floor at `info.floor_height_m`.
+
+    Vertices are un-welded: every three consecutive rows of `positions` are one triangle, counter-clockwise seen
+    from outside. A part is a run of triangles that share instance and texture; parts are the unit of culling.
+    """
+
+    info: SceneInfo
+    positions: NDArray[np.float32]
+    """(V, 3) metres."""
+    uvs: NDArray[np.float32]
+    """(V, 2) texture coordinates, repeating; v = 0 is the bottom row of the texture."""
+    colours: NDArray[np.uint8]
+    """(V, 3) sRGB; multiplies the texture, baked light included."""
+    part_first: NDArray[np.int32]
+    """(P,) first vertex of each part."""
+    part_count: NDArray[np.int32]
+    """(P,) number of vertices of each part."""
+    part_instance: NDArray[np.uint16]
+    """(P,) instance id of each part."""
+    part_texture: NDArray[np.int16]
+    """(P,) layer in `textures`, or -1 for plain colour."""
+    textures: NDArray[np.uint8]
+    """(L, 512, 512, 3) sRGB, top row first."""
+    collider_vertices: NDArray[np.float32]
+    """(M, 3) metres; everything solid but the floor."""
+    collider_triangles: NDArray[np.int32]
+    """(K, 3) indices into `collider_vertices`."""
+    occupancy: NDArray[np.uint8]
+    """(H, W) 1 where the robot's height band is occupied; row is y, column is x."""
+    reachable: NDArray[np.uint8]
+    """(H, W) 1 on the connected floor on which the robot's body fits."""
+    spawns: NDArray[np.float32]
+    """(S, 2) surveyed floor points x, y in metres at which the base_link fits with some heading."""
+    spawn_sees: NDArray[np.uint8]
+    """(S, targets) 1 where the straight line from the spawn to the target's success circle is free."""
+
+
+_T = TEXTURE_SIZE_PX
+SCENE_ARRAYS = {
+    spec.name: spec
+    for spec in (
+        ArraySpec("positions", (None, 3), np.float32, "m", -1e4, 1e4),
+        ArraySpec("uvs", (None, 2), np.float32, "1"),
+        ArraySpec("colours", (None, 3), np.uint8, "sRGB"),
+        ArraySpec("part_first", (None,), np.int32, "vertex", 0),
+        ArraySpec("part_count", (None,), np.int32, "vertices", 0),
+        ArraySpec("part_instance", (None,), np.uint16, "instance id", 1),
+        ArraySpec("part_texture", (None,), np.int16, "layer", -1, 63),
+        ArraySpec("textures", (None, _T, _T, 3), np.uint8, "sRGB"),
+        ArraySpec("collider_vertices", (None, 3), np.float32, "m", -1e4, 1e4),
+        ArraySpec("collider_triangles", (None, 3), np.int32, "vertex", 0),
+        ArraySpec("occupancy", (None, None), np.uint8, "1", 0, 1),
+        ArraySpec("reachable", (None, None), np.uint8, "1", 0, 1),
+        ArraySpec("spawns", (None, 2), np.float32, "m", -1e4, 1e4),
+        ArraySpec("spawn_sees", (None, None), np.uint8, "1", 0, 1),
+    )
+}
+"""Specs of the arrays of a package, by member name."""
+
+
+def encode_scene(scene: CompiledScene) -> bytes:
+    """Returns the package; the same scene gives the same bytes with the same compressor."""
+    buffer = io.BytesIO()
+    with ContainerWriter(buffer) as out:
+        out.add("scene.json", scene.info.model_dump_json(indent=1).encode())
+        for field in fields(scene):
+            if field.name != "info":
+                out.add(f"{field.name}.npy.zst", encode_npy_zst(getattr(scene, field.name), level=9))
+    return buffer.getvalue()
+
+
+def decode_scene(file: BinaryIO) -> CompiledScene:
+    """Reads a package from a seekable file, holding every size to its limit.
+
+    Raises:
+        InvalidBundle: the package is damaged, of another format version, or contradicts itself.
+    """
+    reader = ContainerReader(file, _LIMITS)
+    try:
+        info = SceneInfo.model_validate_json(reader.read("scene.json"))
+    except ValidationError as error:
+        raise InvalidBundle("scene refused", [f"scene.json: {item['msg']}" for item in error.errors()]) from error
+    if info.format != SCENE_FORMAT:
+        found = f"scene format {info.format}, this software reads {SCENE_FORMAT}; rebuild with `factory scene build`"
+        raise InvalidBundle("scene refused", [found])
+    arrays = {name: _read_array(reader, spec) for name, spec in SCENE_ARRAYS.items()}
+    scene = CompiledScene(info=info, **arrays)  # type: ignore[arg-type]
+    findings = _contradictions(scene)
+    if findings:
+        raise InvalidBundle("scene refused", findings)
+    return scene
+
+
+def _read_array(reader: ContainerReader, spec: ArraySpec) -> NDArray[np.generic]:
+    data = reader.read(f"{spec.name}.npy.zst")
+    array = decode_npy_zst(spec.name, data, spec.dtype, spec.shape, MAX_SCENE_BYTES)
+    findings = spec.violations(array)
+    if findings:
+        raise InvalidBundle("scene refused", findings)
+    return array
+
+
+def _contradictions(scene: CompiledScene) -> list[str]:
+    vertices = len(scene.positions)
+    checks = {
+        "uvs and colours have one row a vertex": len(scene.uvs) == len(scene.colours) == vertices,
+        "parts have one row each": len({len(scene.part_first), len(scene.part_count), len(scene.part_instance)}) == 1
+        and len(scene.part_texture) == len(scene.part_first),
+        "parts lie within the vertices": bool((scene.part_first.astype(np.int64) + scene.part_count <= vertices).all()),
+        "texture layers exist": bool((scene.part_texture < len(scene.textures)).all()),
+        "textures are counted": len(scene.textures) == scene.info.texture_count,
+        "collider triangles name vertices": bool((scene.collider_triangles < len(scene.collider_vertices)).all()),
+        "grids have one shape": scene.occupancy.shape == scene.reachable.shape,
+        "visibility has one row a spawn and one column a target": scene.spawn_sees.shape
+        == (len(scene.spawns), len(scene.info.targets)),
+    }
+    return [f"not true: {claim}" for claim, holds in checks.items() if not holds]

@@ -1,0 +1,1 @@
+"""Stateless simulation: world, robot, renderer, expert, rollout; the client side of the protocol."""
