@@ -1,0 +1,205 @@
+"""The bundle: one attempt's frames, arrays and metadata in one file of stored members (DESIGN 5).
+
+Writes and reads open binary files with deterministic bytes and bounded decoding; never touches a path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import BinaryIO, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from pydantic_core import from_json
+
+from schemas.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, RGB_FRAME, ArraySpec
+from schemas.container import ContainerReader, ContainerWriter, Limits
+from schemas.digest import content_digest, frame_digest
+from schemas.episode import BUNDLE_FORMAT, EpisodeMeta
+from schemas.errors import InvalidBundle
+from schemas.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
+from schemas.png import decode_png, encode_png
+
+__all__ = ["MAX_BUNDLE_BYTES", "MAX_FRAMES", "BundleReader", "BundleWriter", "EpisodeArrays", "member_names"]
+
+MAX_FRAMES = 1000
+MAX_BUNDLE_BYTES = 2 << 30
+_META = "meta.json"
+_RGB_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX, 3)
+_IMAGE_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX)
+_DEPTH_BYTES = 4 * FRAME_SIZE_PX * FRAME_SIZE_PX + 4096
+_LIMITS = Limits(members=3 * MAX_FRAMES + len(EPISODE_ARRAYS) + 1, member_bytes=4 << 20)
+
+
+def _frame_names(t: int) -> tuple[str, str, str]:
+    return f"rgb_front/{t:06d}.png", f"depth_front/{t:06d}.npy.zst", f"seg_front/{t:06d}.png"
+
+
+def member_names(frames: int) -> tuple[str, ...]:
+    """Returns the names a bundle of that many frames consists of, in the order of the file."""
+    of_frames = (name for t in range(frames) for name in _frame_names(t))
+    return (*of_frames, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
+
+
+@dataclass(frozen=True)
+class EpisodeArrays:
+    """The arrays of an episode of T steps, as `schemas.arrays` specifies them."""
+
+    actions_continuous: NDArray[np.float32]
+    """(T, 2): v in m/s, w in rad/s."""
+    actions_tokens: NDArray[np.int16]
+    """(T, 2): 0..6."""
+    poses: NDArray[np.float32]
+    """(T, 7): x, y, z, qw, qx, qy, qz of base_link in the world frame."""
+
+    def in_order(self) -> tuple[NDArray[np.generic], ...]:
+        """Returns the arrays in the order of `EPISODE_ARRAYS`."""
+        return tuple(getattr(self, spec.name) for spec in EPISODE_ARRAYS)
+
+
+class BundleWriter:
+    """Streams frames into a file as they are made, so that memory does not grow with the episode."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._out = ContainerWriter(file)
+        self._digests: list[str] = []
+
+    def add_frame(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> None:
+        """Appends one frame: (640, 640, 3) sRGB, (640, 640) metres, (640, 640) instance ids."""
+        names = _frame_names(len(self._digests))
+        for name, data in zip(names, (encode_png(rgb), encode_npy_zst(depth), encode_png(ids)), strict=True):
+            self._out.add(name, data)
+        self._digests.append(frame_digest(rgb, depth, ids))
+
+    @property
+    def frame_digests(self) -> tuple[str, ...]:
+        """Digests of the frames so far."""
+        return tuple(self._digests)
+
+    def finish(self, arrays: EpisodeArrays, meta: EpisodeMeta) -> EpisodeMeta:
+        """Appends arrays and metadata and closes the bundle.
+
+        Args:
+            arrays: of as many steps as there are frames.
+            meta: the metadata; its digests are filled in here.
+
+        Returns:
+            The metadata as written, digests included.
+        """
+        digest = content_digest(self._digests, arrays.in_order(), meta.canonical())
+        sealed = meta.model_copy(update={"frame_digests": tuple(self._digests), "content_digest": digest})
+        for spec, array in zip(EPISODE_ARRAYS, arrays.in_order(), strict=True):
+            self._out.add(f"{spec.name}.npy", encode_npy(array))
+        self._out.add(_META, sealed.model_dump_json(indent=1).encode())
+        self._out.close()
+        return sealed
+
+    def abandon(self) -> None:
+        """Closes without finishing; the file is no bundle."""
+        self._out.close()
+
+
+class BundleReader:
+    """Random access to an episode in a seekable file; frames are decoded when asked for.
+
+    Raises:
+        InvalidBundle: the file is no bundle, is incomplete, has surplus members, or is of a newer format.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._in = ContainerReader(file, _LIMITS)
+        self.meta = _read_meta(self._in)
+        self.length = self.meta.rollout.num_steps
+        expected = member_names(self.length)
+        if self._in.names != expected:
+            raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))
+        self.arrays = EpisodeArrays(**{spec.name: self._array(spec) for spec in EPISODE_ARRAYS})  # type: ignore[arg-type]
+
+    def _array(self, spec: ArraySpec) -> NDArray[np.generic]:
+        shape = tuple(self.length if side is None else side for side in spec.shape)
+        array = decode_npy(spec.name, self._in.read(f"{spec.name}.npy"), spec.dtype, shape)
+        findings = spec.violations(array, self.length)
+        if findings:
+            raise InvalidBundle("bundle refused", findings)
+        return array
+
+    def rgb(self, t: int) -> NDArray[np.uint8]:
+        """Returns frame t as (640, 640, 3) sRGB."""
+        name = _frame_names(t)[0]
+        return cast(NDArray[np.uint8], decode_png(name, self._in.read(name), _RGB_SHAPE))
+
+    def depth(self, t: int) -> NDArray[np.float32]:
+        """Returns frame t as (640, 640) metres along the optical axis, 0 where nothing was hit."""
+        name = _frame_names(t)[1]
+        depth = decode_npy_zst(name, self._in.read(name), np.float32, _IMAGE_SHAPE, _DEPTH_BYTES)
+        return cast(NDArray[np.float32], depth)
+
+    def ids(self, t: int) -> NDArray[np.uint16]:
+        """Returns frame t as (640, 640) instance ids."""
+        name = _frame_names(t)[2]
+        return cast(NDArray[np.uint16], decode_png(name, self._in.read(name), _IMAGE_SHAPE))
+
+    def frame_digest(self, t: int) -> str:
+        """Decodes frame t, checks it against its specs and returns its digest.
+
+        Raises:
+            InvalidBundle: a modality of the frame is damaged or out of bounds.
+        """
+        rgb, depth, ids = self.rgb(t), self.depth(t), self.ids(t)
+        texts = RGB_FRAME.violations(rgb) + DEPTH_FRAME.violations(depth) + IDS_FRAME.violations(ids)
+        findings = [f"frame {t}: {text}" for text in texts]
+        if findings:
+            raise InvalidBundle("bundle refused", findings)
+        return frame_digest(rgb, depth, ids)
+
+    def content_digest(self, frame_digests: tuple[str, ...]) -> str:
+        """Returns the content digest that these frame digests, the arrays and the metadata give."""
+        return content_digest(frame_digests, self.arrays.in_order(), self.meta.canonical())
+
+    def member_bytes(self) -> dict[str, int]:
+        """Returns the bytes stored per kind of member, e.g. `rgb_front`."""
+        sizes: dict[str, int] = {}
+        for name in self._in.names:
+            kind = name.split("/")[0]
+            sizes[kind] = sizes.get(kind, 0) + self._in.size(name)
+        return sizes
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """The file belongs to the caller and stays open."""
+
+
+def _read_meta(container: ContainerReader) -> EpisodeMeta:
+    text = container.read(_META)
+    try:
+        return EpisodeMeta.model_validate_json(text)
+    except ValidationError as error:
+        newer = _newer_format(text)
+        if newer is not None:
+            found = f"bundle format {newer}, this software reads up to {BUNDLE_FORMAT}: upgrade minivla-factory"
+            raise InvalidBundle("bundle refused", [found]) from error
+        findings = [f"{_META}: {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:20]]
+        raise InvalidBundle("bundle refused", findings) from error
+
+
+def _newer_format(text: bytes) -> int | None:
+    try:
+        found = from_json(text)
+    except ValueError:
+        return None
+    version = found.get("format") if isinstance(found, dict) else None
+    return version if isinstance(version, int) and version > BUNDLE_FORMAT else None
+
+
+def _name_findings(found: tuple[str, ...], expected: tuple[str, ...]) -> list[str]:
+    missing = [name for name in expected if name not in set(found)]
+    surplus = [name for name in found if name not in set(expected)]
+    findings = [f"{len(missing)} members missing, first {missing[0]!r}"] if missing else []
+    findings += [f"{len(surplus)} surplus members, first {surplus[0]!r}"] if surplus else []
+    return findings or ["members are not in their fixed order"]

@@ -1,0 +1,142 @@
+"""A plan: how many episodes of which scenes, in which shares, driven by whom. What a user writes as TOML.
+
+Checks each field by itself and the shares against each other; what the scenes hold is checked at expansion.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from schemas.base import Fraction, Model, Name
+from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, SceneCategories, Split, Tier
+
+__all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
+
+MAX_EPISODES = 9_999_999
+PAPER_TIERS = MappingProxyType({Tier.NEAR: 0.3, Tier.MID: 0.4, Tier.FAR: 0.3})
+PAPER_SPLITS = MappingProxyType(
+    {
+        Split.TRAIN_ID: 0.6,
+        Split.VAL_ID: 0.1,
+        Split.TEST_ID: 0.1,
+        Split.TEST_PARAPHRASE_OOD: 0.1,
+        Split.TEST_OOD_OBJ: 0.1,
+    }
+)
+
+
+class ScenePlan(Model):
+    """One scene's part of a plan."""
+
+    name: Name
+    """A built-in scene, or the name under which an own scene appears in the dataset."""
+    episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Layout seed of a built-in scene."""
+    usd: str | None = None
+    """Path of an own scene's root layer; relative paths start at the plan file."""
+    seen: tuple[Name, ...] = ()
+    """Categories of the in-distribution splits; empty takes the paper's table."""
+    held_out: tuple[Name, ...] = ()
+    """Categories only `test_ood_obj` names; empty takes the paper's table."""
+
+    @property
+    def categories(self) -> SceneCategories:
+        """The seen and held-out categories in force."""
+        table = BUILTIN_CATEGORIES.get(self.name, SceneCategories((), ())) if self.usd is None else None
+        seen, held_out = table or SceneCategories((), ())
+        return SceneCategories(self.seen or seen, self.held_out or held_out)
+
+    @model_validator(mode="after")
+    def _is_a_known_scene(self) -> ScenePlan:
+        if self.usd is None and self.name not in BUILTIN_CATEGORIES:
+            known = ", ".join(BUILTIN_CATEGORIES)
+            raise ValueError(f"name {self.name!r} is no built-in scene ({known}); for an own scene give `usd = PATH`")
+        seen, held_out = self.categories
+        both = sorted(set(seen) & set(held_out))
+        if both:
+            raise ValueError(f"categories both seen and held out: {', '.join(both)}")
+        if not seen:
+            raise ValueError("an own scene needs `seen = [...]`, the categories to train on")
+        return self
+
+
+class Budget(Model):
+    """How long to insist on an episode (DESIGN 3.11, 6)."""
+
+    attempts_per_draw: Annotated[int, Field(ge=1, le=1000)] = 6
+    """World failures after which a target is given up and the cell is drawn anew."""
+    draws: Annotated[int, Field(ge=1, le=1000)] = 40
+    """Draws after which an episode is given up."""
+    crashes: Annotated[int, Field(ge=1, le=100)] = 3
+    """Worker processes a job may kill before it is quarantined."""
+
+
+class Plan(Model):
+    """The whole plan; its digest names the run."""
+
+    name: Name
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 42
+    """Root of every random choice."""
+    scenes: Annotated[tuple[ScenePlan, ...], Field(min_length=1)]
+    tiers: Annotated[dict[Tier, Fraction], Field(default_factory=lambda: dict(PAPER_TIERS))]
+    splits: Annotated[dict[Split, Fraction], Field(default_factory=lambda: dict(PAPER_SPLITS))]
+    expert: ExpertName = ExpertName.PROPORTIONAL
+    colors: Literal["on", "off"] = "on"
+    """`off` gives the paper's v1 behaviour: every colour unknown, no colour templates."""
+    balance: Literal["instances", "categories"] = "instances"
+    """What is drawn evenly: the target instances (as the paper) or the categories first."""
+    budget: Budget = Budget()
+    task: TaskConfig = TaskConfig()
+    robot: RobotConfig = RobotConfig()
+    camera: CameraConfig = CameraConfig()
+    spawn: SpawnConfig = SpawnConfig()
+    gains: ExpertConfig = ExpertConfig()
+
+    @model_validator(mode="after")
+    def _adds_up(self) -> Plan:
+        mistakes = [
+            f"{key}: the shares add up to {sum(shares.values()):g}, not 1"
+            for key, shares in (("tiers", self.tiers), ("splits", self.splits))
+            if abs(sum(shares.values()) - 1) > 1e-6
+        ]
+        names = [scene.name for scene in self.scenes]
+        mistakes += [f"scenes: {name!r} stands twice" for name in sorted({n for n in names if names.count(n) > 1})]
+        if self.splits.get(Split.TEST_OOD_OBJ, 0) > 0:
+            mistakes += [
+                f"scenes: {scene.name!r} holds out no category, but splits.test_ood_obj is above 0"
+                for scene in self.scenes
+                if not scene.categories.held_out
+            ]
+        if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
+            mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
+        return self
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes over all scenes."""
+        return sum(scene.episodes for scene in self.scenes)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the canonical JSON of the plan; two plans with one digest ask for the same dataset."""
+        return hashlib.sha256(canonical_json(self).encode()).hexdigest()
+
+    @property
+    def run(self) -> str:
+        """Name of the run in keys and records."""
+        return f"{self.name}-{self.digest[:8]}"
+
+
+def canonical_json(model: Model, exclude: set[str] | None = None) -> str:
+    """Returns the model as JSON with sorted keys and no spaces, fit for hashing."""
+    data = model.model_dump(mode="json", exclude=exclude)
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)

@@ -1,0 +1,192 @@
+"""Messages between workers and the coordinator: every verb is idempotent and carries the lease it speaks for.
+
+An empty reply and a time-out both mean *unknown*: the caller repeats the same message (DESIGN 9).
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated
+
+from pydantic import Field
+
+from schemas.base import Model, NonNegative, Positive, Sha256
+from schemas.job import Job
+from schemas.terms import FailReason
+
+__all__ = [
+    "MAX_MESSAGE_BYTES",
+    "PROTOCOL",
+    "Ack",
+    "Beat",
+    "BeatReply",
+    "Claim",
+    "ClaimReply",
+    "Done",
+    "Fail",
+    "Hello",
+    "HelloReply",
+    "Lease",
+    "LeaseProgress",
+    "Progress",
+    "Refusal",
+    "WorkerStatus",
+]
+
+PROTOCOL = 1
+"""Version of keys and messages; it stands in every key."""
+MAX_MESSAGE_BYTES = 1 << 20
+
+SessionId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,79}$")]
+Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
+
+
+class Lease(Model):
+    """The right to work on a job: all three must match what the ledger holds."""
+
+    job_id: Annotated[int, Field(ge=1)]
+    """Row of the ledger."""
+    fence: Annotated[int, Field(ge=1)]
+    """Rises at every claim of the job; an older one is stale."""
+    token: Token
+    """Invented by the worker, so that a repeated claim finds its job again."""
+
+
+class Hello(Model):
+    """A worker introduces itself, at start and after every reconnect."""
+
+    sid: SessionId
+    host: SessionId
+    slots: Annotated[int, Field(ge=1, le=4096)]
+    """Simulations it runs at a time."""
+    version: str
+    """Of minivla-factory."""
+
+
+class HelloReply(Model):
+    """What a worker must know before it claims."""
+
+    run: str
+    version: str
+    lease_ttl_s: Positive
+
+
+class Claim(Model):
+    """Asks for one job under a token of the worker's choice."""
+
+    sid: SessionId
+    token: Token
+
+
+class ClaimReply(Model):
+    """A job with its lease, or how long to wait before asking again."""
+
+    job: Job | None = None
+    lease: Lease | None = None
+    retry_after_s: NonNegative = 0.0
+    finished: bool = False
+    """Whether every job has reached its end, so that the worker may leave."""
+
+
+class LeaseProgress(Model):
+    """What a simulation has done under its lease."""
+
+    lease: Lease
+    step: Annotated[int, Field(ge=0)]
+    """Steps simulated so far in this attempt."""
+
+
+class Beat(Model):
+    """One heartbeat for all of a host's work."""
+
+    sid: SessionId
+    live: tuple[LeaseProgress, ...] = ()
+    """Leases in simulation."""
+    spool: tuple[Lease, ...] = ()
+    """Leases whose bundle waits in the spool."""
+
+
+class BeatReply(Model):
+    """What the coordinator holds against the beat."""
+
+    lost: tuple[Lease, ...] = ()
+    """Leases that are no longer theirs: stop simulating."""
+    drop: tuple[Lease, ...] = ()
+    """Bundles that are not wanted any more, archived or stale: delete them."""
+    drain: bool = False
+    """Whether to claim no more and leave when done."""
+
+
+class Done(Model):
+    """Announces a bundle that can be pulled; metadata only."""
+
+    sid: SessionId
+    lease: Lease
+    sha256: Sha256
+    size: Annotated[int, Field(ge=1)]
+    """Bytes of the bundle."""
+
+
+class Fail(Model):
+    """Reports an attempt that brought no episode."""
+
+    sid: SessionId
+    lease: Lease
+    reason: FailReason
+    detail: Annotated[str, Field(max_length=2000)] = ""
+    """Measured values, in words."""
+    steps: Annotated[int, Field(ge=0)] = 0
+    """Steps simulated before the end."""
+    seconds: NonNegative = 0.0
+    """Wall time spent."""
+
+
+class Ack(Model):
+    """Answer to `done` and `fail`: whether the lease was still theirs."""
+
+    accepted: bool
+
+
+class Refusal(Model):
+    """Answer to a message that cannot be served, with the reason."""
+
+    error: str
+
+
+class WorkerStatus(Model):
+    """One worker as the ledger knows it."""
+
+    sid: str
+    host: str
+    slots: int
+    leased: int
+    """Jobs it holds now."""
+    archived: int
+    """Episodes it has brought so far."""
+    last_beat: datetime
+    alive: bool
+    """Whether it was heard of within a lease."""
+
+
+class Progress(Model):
+    """Where a run stands, from the ledger."""
+
+    run: str
+    planned: int
+    """Episodes in the plan."""
+    jobs: dict[str, int]
+    """Count by state of the current draw of every episode; adds up to `planned`."""
+    by_scene: dict[str, dict[str, int]]
+    by_tier: dict[str, dict[str, int]]
+    by_split: dict[str, dict[str, int]]
+    redrawn: int
+    """Draws given up as hopeless and replaced."""
+    attempts: dict[str, int]
+    """Attempts by outcome: `success` and every fail reason."""
+    workers: tuple[WorkerStatus, ...]
+    episodes_per_hour: float | None
+    """Over the last ten minutes of archiving; `None` before the second episode."""
+    eta_s: float | None
+    """Seconds to the end at that rate; `None` when unknown, 0 when finished."""
+    finished: bool
+    """Whether no job can change any more without a `retry`."""
