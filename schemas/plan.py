@@ -10,11 +10,11 @@ import json
 from types import MappingProxyType
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from schemas.base import Fraction, Model, Name
 from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, SceneCategories, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, SceneCategories, Split, Tier
 
 __all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
 
@@ -34,13 +34,13 @@ PAPER_SPLITS = MappingProxyType(
 class ScenePlan(Model):
     """One scene's part of a plan."""
 
+    usd: str | None = None
+    """Path of an own scene's root layer; relative paths start at the plan file."""
     name: Name
     """A built-in scene, or the name under which an own scene appears in the dataset."""
     episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
     seed: Annotated[int, Field(ge=0)] = 0
     """Layout seed of a built-in scene."""
-    usd: str | None = None
-    """Path of an own scene's root layer; relative paths start at the plan file."""
     seen: tuple[Name, ...] = ()
     """Categories of the in-distribution splits; empty takes the paper's table."""
     held_out: tuple[Name, ...] = ()
@@ -53,11 +53,24 @@ class ScenePlan(Model):
         seen, held_out = table or SceneCategories((), ())
         return SceneCategories(self.seen or seen, self.held_out or held_out)
 
-    @model_validator(mode="after")
-    def _is_a_known_scene(self) -> ScenePlan:
-        if self.usd is None and self.name not in BUILTIN_CATEGORIES:
+    @field_validator("name")
+    @classmethod
+    def _is_a_known_scene(cls, name: str, others: ValidationInfo) -> str:
+        if others.data.get("usd") is None and name not in BUILTIN_CATEGORIES:
             known = ", ".join(BUILTIN_CATEGORIES)
-            raise ValueError(f"name {self.name!r} is no built-in scene ({known}); for an own scene give `usd = PATH`")
+            raise ValueError(f"no built-in scene of that name ({known}); for an own scene give `usd = PATH`")
+        return name
+
+    @field_validator("seen", "held_out")
+    @classmethod
+    def _are_known_categories(cls, categories: tuple[str, ...], others: ValidationInfo) -> tuple[str, ...]:
+        unknown = [name for name in categories if name not in CATEGORIES]
+        if unknown and others.data.get("usd") is None:
+            raise ValueError(f"unknown categories {', '.join(unknown)}; built-in scenes know {', '.join(CATEGORIES)}")
+        return categories
+
+    @model_validator(mode="after")
+    def _categories_make_sense(self) -> ScenePlan:
         seen, held_out = self.categories
         both = sorted(set(seen) & set(held_out))
         if both:

@@ -1,0 +1,43 @@
+"""Exact shares of a whole number: the Webster (Sainte-Lague) sequence, and drawing the least used. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+__all__ = ["apportion", "least_used", "webster_sequence"]
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+def webster_sequence(shares: Mapping[Key, float], count: int) -> list[Key]:
+    """Returns `count` keys such that every prefix is apportioned to the shares as evenly as whole numbers allow.
+
+    The next key is the one with the largest share / (2 * already given + 1); ties go to the first in the mapping.
+    Webster's method is house-monotone: a longer sequence never takes a seat back (Balinski & Young, 1982).
+    """
+    given = dict.fromkeys(shares, 0)
+    sequence = []
+    for _ in range(count):
+        key = max(given, key=lambda k: shares[k] / (2 * given[k] + 1))
+        given[key] += 1
+        sequence.append(key)
+    return sequence
+
+
+def apportion(shares: Mapping[Key, float], count: int) -> dict[Key, int]:
+    """Returns how many of `count` each key gets; the numbers add up to `count`."""
+    tally = Counter(webster_sequence(shares, count))
+    return {key: tally[key] for key in shares}
+
+
+def least_used(options: Sequence[Key], used: Counter[Key], rng: np.random.Generator) -> Key:
+    """Draws among the options used least so far, and counts the use."""
+    fewest = min(used[option] for option in options)
+    candidates = [option for option in options if used[option] == fewest]
+    choice = candidates[int(rng.integers(len(candidates)))]
+    used[choice] += 1
+    return choice

@@ -1,0 +1,39 @@
+"""The plans that ship with the product: `demo`, `paper`, `balanced`. Data only."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Tier
+
+__all__ = ["BUILTIN_PLANS"]
+
+_DEMO = Plan(
+    name="demo",
+    scenes=tuple(ScenePlan(name=name, episodes=5) for name in BUILTIN_CATEGORIES),
+    tiers={Tier.NEAR: 0.7, Tier.MID: 0.2, Tier.FAR: 0.1},
+    balance="categories",
+)
+"""A few short episodes of every scene: minutes on two cores, under 1 GB."""
+
+_PAPER = Plan(
+    name="paper",
+    scenes=(
+        ScenePlan(name="office", episodes=700),
+        ScenePlan(name="hospital", episodes=52),
+        ScenePlan(name="full_warehouse", episodes=354),
+        ScenePlan(name="warehouse_multiple_shelves", episodes=68),
+    ),
+)
+"""1174 episodes with the paper's shares, seed and expert."""
+
+_BALANCED = Plan(
+    name="balanced",
+    scenes=tuple(ScenePlan(name=name, episodes=300) for name in BUILTIN_CATEGORIES),
+    expert=ExpertName.PLANNER,
+    balance="categories",
+)
+"""Equal scenes, equal categories, the planner expert, colours on."""
+
+BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
