@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
+from typing import NamedTuple
 
-from schemas.wire import PROTOCOL
+from schemas.wire import MAX_MESSAGE_BYTES, PROTOCOL, Lease
 
 __all__ = [
+    "MAX_CHUNK_BYTES",
+    "BundleChunk",
+    "Chunk",
     "Verb",
     "alive_key",
     "alive_pattern",
     "any_hello_key",
     "bundle_key",
+    "bundle_selector",
+    "parse_bundle_chunk",
+    "parse_chunk",
     "scene_key",
+    "scene_pattern",
+    "scene_selector",
+    "sid_belongs_to",
     "sid_of_alive_key",
     "verb_key",
     "verb_pattern",
 ]
+
+MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
+"""Most bytes of a file that one reply carries."""
 
 
 class Verb(StrEnum):
@@ -28,6 +42,22 @@ class Verb(StrEnum):
     DONE = "done"
     FAIL = "fail"
     PROGRESS = "progress"
+    ADMIN = "admin"
+
+
+class Chunk(NamedTuple):
+    """Which bytes of a file are asked for."""
+
+    offset: int
+    length: int
+
+
+class BundleChunk(NamedTuple):
+    """Which bytes of which spooled bundle are asked for."""
+
+    job_id: int
+    fence: int
+    chunk: Chunk
 
 
 def _root(run: str) -> str:
@@ -69,6 +99,55 @@ def sid_of_alive_key(key: str) -> str:
     return key.split("/")[-2]
 
 
+def sid_belongs_to(sid: str, host: str) -> bool:
+    """Whether a worker of that host may call itself so: `HOST` or `HOST-` and whatever tells its starts apart."""
+    return sid == host or sid.startswith(f"{host}-")
+
+
 def scene_key(run: str, sha256: str) -> str:
     """Where the coordinator serves chunks of a compiled scene."""
     return f"{_root(run)}/scene/{sha256}"
+
+
+def scene_pattern(run: str) -> str:
+    """All compiled scenes of the run."""
+    return scene_key(run, "*")
+
+
+def scene_selector(run: str, sha256: str, chunk: Chunk) -> str:
+    """Asks for a chunk of a compiled scene; the answer is shorter than asked only at the end of the file."""
+    return f"{scene_key(run, sha256)}?off={chunk.offset};n={chunk.length}"
+
+
+def bundle_selector(run: str, sid: str, lease: Lease, chunk: Chunk) -> str:
+    """Asks for a chunk of the bundle that waits in a worker's spool under a lease."""
+    where = f"job={lease.job_id};fence={lease.fence};off={chunk.offset};n={chunk.length}"
+    return f"{bundle_key(run, sid)}?{where}"
+
+
+def parse_chunk(parameters: Mapping[str, str]) -> Chunk:
+    """Reads `off` and `n` of a selector.
+
+    Raises:
+        ValueError: one is missing, no number, negative, or `n` is above `MAX_CHUNK_BYTES`.
+    """
+    offset, length = _number(parameters, "off"), _number(parameters, "n")
+    if not 0 < length <= MAX_CHUNK_BYTES:
+        raise ValueError(f"n={length} is not within 1..{MAX_CHUNK_BYTES} bytes")
+    return Chunk(offset, length)
+
+
+def parse_bundle_chunk(parameters: Mapping[str, str]) -> BundleChunk:
+    """Reads the selector of a bundle's chunk.
+
+    Raises:
+        ValueError: a number is missing or out of bounds.
+    """
+    return BundleChunk(_number(parameters, "job"), _number(parameters, "fence"), parse_chunk(parameters))
+
+
+def _number(parameters: Mapping[str, str], name: str) -> int:
+    text = parameters.get(name, "")
+    if not (text.isascii() and text.isdigit() and len(text) <= 15):
+        raise ValueError(f"{name}={text[:20]!r} is no number; asked for a selector such as `?off=0;n=1048576`")
+    return int(text)

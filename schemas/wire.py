@@ -6,6 +6,7 @@ An empty reply and a time-out both mean *unknown*: the caller repeats the same m
 from __future__ import annotations
 
 from datetime import datetime
+from enum import StrEnum
 from typing import Annotated
 
 from pydantic import Field
@@ -18,6 +19,9 @@ __all__ = [
     "MAX_MESSAGE_BYTES",
     "PROTOCOL",
     "Ack",
+    "AdminAction",
+    "AdminReply",
+    "AdminRequest",
     "Beat",
     "BeatReply",
     "Claim",
@@ -151,6 +155,31 @@ class Refusal(Model):
     """Answer to a message that cannot be served, with the reason."""
 
     error: str
+
+
+class AdminAction(StrEnum):
+    """What an operator may do to a run."""
+
+    RETRY = "retry"  # put failed or cancelled episodes back into the queue
+    CANCEL = "cancel"  # give up episodes that have not ended
+    DRAIN = "drain"  # let every worker finish what it has and leave
+
+
+class AdminRequest(Model):
+    """An operator's wish; repeating it changes nothing more."""
+
+    action: AdminAction
+    indices: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    """Episodes meant, by number; empty means every one the action fits."""
+
+
+class AdminReply(Model):
+    """What came of an operator's wish."""
+
+    changed: tuple[int, ...]
+    """Episodes that changed their state."""
+    refused: dict[int, str] = Field(default_factory=dict)
+    """Episodes named by number that could not, with the reason."""
 
 
 class WorkerStatus(Model):
