@@ -1,0 +1,1 @@
+"""Scenes: authored as USD, imported, compiled once into content-hashed packages."""

@@ -1,0 +1,87 @@
+"""Authors the four built-in scenes as USD from a seed: office, hospital and two warehouses.
+
+Never imports USD back, compiles or simulates; a user's own USD takes the same road from the importer on.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from factory.scenes.author.layout_hospital import lay_out_hospital
+from factory.scenes.author.layout_office import lay_out_office
+from factory.scenes.author.layout_warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
+from factory.scenes.author.placement import Plan
+from schemas.errors import UsageError
+
+__all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_scene"]
+
+AUTHOR_VERSION = "1"
+"""Changes whenever the same (name, seed) would give another scene; part of the compiled scenes' cache key."""
+
+
+@dataclass(frozen=True)
+class BuiltinScene:
+    """One scene that ships with the factory.
+
+    Attributes:
+        name: as used in plans and on the command line.
+        summary: one line for listings.
+        metres_per_unit: length of a unit in the written stage, metres.
+        lay_out: fills a plan.
+    """
+
+    name: str
+    summary: str
+    metres_per_unit: float
+    lay_out: Callable[[Plan], None]
+
+
+_SCENES = (
+    BuiltinScene("office", "24 x 16 m office floor off a corridor, authored in centimetres", 0.01, lay_out_office),
+    BuiltinScene("hospital", "30 x 20 m hospital floor: wards, waiting hall, reception", 1.0, lay_out_hospital),
+    BuiltinScene(
+        "full_warehouse", "32 x 24 m warehouse: double pallet-rack rows, floor goods", 1.0, lay_out_full_warehouse
+    ),
+    BuiltinScene(
+        "warehouse_multiple_shelves", "22 x 18 m hall: alternating rack and shelf rows", 1.0, lay_out_multiple_shelves
+    ),
+)
+
+BUILTIN_SCENES: Mapping[str, BuiltinScene] = MappingProxyType({scene.name: scene for scene in _SCENES})
+"""The built-in scenes by name."""
+
+
+def author_scene(name: str, seed: int, directory: Path) -> Path:
+    """Writes one built-in scene as USD.
+
+    Args:
+        name: a key of `BUILTIN_SCENES`.
+        seed: non-negative; the same (name, seed) gives the same geometry and texture pixels.
+        directory: created if missing; receives `<name>.usdc`, `props/` and `textures/`.
+
+    Returns:
+        Path of the root layer.
+
+    Raises:
+        UsageError: no built-in scene has that name.
+    """
+    scene = BUILTIN_SCENES.get(name)
+    if scene is None:
+        raise UsageError(f"no built-in scene is called {name!r}; known scenes: {', '.join(BUILTIN_SCENES)}")
+    from factory.scenes.author.usd_writer import write_scene  # 200 MB of USD, only when a scene is written
+
+    plan = lay_out_scene(scene, seed)
+    return write_scene(plan, name, directory, scene.metres_per_unit)
+
+
+def lay_out_scene(scene: BuiltinScene, seed: int) -> Plan:
+    """The laid-out plan of a scene, before it is written."""
+    plan = Plan(seed, np.random.default_rng([seed, zlib.crc32(scene.name.encode())]))
+    scene.lay_out(plan)
+    return plan

@@ -1,0 +1,194 @@
+"""Drawn textures: monitor screens, posters, signs, marker scribbles, book spines, window views, hazard stripes.
+
+Each recipe turns a generator into 512 px square sRGB pixels; never reads or writes a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+from PIL import Image, ImageDraw, ImageFont
+
+__all__ = ["ARTWORK"]
+
+Pixels = npt.NDArray[np.uint8]
+Canvas = tuple[Image.Image, ImageDraw.ImageDraw]
+SIZE = 512
+
+
+def _canvas(colour: str) -> Canvas:
+    image = Image.new("RGB", (SIZE, SIZE), colour)
+    return image, ImageDraw.Draw(image)
+
+
+def _between(rng: Generator, low: int, high: int) -> int:
+    return int(rng.integers(low, high))
+
+
+def _write(draw: ImageDraw.ImageDraw, text: str, y: int, size: int, colour: str) -> None:
+    draw.text((SIZE // 2, y), text, fill=colour, font=ImageFont.load_default(size), anchor="mm")
+
+
+def _code_screen(rng: Generator) -> Pixels:
+    image, draw = _canvas("#15202e")
+    draw.rectangle((0, 0, SIZE, 34), fill="#2d3b4e")
+    draw.rectangle((0, 34, 96, SIZE), fill="#1c2a3b")
+    for line in range(52, 492, 22):
+        x = 116 + 26 * _between(rng, 0, 4)
+        for _ in range(_between(rng, 1, 5)):
+            width = _between(rng, 20, 90)
+            colour = ("#7fd1ff", "#f2c66d", "#9be58f", "#e8eef4", "#e58fb0")[_between(rng, 0, 5)]
+            draw.rectangle((x, line, min(x + width, 500), line + 9), fill=colour)
+            x += width + 12
+    return np.asarray(image)
+
+
+def _desktop_screen(rng: Generator) -> Pixels:
+    rows = np.linspace(0, 1, SIZE)[:, None, None]
+    sky = np.array([70, 140, 220]) * (1 - rows) + np.array([190, 225, 245]) * rows
+    image = Image.fromarray(np.broadcast_to(sky, (SIZE, SIZE, 3)).astype(np.uint8))
+    draw = ImageDraw.Draw(image)
+    for peak in range(4):
+        x, height = _between(rng, 0, SIZE), _between(rng, 120, 240)
+        colour = ("#3b6e8f", "#2f5d74", "#4b7f6b", "#2d6350")[peak]
+        draw.polygon([(x - 300, SIZE), (x, SIZE - height), (x + 300, SIZE)], fill=colour)
+    draw.rectangle((0, 482, SIZE, SIZE), fill="#20262e")
+    draw.rectangle((60, 60, 330, 300), fill="#f4f6f8")
+    draw.rectangle((60, 60, 330, 84), fill="#3d6fb5")
+    return np.asarray(image)
+
+
+def _chart_screen(rng: Generator) -> Pixels:
+    image, draw = _canvas("#f3f5f7")
+    draw.rectangle((0, 0, SIZE, 60), fill="#1f6f54")
+    for row in range(90, 480, 30):
+        draw.line((20, row, 492, row), fill="#d4dade", width=2)
+    for bar in range(8):
+        height = _between(rng, 80, 340)
+        draw.rectangle((40 + bar * 56, 470 - height, 80 + bar * 56, 470), fill=("#3a7bd5", "#f08c2e")[bar % 2])
+    return np.asarray(image)
+
+
+def _poster_sun(rng: Generator) -> Pixels:
+    image, draw = _canvas(("#f1d9b5", "#dbe7e4", "#f4e3d7")[_between(rng, 0, 3)])
+    x, y = _between(rng, 150, 360), _between(rng, 120, 220)
+    draw.ellipse((x - 90, y - 90, x + 90, y + 90), fill="#e2683c")
+    for band, colour in enumerate(("#2f6f7e", "#3f8f8a", "#7fb59a")):
+        draw.rectangle((0, 330 + band * 60, SIZE, SIZE), fill=colour)
+    _write(draw, "SUMMER TOUR", 480, 40, "#f7f2e6")
+    return np.asarray(image)
+
+
+def _poster_blocks(rng: Generator) -> Pixels:
+    image, draw = _canvas("#f4f1ea")
+    colours = ("#d1495b", "#edae49", "#00798c", "#30638e", "#2b2d42")
+    for _ in range(9):
+        x, y = _between(rng, 20, 380), _between(rng, 20, 380)
+        extent = (x, y, x + _between(rng, 60, 180), y + _between(rng, 60, 180))
+        draw.rectangle(extent, fill=colours[_between(rng, 0, 5)])
+    return np.asarray(image)
+
+
+def _notice(heading: str, colour: str) -> Callable[[Generator], Pixels]:
+    def draw_notice(rng: Generator) -> Pixels:
+        image, draw = _canvas("#fbfbf8")
+        draw.rectangle((0, 0, SIZE, 130), fill=colour)
+        _write(draw, heading, 66, 64, "#ffffff")
+        for line in range(180, 480, 36):
+            draw.rectangle((50, line, 50 + _between(rng, 220, 410), line + 12), fill="#8b9096")
+        return np.asarray(image)
+
+    return draw_notice
+
+
+def _sign(text: str, colour: str, size: int) -> Callable[[Generator], Pixels]:
+    def draw_sign(rng: Generator) -> Pixels:
+        image, draw = _canvas(colour)
+        draw.rectangle((14, 14, 497, 497), outline="#ffffff", width=10)
+        _write(draw, text, 256, size, "#ffffff")
+        return np.asarray(image)
+
+    return draw_sign
+
+
+def _scribbles(rng: Generator) -> Pixels:
+    image, draw = _canvas("#f4f5f4")
+    for _ in range(4):
+        x, y = _between(rng, 40, 300), _between(rng, 60, 380)
+        draw.rectangle((x, y, x + 110, y + 60), outline="#2b59b5", width=4)
+        draw.line((x + 110, y + 30, x + 180, y + 50), fill="#333333", width=4)
+    for line in range(70, 240, 34):
+        points = [(300 + step * 8, line + _between(rng, -7, 8)) for step in range(_between(rng, 10, 24))]
+        draw.line(points, fill=("#222222", "#b32424", "#1e7a3a")[_between(rng, 0, 3)], width=3)
+    return np.asarray(image)
+
+
+def _spines(rng: Generator) -> Pixels:
+    image, draw = _canvas("#2a2522")
+    colours = ("#8c2f2f", "#2f4f8c", "#d8c9a3", "#3f6f4a", "#c27b2c", "#5b3f73", "#e4e2dc", "#30343a")
+    x = 0
+    while x < SIZE:
+        width, top = _between(rng, 24, 52), _between(rng, 0, 90)
+        draw.rectangle((x, top, x + width - 3, SIZE), fill=colours[_between(rng, 0, 8)])
+        draw.rectangle((x + 5, top + 60, x + width - 8, top + 76), fill="#e8dcc0")
+        x += width
+    return np.asarray(image)
+
+
+def _window(rng: Generator) -> Pixels:
+    rows = np.linspace(0, 1, SIZE)[:, None, None]
+    sky = np.array([168, 205, 240]) * (1 - rows) + np.array([236, 244, 250]) * rows
+    image = Image.fromarray(np.broadcast_to(sky, (SIZE, SIZE, 3)).astype(np.uint8))
+    draw = ImageDraw.Draw(image)
+    x = 0
+    while x < SIZE:
+        width, height = _between(rng, 40, 110), _between(rng, 60, 260)
+        tone = _between(rng, 150, 205)
+        draw.rectangle((x, SIZE - height, x + width, SIZE), fill=(tone, tone + 6, tone + 14))
+        x += width + _between(rng, 0, 20)
+    return np.asarray(image)
+
+
+def _hazard(rng: Generator) -> Pixels:
+    rows, columns = np.indices((SIZE, SIZE))
+    stripe = ((rows + columns) // 128) % 2 == 0
+    wear = rng.random((SIZE, SIZE)) * 18
+    yellow = np.stack([236 - wear, 190 - wear, 28 + 0 * wear], axis=-1)
+    black = np.stack([34 + wear] * 3, axis=-1)
+    return np.where(stripe[..., None], yellow, black).astype(np.uint8)
+
+
+def _keys(rng: Generator) -> Pixels:
+    image, draw = _canvas("#202226")
+    for row in range(5):
+        for column in range(14):
+            x, y = 12 + column * 35, 20 + row * 96
+            draw.rectangle((x, y, x + 29, y + 80), fill="#3c4046")
+    return np.asarray(image)
+
+
+ARTWORK: Mapping[str, Callable[[Generator], Pixels]] = MappingProxyType(
+    {
+        "ScreenCode": _code_screen,
+        "ScreenDesktop": _desktop_screen,
+        "ScreenChart": _chart_screen,
+        "PosterSun": _poster_sun,
+        "PosterBlocks": _poster_blocks,
+        "NoticeBlue": _notice("NOTICE", "#1f5fa8"),
+        "NoticeSafety": _notice("SAFETY", "#1e7d4f"),
+        "SignExit": _sign("EXIT", "#1b8a4a", 170),
+        "SignFire": _sign("FIRE", "#c3211d", 170),
+        "SignWard": _sign("WARD", "#2a6fb0", 140),
+        "SignAisle": _sign("AISLE", "#234a86", 130),
+        "Scribbles": _scribbles,
+        "BookSpines": _spines,
+        "WindowView": _window,
+        "Hazard": _hazard,
+        "Keys": _keys,
+    }
+)
+"""Drawn texture recipes by name."""

@@ -1,0 +1,151 @@
+"""A building with one straight corridor and rooms on both sides: the shell of the office and of the hospital.
+
+Builds floors, walls, doors, windows and ceilings from a list of cells; never furnishes a room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from numpy.random import Generator
+
+from factory.scenes.author.materials import Material, textured
+from factory.scenes.author.placement import Plan, Rectangle
+from factory.scenes.author.room import WALL_THICKNESS_M, Door, ceiling, floor, wall
+
+__all__ = ["Cell", "Room", "Style", "build_wings", "divide"]
+
+PLASTER = textured("Plaster", "#e4e1d8", 2.0, 0.9)
+CEILING = textured("CeilingTile", "#e6e5e0", 1.2, 0.9)
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a kind of room looks: its floor, its wall paint, whether it has windows."""
+
+    floor: Material
+    paint: Material
+    has_windows: bool = True
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One room still to be built: kind, least width in metres and clear door width in metres."""
+
+    kind: str
+    width: float
+    door_width: float
+
+
+@dataclass(frozen=True)
+class Room:
+    """One built room.
+
+    Attributes:
+        kind: what it is for.
+        area: floor between the wall faces, metres.
+        door: its door in the corridor wall.
+        outer: wall letter away from the corridor, N or S.
+        inner: wall letter towards the corridor.
+    """
+
+    kind: str
+    area: Rectangle
+    door: Door
+    outer: str
+    inner: str
+
+
+def divide(rng: Generator, cells: Sequence[Cell], length: float) -> list[tuple[Cell, float, float]]:
+    """Stretches the cells' widths, each by its own random share, until they fill `length` metres."""
+    weights = [cell.width * float(rng.uniform(0.95, 1.1)) for cell in cells]
+    spans: list[tuple[Cell, float, float]] = []
+    x = 0.0
+    for cell, weight in zip(cells, weights, strict=True):
+        width = length * weight / sum(weights)
+        spans.append((cell, x, x + width))
+        x += width
+    return spans
+
+
+def build_wings(
+    plan: Plan,
+    size: tuple[float, float],
+    corridor: tuple[float, float],
+    wings: dict[str, list[tuple[Cell, float, float]]],
+    styles: dict[str, Style],
+    height: float = 2.8,
+) -> list[Room]:
+    """Builds the corridor and both wings.
+
+    Args:
+        plan: receives the structures.
+        size: outer width (x) and depth (y), metres.
+        corridor: lower and upper y of the corridor, metres.
+        wings: cells with their x span, for "S" and "N".
+        styles: looks by room kind, "corridor" included.
+        height: of all walls, metres.
+
+    Returns:
+        The rooms, south wing first.
+    """
+    hall = Rectangle(0.0, corridor[0], size[0], corridor[1])
+    hall_style = styles["corridor"]
+    floor(plan, hall, hall_style.floor)
+    ceiling(plan, hall, height, CEILING)
+    for x in (0.0, size[0]):
+        wall(plan, False, x, (hall.y0, hall.y1), (hall_style.paint, hall_style.paint), (), height)
+    rooms: list[Room] = []
+    for side, spans in wings.items():
+        depth = (0.0, corridor[0]) if side == "S" else (corridor[1], size[1])
+        rooms += _build_wing(plan, side, depth, spans, styles, height)
+    return rooms
+
+
+def _build_wing(
+    plan: Plan,
+    side: str,
+    depth: tuple[float, float],
+    spans: list[tuple[Cell, float, float]],
+    styles: dict[str, Style],
+    height: float,
+) -> list[Room]:
+    """One row of rooms between the outer wall and the corridor."""
+    is_south = side == "S"
+    outer_y, inner_y = depth if is_south else depth[::-1]
+    hall_paint, rooms = styles["corridor"].paint, []
+    previous = PLASTER
+    for cell, x0, x1 in spans:
+        style = styles[cell.kind]
+        area = Rectangle(x0, depth[0], x1, depth[1])
+        floor(plan, area, style.floor)
+        ceiling(plan, area, height, CEILING)
+        door = _draw_door(plan.rng, cell, x0, x1)
+        inner_faces = (style.paint, hall_paint) if is_south else (hall_paint, style.paint)
+        wall(plan, True, inner_y, (x0, x1), inner_faces, (door,), height)
+        wall(plan, True, outer_y, (x0, x1), (style.paint, style.paint), (), height)
+        wall(plan, False, x0, depth, (previous, style.paint), (), height)
+        previous = style.paint
+        inside = area.grown(-WALL_THICKNESS_M / 2)
+        room = Room(cell.kind, inside, door, side, "N" if is_south else "S")
+        rooms.append(room)
+        if style.has_windows:
+            _hang_windows(plan, room)
+    wall(plan, False, spans[-1][2], depth, (previous, previous), (), height)
+    return rooms
+
+
+def _draw_door(rng: Generator, cell: Cell, x0: float, x1: float) -> Door:
+    reach = cell.door_width / 2 + 0.35
+    return Door(float(rng.uniform(x0 + reach, x1 - reach)), cell.door_width)
+
+
+def _hang_windows(plan: Plan, room: Room) -> None:
+    """As many windows as the outer wall holds at a pitch of about 2.2 m."""
+    count = max(1, int(room.area.width // 2.3))
+    model = plan.workshop.model("SM_Window", 0)
+    for index in range(count):
+        x = room.area.x0 + (index + 0.5) * room.area.width / count
+        y = room.area.y0 if room.outer == "S" else room.area.y1
+        plan.add(model, x, y, 0.0 if room.outer == "N" else 3.141592653589793)

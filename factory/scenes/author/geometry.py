@@ -1,0 +1,215 @@
+"""Solid building blocks of the authored scenes: boxes, cushions, lathes, rods, cards, as polygon meshes in metres.
+
+Every solid is closed, wound counter-clockwise seen from outside. Never draws a random number, never knows a material.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "Floats",
+    "Mesh",
+    "Vector",
+    "block",
+    "bounds",
+    "card",
+    "cushion",
+    "cylinder",
+    "fitted_block",
+    "lathe",
+    "loft",
+    "merge",
+    "moved",
+    "quad",
+    "rod",
+    "triangle_count",
+    "tube",
+]
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Polygons over shared points; `st` is None where texture coordinates come from box projection.
+
+    Attributes:
+        points: (n, 3) float64, metres, z up.
+        counts: (m,) corners per polygon.
+        indices: (k,) point of each corner.
+        st: (k, 2) texture coordinates in [0, 1] per corner, or None for metres by projection.
+    """
+
+    points: Floats
+    counts: Integers
+    indices: Integers
+    st: Floats | None = None
+
+
+def _mesh(points: Floats, faces: Sequence[Sequence[int]], st: Floats | None = None) -> Mesh:
+    counts = np.array([len(face) for face in faces], dtype=np.int64)
+    indices = np.array([corner for face in faces for corner in face], dtype=np.int64)
+    return Mesh(np.asarray(points, dtype=np.float64), counts, indices, st)
+
+
+def loft(rings: Floats) -> Mesh:
+    """Skins a stack of rings and closes both ends.
+
+    Args:
+        rings: (m, n, 3) metres; each ring counter-clockwise seen from the end of the stack.
+    """
+    levels, sides = rings.shape[:2]
+    ring = np.arange(sides)
+    following = (ring + 1) % sides
+    walls = [
+        np.stack([low + ring, low + following, low + sides + following, low + sides + ring], axis=1)
+        for low in range(0, (levels - 1) * sides, sides)
+    ]
+    quads = np.concatenate(walls)
+    caps = np.concatenate([ring[::-1], (levels - 1) * sides + ring])
+    counts = np.array([4] * len(quads) + [sides, sides], dtype=np.int64)
+    return Mesh(rings.reshape(-1, 3).astype(np.float64), counts, np.concatenate([quads.ravel(), caps]))
+
+
+def block(low: Vector, high: Vector) -> Mesh:
+    """An axis-aligned box between two corners."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    outline = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    return loft(np.array([[(x, y, z) for x, y in outline] for z in (z0, z1)]))
+
+
+def fitted_block(low: Vector, high: Vector) -> Mesh:
+    """A box whose every face shows the whole texture once, upright on the sides."""
+    plain = block(low, high)
+    wall = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
+    return Mesh(plain.points, plain.counts, plain.indices, np.array(wall * 6))
+
+
+def cushion(low: Vector, high: Vector, bevel: float) -> Mesh:
+    """A box with all edges chamfered by `bevel` metres."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+
+    def octagon(inset: float, z: float) -> list[Vector]:
+        a0, a1, b0, b1 = x0 + inset, x1 - inset, y0 + inset, y1 - inset
+        c = bevel
+        return [
+            (a0 + c, b0, z), (a1 - c, b0, z), (a1, b0 + c, z), (a1, b1 - c, z),
+            (a1 - c, b1, z), (a0 + c, b1, z), (a0, b1 - c, z), (a0, b0 + c, z),
+        ]  # fmt: skip
+
+    levels = [(bevel, z0), (0.0, z0 + bevel), (0.0, z1 - bevel), (bevel, z1)]
+    return loft(np.array([octagon(inset, z) for inset, z in levels]))
+
+
+def lathe(profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = 14) -> Mesh:
+    """Turns a profile of (radius, z), listed bottom to top, around the vertical through `at`."""
+    angle = 2 * math.pi * np.arange(sides) / sides
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = np.empty((len(profile), sides, 3))
+    for level, (radius, z) in enumerate(profile):
+        rings[level, :, :2] = circle * max(radius, 1e-3) + np.array(at)
+        rings[level, :, 2] = z
+    return loft(rings)
+
+
+def cylinder(
+    radius: float, z0: float, z1: float, at: tuple[float, float] = (0.0, 0.0), sides: int = 14, top: float | None = None
+) -> Mesh:
+    """An upright cylinder, or a cone frustum when `top` radius is given."""
+    return lathe([(radius, z0), (radius if top is None else top, z1)], at, sides)
+
+
+def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> Mesh:
+    """A round bar along a polyline; each ring lies across the mean of its neighbouring directions."""
+    points = np.array(path, dtype=np.float64)
+    steps = np.diff(points, axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    along = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    aside = np.array([0.0, 0.0, 1.0]) if abs(along[0, 2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    angle = 2 * math.pi * (np.arange(sides) + 0.5) / sides
+    rings = np.empty((len(points), sides, 3))
+    for level, direction in enumerate(along):
+        u = np.cross(aside, direction)
+        u /= np.linalg.norm(u)
+        v = np.cross(direction, u)
+        rings[level] = points[level] + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
+        aside = v
+    return loft(rings)
+
+
+def rod(start: Vector, end: Vector, radius: float, sides: int = 6) -> Mesh:
+    """A straight round bar between two points."""
+    return tube([start, end], radius, sides)
+
+
+def quad(corners: Sequence[Vector]) -> Mesh:
+    """One rectangle seen from its front, showing the whole texture once.
+
+    Args:
+        corners: lower left, lower right, upper right, upper left, as seen from the front.
+    """
+    return _mesh(np.array(corners), [(0, 1, 2, 3)], np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float64))
+
+
+def card(outline: Sequence[Vector]) -> Mesh:
+    """A thin polygon visible from both sides, such as a leaf or a sheet of paper."""
+    front = list(range(len(outline)))
+    return _mesh(np.array(outline, dtype=np.float64), [front, front[::-1]])
+
+
+def moved(
+    mesh: Mesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0
+) -> Mesh:
+    """Rotates about x by `roll`, about y by `pitch`, about z by `yaw` (radians), then shifts by metres."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    points = mesh.points @ (about_z @ about_y @ about_x).T + np.array(shift)
+    return Mesh(points, mesh.counts, mesh.indices, mesh.st)
+
+
+def bounds(meshes: Sequence[Mesh]) -> tuple[Floats, Floats]:
+    """Lowest and highest corner over all meshes, metres."""
+    points = np.concatenate([mesh.points for mesh in meshes])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def triangle_count(mesh: Mesh) -> int:
+    """How many triangles the polygons make when fanned."""
+    return int(np.sum(mesh.counts - 2))
+
+
+def merge(meshes: Sequence[Mesh], tile_m: float) -> Mesh:
+    """Joins meshes of one material; projected coordinates become multiples of `tile_m` metres."""
+    offsets = np.cumsum([0] + [len(mesh.points) for mesh in meshes])
+    return Mesh(
+        np.concatenate([mesh.points for mesh in meshes]),
+        np.concatenate([mesh.counts for mesh in meshes]),
+        np.concatenate([mesh.indices + offset for mesh, offset in zip(meshes, offsets, strict=False)]),
+        np.concatenate([_project(mesh) / tile_m if mesh.st is None else mesh.st for mesh in meshes]),
+    )
+
+
+def _project(mesh: Mesh) -> Floats:
+    """Texture coordinates in metres: each polygon is seen along its dominant normal axis."""
+    corners = mesh.points[mesh.indices]
+    starts = np.concatenate([[0], np.cumsum(mesh.counts)[:-1]])
+    following = np.arange(len(corners)) + 1
+    following[starts + mesh.counts - 1] = starts
+    normals = np.add.reduceat(np.cross(corners, corners[following]), starts)
+    axis = np.repeat(np.abs(normals).argmax(axis=1), mesh.counts)
+    st = corners[:, :2].copy()
+    st[axis == 0] = corners[axis == 0][:, 1:]
+    st[axis == 1] = corners[axis == 1][:, ::2]
+    return st

@@ -1,0 +1,159 @@
+"""The hospital: 30 x 20 m, a corridor, a waiting hall opposite a reception, wards with beds on both sides.
+
+Decides where things stand, in metres; never builds a mesh.
+"""
+
+from __future__ import annotations
+
+import math
+
+from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
+from factory.scenes.author.materials import Material, textured
+from factory.scenes.author.placement import FACING, Plan, Rectangle
+
+__all__ = ["lay_out_hospital"]
+
+SIZE = (30.0, 20.0)
+LINOLEUM = textured("Linoleum", "#b9c6c4", 1.5, 0.3)
+WARM = textured("LinoleumWarm", "#cdbfa6", 1.5, 0.3)
+TILES = textured("TileFloor", "#c9c6bd", 1.6, 0.3)
+MINT = Material("WallMint", "#bcd3c6", roughness=0.85)
+SKY = Material("WallSky", "#bfd2dc", roughness=0.85)
+CREAM = Material("WallCream", "#e2d8bf", roughness=0.85)
+
+
+def lay_out_hospital(plan: Plan) -> None:
+    """Builds the shell, then furnishes corridor, halls and wards."""
+    rng = plan.rng
+    width, middle = float(rng.uniform(2.6, 3.0)), SIZE[1] / 2 + float(rng.uniform(-0.4, 0.4))
+    corridor = (middle - width / 2, middle + width / 2)
+    wings = {side: divide(rng, _cells(plan, hall), SIZE[0]) for side, hall in (("S", "waiting"), ("N", "reception"))}
+    ward_paints = [(MINT, SKY, CREAM)[k] for k in rng.permutation(3)]
+    styles = {
+        "corridor": Style(LINOLEUM, ward_paints[2]),
+        "ward": Style(LINOLEUM, ward_paints[0]),
+        "exam": Style(WARM, ward_paints[1]),
+        "waiting": Style(TILES, PLASTER),
+        "reception": Style(TILES, ward_paints[1]),
+    }
+    rooms = build_wings(plan, SIZE, corridor, wings, styles)
+    furnish = {"ward": _ward, "exam": _exam, "waiting": _waiting, "reception": _reception}
+    for room in rooms:
+        furnish[room.kind](plan, room)
+    _corridor(plan, Rectangle(0.06, corridor[0] + 0.06, SIZE[0] - 0.06, corridor[1] - 0.06))
+
+
+def _cells(plan: Plan, hall: str) -> list[Cell]:
+    """Three wards and an examination room in random order around the hall."""
+    rooms = [Cell("ward", 5.0, float(plan.rng.uniform(1.25, 1.5))) for _ in range(3)]
+    rooms.append(Cell("exam", 4.6, float(plan.rng.uniform(1.2, 1.4))))
+    order = [rooms[k] for k in plan.rng.permutation(len(rooms))]
+    order.insert(1 + plan.pick(3), Cell(hall, 7.6, 2.4))
+    return order
+
+
+def _ward(plan: Plan, room: Room) -> None:
+    """Two beds with their heads at the outer wall, night stands, visitor chairs, a bin, a board."""
+    area, rng, shop = room.area, plan.rng, plan.workshop
+    yaw, look = FACING[room.outer], plan.pick(6)
+    y_head = area.y1 if room.outer == "N" else area.y0
+    inward = -1.0 if room.outer == "N" else 1.0
+    for bed, share in enumerate((0.24, 0.76)):
+        x = area.x0 + share * area.width
+        if not plan.place(shop.model("SM_Bed", look + bed), x, y_head + inward * 1.12, yaw, area, 0.1):
+            continue
+        plan.add(shop.model("SM_HeadPanel", 0), x, y_head + inward * 0.065, yaw)
+        outside = -1.0 if bed == 0 else 1.0
+        plan.place(shop.model("SM_Nightstand", look), x + outside * -0.78, y_head + inward * 0.3, yaw, area, 0.0)
+        if rng.random() < 0.7:
+            plan.place(shop.model("SM_DripStand", 0), x + outside * 0.72, y_head + inward * 0.6, 0.0, area, 0.0)
+        kind = ("SM_ChairWaiting_E", "SM_ChairVisitor_C", "SM_ChairWood_D")[plan.pick(3)]
+        aside, along = outside * -0.95, float(rng.uniform(1.5, 1.9))
+        turn = yaw + outside * (math.pi / 2) * (1 if room.outer == "N" else -1) + float(rng.uniform(-0.3, 0.3))
+        plan.place(shop.model(kind, plan.pick(5)), x + aside, y_head + inward * along, turn, area, 0.05)
+    if rng.random() < 0.8:
+        plan.place(shop.model("SM_Curtain", look), area.centre[0], y_head + inward * 0.32, 0.0, area, 0.0)
+    if rng.random() < 0.6:
+        plan.against(shop.model("SM_Whiteboard_A", plan.pick(2)), area, "EW"[plan.pick(2)], 0.25 if room.outer == "N" else 0.75)
+    names = ("SM_TrashCan_A", ("SM_ChairWaiting_E", "SM_Stool_F", "SM_Cabinet", "SM_Trolley")[plan.pick(4)])
+    _along(plan, room, names)
+    _decorate(plan, room)
+
+
+def _exam(plan: Plan, room: Room) -> None:
+    """One bed, a trolley, a cabinet, stools and a board."""
+    area, rng, shop = room.area, plan.rng, plan.workshop
+    side = "EW"[plan.pick(2)]
+    along = 0.72 if room.outer == "N" else 0.28
+    plan.against(shop.model("SM_Bed", plan.pick(6)), area, side, along, 0.1, 0.15)
+    other = "W" if side == "E" else "E"
+    plan.against(shop.model("SM_Whiteboard_A", plan.pick(3)), area, other, float(rng.uniform(0.35, 0.65)), 0.2)
+    plan.against_somewhere(shop.model("SM_Trolley", plan.pick(3)), area, room.outer, 0.2)
+    for name in ("SM_Stool_F", "SM_ChairVisitor_C", "SM_ChairWaiting_E", "SM_TrashCan_A", "SM_Cabinet", "SM_FireExtinguisher_02"):
+        _along(plan, room, (name,))
+    _decorate(plan, room)
+
+
+def _waiting(plan: Plan, room: Room) -> None:
+    """Three rows of chairs facing the corridor, a board, a television and bins."""
+    area, rng, shop = room.area, plan.rng, plan.workshop
+    inward = -1.0 if room.outer == "N" else 1.0
+    y_wall = area.y1 if room.outer == "N" else area.y0
+    look, kind = plan.pick(5), ("SM_ChairWaiting_E", "SM_ChairVisitor_C")[plan.pick(2)]
+    for row in range(3):
+        for seat in range(5):
+            if rng.random() < 0.85:
+                x = area.centre[0] + (seat - 2) * 0.66 + float(rng.uniform(-0.03, 0.03))
+                y = y_wall + inward * (0.6 + row * 1.75)
+                model = shop.model(kind, look if rng.random() < 0.8 else look + 1)
+                plan.place(model, x, y, FACING[room.outer] + float(rng.uniform(-0.06, 0.06)), area, 0.0)
+    plan.hang(shop.model("SM_Television", 1), area, "EW"[plan.pick(2)], 0.5)
+    _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_WaterCooler", "SM_FireExtinguisher_02"))
+    plan.against_somewhere(shop.model("SM_Whiteboard_A", 1), area, "EW", 0.2)
+    _decorate(plan, room)
+
+
+def _reception(plan: Plan, room: Room) -> None:
+    """A reception counter before the outer wall, cabinets behind it, waiting chairs on the sides."""
+    area, rng, shop = room.area, plan.rng, plan.workshop
+    inward = -1.0 if room.outer == "N" else 1.0
+    y_wall = area.y1 if room.outer == "N" else area.y0
+    plan.place(shop.model("SM_Reception", plan.pick(3)), area.centre[0], y_wall + inward * 2.3, FACING[room.outer], area, 0.1)
+    for along in (0.3, 0.5, 0.7):
+        plan.against(shop.model("SM_Cabinet", plan.pick(3)), area, room.outer, along, 0.02)
+    stool_y = y_wall + inward * 1.45
+    plan.place(shop.model("SM_Stool_F", 0), area.centre[0] + float(rng.uniform(-0.6, 0.6)), stool_y, 0.0, area, 0.2)
+    look, low = plan.pick(5), 0.12 if room.outer == "N" else 0.55
+    for seat in range(3):
+        for side in "EW":
+            plan.against(shop.model("SM_ChairVisitor_C", look), area, side, low + 0.14 * seat, 0.02, 0.08)
+    _along(plan, room, ("SM_TrashCan_A", "SM_FireExtinguisher_02"))
+    plan.hang(shop.model("SM_Clock", 0), area, room.outer, 0.5)
+    _decorate(plan, room)
+
+
+def _corridor(plan: Plan, area: Rectangle) -> None:
+    """Bins, extinguishers, chairs, a trolley and a wheelchair along the corridor walls."""
+    shop = plan.workshop
+    names = ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_ChairWaiting_E"] * 3
+    names += ["SM_WheelChair", "SM_Trolley", "SM_ChairVisitor_C", "SM_TrashCan_A"]
+    for number, name in enumerate(names):
+        model = shop.model(name, plan.pick(12))
+        plan.against_somewhere(model, area, "NS"[number % 2], 0.5)
+    plan.against(shop.model("SM_Whiteboard_A", 1), area, "EW"[plan.pick(2)], 0.5)
+
+
+def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
+    """Stands small things along the walls, where they fit."""
+    for name in names:
+        plan.against_somewhere(plan.workshop.model(name, plan.pick(12)), room.area, "EW" + room.inner, 0.3)
+
+
+def _decorate(plan: Plan, room: Room) -> None:
+    """A notice on a side wall and a lit sign above the door, on both sides of it."""
+    shop = plan.workshop
+    plan.hang(shop.model("SM_Poster", plan.pick(3)), room.area, "EW"[plan.pick(2)], float(plan.rng.uniform(0.1, 0.9)))
+    inner = room.area.y1 if room.inner == "N" else room.area.y0
+    outward = 1.0 if room.inner == "N" else -1.0
+    plan.add(shop.model("SM_Sign", 0), room.door.centre, inner, FACING[room.inner], 0.06)
+    plan.add(shop.model("SM_Sign", 1), room.door.centre, inner + outward * 0.12, FACING[room.outer], 0.06)

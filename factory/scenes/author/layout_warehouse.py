@@ -1,0 +1,151 @@
+"""The two warehouses: pallet-rack rows with a cross aisle, and a smaller hall of alternating rack and shelf rows.
+
+Decides where things stand, in metres; never builds a mesh. Every rack bay is its own prop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from factory.scenes.author.materials import Material, painted, textured
+from factory.scenes.author.placement import FACING, Plan, Rectangle
+from factory.scenes.author.room import ceiling_slab, floor, high_bay_lamps, marking, wall
+
+__all__ = ["lay_out_full_warehouse", "lay_out_multiple_shelves"]
+
+CONCRETE = textured("Concrete", "#a9a8a3", 3.0, 0.7)
+PANELS = textured("WallPanel", "#cfd3d4", 2.0, 0.6)
+ROOF = Material("RoofSheet", "#9aa1a6", roughness=0.8)
+YELLOW = painted("Yellow", 0.6)
+HAZARD = textured("Hazard", "#d8ac20", 0.5, 0.7)
+HEIGHT_M = 6.0
+BAY_M = 2.72
+
+
+class Row(NamedTuple):
+    """One line of storage along x: what stands in it, where its centre lies, which way it faces."""
+
+    kind: str
+    y: float
+    yaw: float
+
+
+def lay_out_full_warehouse(plan: Plan) -> None:
+    """A 32 x 24 m hall: double rack rows, aisles 2.6-3.2 m, one cross aisle, goods along the walls."""
+    hall = Rectangle(0.0, 0.0, 32.0, 24.0)
+    _shell(plan, hall, gates=3)
+    inside = hall.grown(-0.08)
+    aisle = float(plan.rng.uniform(2.9, 3.2))
+    rows = list(_double_rows(hall, aisle))
+    _fill_rows(plan, hall, rows, 4.2)
+    _wall_shelves(plan, inside, 8)
+    _floor_goods(plan, inside, singles=14, clusters=6)
+
+
+def lay_out_multiple_shelves(plan: Plan) -> None:
+    """A 22 x 18 m hall in which rack rows and shelf rows alternate."""
+    hall = Rectangle(0.0, 0.0, 22.0, 18.0)
+    _shell(plan, hall, gates=2)
+    inside = hall.grown(-0.08)
+    aisle = float(plan.rng.uniform(2.1, 2.4))
+    first = ("rack", "shelf") if plan.rng.random() < 0.5 else ("shelf", "rack")
+    rows, y = [], 2.9
+    while y < hall.y1 - 2.6:
+        kind = first[len(rows) % 2]
+        rows.append(Row(kind, y, FACING["N"] if plan.rng.random() < 0.5 else FACING["S"]))
+        y += 0.8 + aisle
+    _fill_rows(plan, hall, rows, 3.4)
+    _wall_shelves(plan, inside, 3)
+    _floor_goods(plan, inside, singles=10, clusters=3)
+
+
+def _double_rows(hall: Rectangle, aisle: float) -> Iterator[Row]:
+    """Back-to-back rack rows, as many as the hall is deep."""
+    y = 3.4
+    while y + 1.2 < hall.y1 - 2.6:
+        yield Row("rack", y, FACING["N"])
+        yield Row("rack", y + 1.2, FACING["S"])
+        y += 1.2 + 1.1 + aisle
+
+
+def _shell(plan: Plan, hall: Rectangle, gates: int) -> None:
+    """Floor, walls, roof, lamps, windows, loading gates and a painted frame on the floor."""
+    floor(plan, hall, CONCRETE)
+    ceiling_slab(plan, hall, HEIGHT_M, ROOF)
+    high_bay_lamps(plan, hall, HEIGHT_M, 5.0)
+    faces = (PANELS, PANELS)
+    for y in (hall.y0, hall.y1):
+        wall(plan, True, y, (hall.x0 - 0.06, hall.x1 + 0.06), faces, (), HEIGHT_M)
+    for x in (hall.x0, hall.x1):
+        wall(plan, False, x, (hall.y0, hall.y1), faces, (), HEIGHT_M)
+    inside, shop = hall.grown(-0.06), plan.workshop
+    gate_side = "EW"[plan.pick(2)]
+    for number in range(gates):
+        gate = plan.hang(shop.model("SM_RollerGate", 0), inside, gate_side, (number + 0.5) / gates)
+        front = 0.0 if gate_side == "E" else hall.x0
+        x0, x1 = (hall.x1 - 1.8, hall.x1) if gate_side == "E" else (front, 1.8)
+        plan.keep_clear(Rectangle(x0, gate.y - 1.7, x1, gate.y + 1.7))
+    for side in "NS":
+        for along in (0.1, 0.3, 0.5, 0.7, 0.9):
+            plan.hang(shop.model("SM_Window", 2), inside, side, along)
+            plan.hang(shop.model("SM_SafetyNotice", plan.pick(3)), inside, side, along + float(plan.rng.uniform(-0.05, 0.05)))
+
+
+def _fill_rows(plan: Plan, hall: Rectangle, rows: list[Row], margin: float) -> None:
+    """Stands bays or shelf units along each row, leaves the cross aisle open, marks aisles on the floor."""
+    rng, shop = plan.rng, plan.workshop
+    cross = hall.x0 + float(rng.uniform(0.42, 0.58)) * hall.width
+    frame, shelf_look = plan.pick(3), plan.pick(8)
+    for row in rows:
+        pitch = BAY_M if row.kind == "rack" else 1.24
+        for start, end in ((hall.x0 + margin, cross - 1.5), (cross + 1.5, hall.x1 - margin)):
+            count = int((end - start) // pitch)
+            x0 = start if start > cross else end - count * pitch
+            for slot in range(count):
+                if rng.random() < 0.94:
+                    x = x0 + (slot + 0.5) * pitch
+                    look = frame + 3 * plan.pick(3) if row.kind == "rack" else shelf_look + 4 * plan.pick(2)
+                    name = "SM_RackPile_04" if row.kind == "rack" else "SM_ShelfSteel_A"
+                    plan.place(shop.model(name, look), x, row.y, row.yaw, None, -0.05)
+            if count:
+                _mark_row(plan, row, x0, x0 + count * pitch)
+
+
+def _mark_row(plan: Plan, row: Row, x0: float, x1: float) -> None:
+    """A yellow line before the row, hazard patches and impact posts at its ends."""
+    toward = -1.0 if row.yaw == FACING["N"] else 1.0
+    edge = row.y + toward * 0.72
+    marking(plan, Rectangle(x0 - 0.25, edge - 0.04, x1 + 0.25, edge + 0.04), YELLOW)
+    for x in (x0 - 0.35, x1 + 0.25):
+        marking(plan, Rectangle(x, row.y - 0.5, x + 0.1, row.y + 0.5), HAZARD)
+    post = plan.workshop.model("SM_ImpactPost", 0)
+    for x in (x0 - 0.12, x1 + 0.12):
+        if row.kind == "rack":
+            plan.place(post, x, row.y + toward * 0.45, 0.0, None, -0.05)
+
+
+def _wall_shelves(plan: Plan, inside: Rectangle, count: int) -> None:
+    """Shelf units with their backs to the east and west walls."""
+    for number in range(count):
+        model = plan.workshop.model("SM_ShelfSteel_A", plan.pick(8))
+        plan.against_somewhere(model, inside, "EW", 0.05 if number % 2 else 0.5, 30)
+
+
+def _floor_goods(plan: Plan, inside: Rectangle, singles: int, clusters: int) -> None:
+    """Barrels and crates along the walls, alone and in small groups, and clutter between them."""
+    rng, shop = plan.rng, plan.workshop
+    names = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")
+    for number in range(singles):
+        plan.against_somewhere(shop.model(names[number % 4], plan.pick(12)), inside, "NESW", 0.35)
+    for _ in range(clusters):
+        x, y = float(rng.uniform(1.5, inside.x1 - 1.5)), (1.0, inside.y1 - 1.0)[plan.pick(2)]
+        name = names[plan.pick(4)]
+        for _ in range(2 + plan.pick(2)):
+            dx, dy = float(rng.uniform(-0.8, 0.8)), float(rng.uniform(-0.4, 0.4))
+            plan.place(shop.model(name, plan.pick(12)), x + dx, y + dy, float(rng.uniform(-0.5, 0.5)), inside, 0.02)
+    clutter = ("SM_PalletPile", "SM_CardBoxPile", "SM_PalletTruck", "SM_Workbench", "SM_Cone", "SM_Cone", "SM_CardBoxPile")
+    for name in clutter:
+        plan.against_somewhere(shop.model(name, plan.pick(4)), inside, "NESW", 0.6)
+    for side in "NS":
+        plan.against_somewhere(shop.model("SM_PalletPile", plan.pick(4)), inside, side, 0.5)

@@ -1,0 +1,118 @@
+"""Hospital furniture that is never a target: beds, night stands, drips, curtains, trolleys, a wheelchair.
+
+Builders in metres, origin on the floor, head end at +y. Never decides where anything stands.
+"""
+
+from __future__ import annotations
+
+
+import math
+
+import numpy as np
+from numpy.random import Generator
+
+from factory.scenes.author.geometry import block, cushion, cylinder, fitted_block, loft, moved, rod, tube
+from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
+
+__all__ = ["bed", "curtain", "drip_stand", "head_panel", "nightstand", "trolley", "wheelchair"]
+
+WHITE = painted("White", 0.45)
+BLACK = painted("Black", 0.5)
+STEEL = painted("Steel", 0.35, 1.0)
+CHROME = painted("Chrome", 0.25, 1.0)
+PALE = textured("WoodPale", "#d9c19a", 0.8)
+
+
+def bed(variant: int, rng: Generator) -> list[Piece]:
+    """A hospital bed on castors: mattress, blanket, pillow, head and foot boards, side rails."""
+    blanket = painted(("SkyBlue", "Teal", "Beige")[variant % 3], 0.95)
+    tilt = 0.12 + 0.18 * float(rng.random())
+    frame = block((-0.44, -0.98, 0.36), (0.44, 0.98, 0.42))
+    mattress = cushion((-0.43, -0.95, 0.42), (0.43, 0.35, 0.58), 0.03)
+    raised = moved(cushion((-0.43, 0.0, -0.16), (0.43, 0.66, 0.0), 0.03), (0.0, 0.33, 0.58), roll=tilt)
+    cover = cushion((-0.455, -0.96, 0.44), (0.455, 0.10, 0.605), 0.03)
+    pillow = moved(cushion((-0.27, -0.17, 0.0), (0.27, 0.17, 0.12), 0.05), (0.0, 0.68, 0.59 + 0.35 * tilt), roll=tilt)
+    ends = [cushion((-0.46, y - 0.02, 0.30), (0.46, y + 0.02, z), 0.015) for y, z in ((1.0, 1.02), (-1.0, 0.86))]
+    legs = [block((x - 0.025, y - 0.025, 0.1), (x + 0.025, y + 0.025, 0.36)) for x in (-0.36, 0.36) for y in (-0.8, 0.8)]
+    base = block((-0.36, -0.8, 0.14), (0.36, 0.8, 0.19))
+    wheels = [moved(cylinder(0.055, -0.02, 0.02, sides=8), (x, y, 0.055), pitch=1.5708) for x in (-0.36, 0.36) for y in (-0.8, 0.8)]
+    rails = [
+        tube([(x, 0.15, 0.45), (x, 0.2, 0.8), (x, 0.75, 0.8), (x, 0.8, 0.45)], 0.016, 5) for x in (-0.465, 0.465)
+    ] + [rod((x, 0.18, 0.64), (x, 0.78, 0.64), 0.010, 4) for x in (-0.465, 0.465)]
+    pieces = [Piece(WHITE, m) for m in (frame, mattress, raised, pillow)] + [Piece(PALE, m) for m in ends]
+    return [*pieces, Piece(blanket, cover), *(Piece(STEEL, m) for m in (*legs, base, *rails)), *(Piece(BLACK, m) for m in wheels)]
+
+
+def nightstand(variant: int, rng: Generator) -> list[Piece]:
+    """A bedside unit with two drawers, a cup and a lamp."""
+    body = block((-0.22, -0.2, 0.08), (0.22, 0.2, 0.72))
+    fronts = [block((-0.2, -0.215, z), (0.2, -0.2, z + 0.26)) for z in (0.12, 0.42)]
+    feet = [cylinder(0.025, 0.0, 0.08, (x, y), 6) for x in (-0.17, 0.17) for y in (-0.15, 0.15)]
+    top = block((-0.24, -0.22, 0.72), (0.24, 0.22, 0.75))
+    cup = cylinder(0.035, 0.75, 0.85, (0.1, -0.05), 8)
+    return [Piece(WHITE, body), *(Piece(PALE, m) for m in (*fronts, top)), *(Piece(BLACK, m) for m in feet),
+            Piece(painted(("SkyBlue", "Orange")[int(rng.integers(2))]), cup)]  # fmt: skip
+
+
+def drip_stand(variant: int, rng: Generator) -> list[Piece]:
+    """A drip pole on five castors with a bag."""
+    pole = rod((0.0, 0.0, 0.1), (0.0, 0.0, 1.95), 0.014)
+    feet = [tube([(0, 0, 0.12), (0.22 * x, 0.22 * y, 0.05)], 0.013, 4) for x, y in ((1, 0), (0.31, 0.95), (-0.81, 0.59), (-0.81, -0.59), (0.31, -0.95))]
+    arm = rod((-0.14, 0.0, 1.95), (0.14, 0.0, 1.95), 0.01)
+    bag = cushion((-0.20, -0.03, 1.62), (-0.08, 0.03, 1.88), 0.015)
+    unit = cushion((-0.09, -0.12, 1.05), (0.09, -0.01, 1.3), 0.02)
+    return [*(Piece(CHROME, m) for m in (pole, arm, *feet)), Piece(painted("SkyBlue", 0.2), bag), Piece(WHITE, unit)]
+
+
+def curtain(variant: int, rng: Generator) -> list[Piece]:
+    """A privacy curtain drawn together into folds, hanging from 2.2 m to just above the floor, 0.5 m long in y."""
+    paint = painted(("Teal", "SkyBlue", "Beige")[variant % 3], 0.95)
+    folds = [(0.05 if step % 2 else 0.015, 0.05 * step - 0.25) for step in range(11)]
+    outline = [(x, y) for x, y in folds] + [(-x, y) for x, y in reversed(folds)]
+    rings = np.array([[(x, y, z) for x, y in outline] for z in (0.08, 2.2)])
+    return [Piece(paint, loft(rings))]
+
+
+def head_panel(variant: int, rng: Generator) -> list[Piece]:
+    """The service panel above a bed head: rail, sockets and a reading light."""
+    board = block((-0.75, 0.0, 1.25), (0.75, 0.06, 1.5))
+    light = block((-0.4, -0.04, 1.55), (0.4, 0.06, 1.62))
+    sockets = [block((x - 0.04, -0.01, 1.3), (x + 0.04, 0.0, 1.4)) for x in (-0.5, -0.3, 0.3, 0.5)]
+    paint = (painted("Green"), painted("Blue"), painted("Yellow"), painted("Red"))
+    return [Piece(PALE, board), Piece(glowing("LampPanel", "#fffdf4"), light), *(Piece(p, m) for p, m in zip(paint, sockets, strict=True))]
+
+
+def trolley(variant: int, rng: Generator) -> list[Piece]:
+    """A medicine trolley with coloured drawers on castors."""
+    body = block((-0.3, -0.22, 0.14), (0.3, 0.22, 0.92))
+    paint = painted(("Red", "Blue", "Teal")[variant % 3])
+    drawers = [block((-0.28, -0.235, 0.18 + row * 0.18), (0.28, -0.22, 0.34 + row * 0.18)) for row in range(4)]
+    wheels = [moved(cylinder(0.06, -0.02, 0.02, sides=8), (x, y, 0.06), pitch=1.5708) for x in (-0.24, 0.24) for y in (-0.16, 0.16)]
+    top = cushion((-0.32, -0.24, 0.92), (0.32, 0.24, 0.96), 0.01)
+    jar = fitted_block((-0.2, -0.1, 0.96), (0.0, 0.1, 1.08))
+    return [Piece(WHITE, body), *(Piece(paint, m) for m in drawers), *(Piece(BLACK, m) for m in wheels),
+            Piece(STEEL, top), Piece(painted("Beige"), jar)]  # fmt: skip
+
+
+def wheelchair(variant: int, rng: Generator) -> list[Piece]:
+    """A wheelchair: two large wheels, castors, seat and back of dark cloth."""
+    cloth = painted(("Navy", "Black")[variant % 2], 0.9)
+    turns = [step * 2 * math.pi / 14 for step in range(15)]
+    ring = tube([(0.28 * math.cos(turn), 0.28 * math.sin(turn), 0.0) for turn in turns], 0.018, 4)
+    hub = cylinder(0.03, -0.02, 0.02, sides=8)
+    pieces: list[Piece] = []
+    for x in (-0.29, 0.29):
+        place = (x, 0.12, 0.30)
+        pieces.append(Piece(BLACK, moved(ring, place, pitch=1.5708)))
+        pieces.append(Piece(CHROME, moved(hub, place, pitch=1.5708)))
+        for spoke in ((0.0, 0.27), (0.23, -0.13), (-0.23, -0.13)):
+            pieces.append(Piece(CHROME, rod(place, (x, 0.12 + spoke[0], 0.30 + spoke[1]), 0.006, 4)))
+        pieces.append(Piece(BLACK, moved(cylinder(0.08, -0.015, 0.015, sides=10), (x * 0.85, -0.36, 0.08), pitch=1.5708)))
+        frame = [(x * 0.85, 0.22, 0.9), (x * 0.85, 0.16, 0.48), (x * 0.85, -0.26, 0.48), (x * 0.85, -0.4, 0.14), (x * 0.85, -0.52, 0.12)]
+        pieces.append(Piece(CHROME, tube(frame, 0.013, 5)))
+        pieces.append(Piece(BLACK, block((x * 0.85 - 0.02, -0.2, 0.66), (x * 0.85 + 0.02, 0.12, 0.69))))
+    pieces.append(Piece(cloth, block((-0.23, -0.26, 0.47), (0.23, 0.16, 0.50))))
+    pieces.append(Piece(cloth, moved(block((-0.23, -0.01, 0.0), (0.23, 0.015, 0.4)), (0.0, 0.165, 0.5), roll=-0.12)))
+    return pieces
+
+

@@ -1,0 +1,200 @@
+"""Pallet racks, shelves, barrels and crates with their loads: builders in metres, origin on the floor, front at -y.
+
+A rack is one 2.7 m bay. Never names a load after a category and never decides where anything stands.
+"""
+
+from __future__ import annotations
+
+from numpy.random import Generator
+
+from factory.scenes.author.geometry import Mesh, Vector, block, cylinder, fitted_block, lathe, moved, rod
+from factory.scenes.author.materials import Material, Piece, painted, textured
+
+__all__ = ["barrel", "carton_stack", "pallet", "pallet_crate", "plastic_crate", "rack", "shelf"]
+
+BLACK = painted("Black", 0.5)
+STEEL = painted("Steel", 0.4, 1.0)
+ROUGH = textured("WoodRough", "#b3905f", 0.8, 0.9)
+CARTON = Material("Carton", "#b48a5a", "Carton", roughness=0.9)
+WRAP = painted("LightGrey", 0.25)
+TOTES = tuple(painted(paint, 0.5) for paint in ("Blue", "Grey", "Green", "Red", "Yellow"))
+FRAMES = tuple((painted(a, 0.5), painted(b, 0.5)) for a, b in (("Blue", "Orange"), ("Green", "Orange"), ("Grey", "Yellow")))
+
+
+def pallet(x: float, y: float, z: float, half_x: float = 0.58, half_y: float = 0.5) -> list[Piece]:
+    """A wooden pallet 0.14 m high centred at (x, y), standing at height z."""
+    bars = [
+        block((x - half_x, y + row - 0.05, z), (x + half_x, y + row + 0.05, z + 0.10))
+        for row in (-half_y + 0.05, half_y - 0.05)
+    ]
+    deck = block((x - half_x, y - half_y, z + 0.10), (x + half_x, y + half_y, z + 0.14))
+    return [Piece(ROUGH, mesh) for mesh in (*bars, deck)]
+
+
+def carton_stack(x: float, y: float, z: float, reach: Vector, rng: Generator) -> list[Piece]:
+    """Cartons filling a box of size `reach` from height z upwards, with uneven tops."""
+    across = int(rng.integers(1, 3))
+    pieces: list[Piece] = []
+    width = reach[0] / across
+    for column in range(across):
+        left, height, rows = x - reach[0] / 2 + column * width, 0.0, int(rng.integers(1, 3))
+        step = reach[2] / rows * float(rng.uniform(0.75, 1.0))
+        for _ in range(rows):
+            inset = float(rng.uniform(0.005, 0.035))
+            low = (left + inset, y - reach[1] / 2 + inset, z + height)
+            high = (left + width - inset, y + reach[1] / 2 - inset, z + height + step - 0.004)
+            pieces.append(Piece(CARTON, fitted_block(low, high)))
+            height += step
+    return pieces
+
+
+def _load(x: float, z: float, room: float, rng: Generator) -> list[Piece]:
+    """One loaded pallet 1.16 m wide, or nothing, below a clear height of `room` metres."""
+    kind = float(rng.random())
+    if kind < 0.10:
+        return []
+    base = pallet(x, 0.0, z)
+    top, height = z + 0.14, float(rng.uniform(0.55, 0.85)) * (room - 0.2)
+    if kind < 0.68:
+        return [*base, *carton_stack(x, 0.0, top, (1.08, 0.94, height), rng)]
+    if kind < 0.84:
+        wrapped = block((x - 0.52, -0.45, top), (x + 0.52, 0.45, top + height))
+        return [*base, Piece(WRAP, wrapped)]
+    tote = TOTES[int(rng.integers(len(TOTES)))]
+    size = height / 2
+    boxes = [
+        block((x + side - 0.24, -0.42, top + level * size), (x + side + 0.24, 0.42, top + (level + 0.94) * size))
+        for side in (-0.26, 0.26)
+        for level in range(2)
+    ]
+    return [*base, *(Piece(tote, mesh) for mesh in boxes)]
+
+
+def rack(variant: int, rng: Generator) -> list[Piece]:
+    """A pallet rack bay 2.7 m wide and 1.1 m deep with uprights, braces, beams and loaded levels."""
+    upright, beam = FRAMES[variant % 3]
+    levels = ((0.0, 1.35, 2.60), (0.0, 1.15, 2.20, 3.25), (0.0, 1.55, 2.95))[variant // 3 % 3]
+    top = levels[-1] + 0.95
+    steel: list[Mesh] = []
+    for x in (-1.30, 1.30):
+        for y in (-0.51, 0.51):
+            steel.append(block((x - 0.045, y - 0.04, 0.0), (x + 0.045, y + 0.04, top)))
+        zigzag = [0.15 + step * (top - 0.3) / 4 for step in range(5)]
+        for step, (z0, z1) in enumerate(zip(zigzag, zigzag[1:], strict=False)):
+            side = 0.48 if step % 2 else -0.48
+            steel.append(rod((x, -side, z0), (x, side, z1), 0.018, 4))
+    pieces = [Piece(upright, mesh) for mesh in steel]
+    for y in (-0.51, 0.51):
+        for z in levels[1:]:
+            pieces.append(Piece(beam, block((-1.255, y - 0.025, z - 0.12), (1.255, y + 0.025, z))))
+    for z in levels[1:]:
+        pieces.append(Piece(STEEL, block((-1.255, -0.48, z - 0.03), (1.255, 0.48, z - 0.005))))
+    ceilings = [*(level - 0.15 for level in levels[1:]), top]
+    for z, ceiling in zip(levels, ceilings, strict=True):
+        for x in (-0.63, 0.63):
+            pieces.extend(_load(x, z, ceiling - z, rng))
+    return pieces
+
+
+def shelf(variant: int, rng: Generator) -> list[Piece]:
+    """A shelf unit 0.9-1.2 m wide: boltless steel, painted steel with totes, wood, or bright wire."""
+    kind = variant % 4
+    half_x, half_y, height, decks = ((0.60, 0.25, 2.0, 5), (0.50, 0.22, 1.8, 4), (0.60, 0.25, 2.2, 5), (0.45, 0.23, 1.7, 4))[kind]
+    frame = (painted("Grey", 0.5), painted("Blue", 0.5), ROUGH, STEEL)[kind]
+    plank = (ROUGH, painted("LightGrey", 0.5), ROUGH, STEEL)[kind]
+    pieces = [
+        Piece(frame, block((x - 0.025, y - 0.025, 0.0), (x + 0.025, y + 0.025, height)))
+        for x in (-half_x + 0.025, half_x - 0.025)
+        for y in (-half_y + 0.025, half_y - 0.025)
+    ]
+    step = (height - 0.16) / (decks - 1)
+    for deck in range(decks):
+        z = 0.12 + deck * step
+        pieces.append(Piece(plank, block((-half_x, -half_y, z - 0.03), (half_x, half_y, z))))
+        if deck < decks - 1:
+            pieces.extend(_shelf_goods(half_x - 0.06, half_y - 0.04, z, step - 0.06, kind, rng))
+    for x in (-half_x + 0.025, half_x - 0.025):
+        pieces.append(Piece(frame, rod((x, -half_y + 0.03, 0.2), (x, half_y - 0.03, height - 0.2), 0.012, 4)))
+    return pieces
+
+
+def _shelf_goods(half_x: float, half_y: float, z: float, room: float, kind: int, rng: Generator) -> list[Piece]:
+    """Boxes side by side on one shelf deck, now and then a gap."""
+    pieces: list[Piece] = []
+    x = -half_x
+    while x < half_x - 0.16:
+        width = min(float(rng.uniform(0.22, 0.42)), half_x - x)
+        if rng.random() < 0.82:
+            tall = room * float(rng.uniform(0.45, 0.95))
+            low, high = (x + 0.01, -half_y, z), (x + width - 0.01, half_y * float(rng.uniform(0.6, 1.0)), z + tall)
+            if kind in (1, 3) or rng.random() < 0.15:
+                pieces.append(Piece(TOTES[int(rng.integers(len(TOTES)))], block(low, high)))
+            else:
+                pieces.append(Piece(CARTON, fitted_block(low, high)))
+        x += width
+    return pieces
+
+
+def barrel(variant: int, rng: Generator) -> list[Piece]:
+    """A plastic tight-head barrel, a ringed steel drum, or a small keg; one dominant colour."""
+    kind = variant % 3
+    if kind == 0:
+        paint = painted(("Blue", "Black", "White")[variant // 3 % 3], 0.4)
+        profile = [(0.25, 0.0), (0.285, 0.05), (0.29, 0.28), (0.275, 0.30), (0.275, 0.33), (0.29, 0.35), (0.29, 0.62), (0.275, 0.64),
+                   (0.275, 0.67), (0.285, 0.69), (0.28, 0.86), (0.24, 0.92), (0.21, 0.92), (0.205, 0.90)]  # fmt: skip
+        height = 0.90
+    elif kind == 1:
+        paint = painted(("Red", "Green", "Orange")[variant // 3 % 3], 0.35)
+        profile = [(0.285, 0.0), (0.295, 0.015), (0.285, 0.03), (0.285, 0.28), (0.30, 0.30), (0.285, 0.32), (0.285, 0.57), (0.30, 0.59),
+                   (0.285, 0.61), (0.285, 0.86), (0.295, 0.875), (0.285, 0.89), (0.27, 0.89), (0.27, 0.875)]  # fmt: skip
+        height = 0.875
+    else:
+        paint = painted(("Blue", "Yellow", "Green")[variant // 3 % 3], 0.4)
+        profile = [(0.19, 0.0), (0.22, 0.04), (0.22, 0.46), (0.20, 0.50), (0.20, 0.53), (0.225, 0.53), (0.225, 0.57), (0.02, 0.59)]
+        height = 0.575
+    bungs = [cylinder(0.03, height, height + 0.025, (x, 0.0), 8) for x in (-0.12, 0.13)]
+    return [Piece(paint, lathe(profile, sides=20)), *(Piece(BLACK if kind else STEEL, bung) for bung in bungs)]
+
+
+def plastic_crate(variant: int, rng: Generator) -> list[Piece]:
+    """A slotted plastic crate 0.6 x 0.4 m, single or stacked two or three high."""
+    paint = painted(("Green", "Red", "Blue", "Yellow")[variant % 4], 0.45)
+    high = (2, 1, 3)[variant // 4 % 3]
+    meshes: list[Mesh] = []
+    for level in range(high):
+        z, twist = level * 0.30, float(rng.uniform(-0.04, 0.04))
+        meshes.extend(moved(mesh, (0.0, 0.0, z), yaw=twist) for mesh in _crate_shell())
+    fill = block((-0.27, -0.17, 0.03), (0.27, 0.17, high * 0.30 - 0.10))
+    return [*(Piece(paint, mesh) for mesh in meshes), Piece(painted("Charcoal"), fill)]
+
+
+def _crate_shell() -> list[Mesh]:
+    """Bottom, corner posts and three rails per side, 0.29 m high."""
+    meshes = [block((-0.29, -0.19, 0.0), (0.29, 0.19, 0.02))]
+    for low, high in ((0.0, 0.06), (0.10, 0.17), (0.21, 0.29)):
+        meshes.append(block((-0.30, -0.20, low), (0.30, -0.18, high)))
+        meshes.append(block((-0.30, 0.18, low), (0.30, 0.20, high)))
+        meshes.append(block((-0.30, -0.18, low), (-0.28, 0.18, high)))
+        meshes.append(block((0.28, -0.18, low), (0.30, 0.18, high)))
+    posts = [(x, y) for x in (-0.27, 0.27) for y in (-0.17, 0.17)]
+    return [*meshes, *(block((x - 0.032, y - 0.032, 0.0), (x + 0.032, y + 0.032, 0.285)) for x, y in posts)]
+
+
+def pallet_crate(variant: int, rng: Generator) -> list[Piece]:
+    """A nailed wooden crate with slats and corner battens, three sizes."""
+    half_x, half_y, height = ((0.38, 0.30, 0.55), (0.45, 0.38, 0.75), (0.32, 0.32, 0.45))[variant % 3]
+    wood, batten = ((ROUGH, painted("Brown", 0.9)), (textured("WoodOak", "#c39a66", 0.7), ROUGH))[variant // 3 % 2]
+    core = block((-half_x + 0.02, -half_y + 0.02, 0.05), (half_x - 0.02, half_y - 0.02, height - 0.01))
+    pieces = [Piece(painted("Brown", 0.9), core)]
+    slats = 4
+    pitch = (height - 0.06) / slats
+    for slat in range(slats):
+        z0, z1 = 0.06 + slat * pitch, 0.06 + (slat + 0.86) * pitch
+        pieces.append(Piece(wood, block((-half_x + 0.005, -half_y + 0.005, z0), (half_x - 0.005, half_y - 0.005, z1))))
+    pieces.append(Piece(wood, block((-half_x, -half_y, height - 0.01), (half_x, half_y, height + 0.015))))
+    for x in (-half_x, half_x):
+        for y in (-half_y, half_y):
+            pieces.append(Piece(batten, block((x - 0.04, y - 0.015, 0.0), (x + 0.04, y + 0.015, height))))
+    for y in (-half_y, half_y):
+        pieces.append(Piece(batten, rod((-half_x + 0.04, y, 0.10), (half_x - 0.04, y, height - 0.06), 0.022, 4)))
+    return pieces

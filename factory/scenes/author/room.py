@@ -1,0 +1,159 @@
+"""Walls with doors and skirting, floors, ceilings with lamps, markings: the parts every building is made of.
+
+Adds structures to a plan, in world metres; never places furniture and never chooses where rooms are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from factory.scenes.author.geometry import Mesh, block, lathe
+from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
+from factory.scenes.author.placement import Plan, Rectangle
+
+__all__ = ["DOOR_CLEARANCE_M", "WALL_THICKNESS_M", "Door", "ceiling", "ceiling_slab", "floor", "high_bay_lamps", "marking", "wall"]
+
+WALL_THICKNESS_M = 0.12
+DOOR_CLEARANCE_M = 0.9
+"""Depth of the zone on both sides of a door that stays free of furniture."""
+
+SKIRTING = painted("Charcoal", 0.5)
+DOOR_FRAME = textured("WoodOak", "#c39a66", 0.9)
+LAMP = glowing("LampPanel", "#fffdf4")
+LAMP_RIM = painted("LightGrey", 0.5)
+
+
+class Door(NamedTuple):
+    """An opening in a wall: its centre along the wall (world coordinate), clear width and height, metres."""
+
+    centre: float
+    width: float
+    height: float = 2.1
+
+
+class _Strip(NamedTuple):
+    """Turns (along, across, z) ranges into blocks for a wall along x or y."""
+
+    is_along_x: bool
+    at: float
+
+    def box(self, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> Mesh:
+        a0, a1 = along
+        c0, c1 = self.at + across[0], self.at + across[1]
+        if self.is_along_x:
+            return block((a0, c0, z[0]), (a1, c1, z[1]))
+        return block((c0, a0, z[0]), (c1, a1, z[1]))
+
+    def zone(self, along: tuple[float, float], across: tuple[float, float]) -> Rectangle:
+        a0, a1 = along
+        c0, c1 = self.at + across[0], self.at + across[1]
+        return Rectangle(a0, c0, a1, c1) if self.is_along_x else Rectangle(c0, a0, c1, a1)
+
+
+def wall(
+    plan: Plan,
+    is_along_x: bool,
+    at: float,
+    span: tuple[float, float],
+    faces: tuple[Material, Material],
+    doors: Sequence[Door] = (),
+    height: float = 2.8,
+) -> None:
+    """Builds a wall with door openings, lintels, frames and skirting, and keeps the door zones clear.
+
+    Args:
+        plan: receives the structures and the clear zones.
+        is_along_x: whether the wall runs along x (else along y).
+        at: position of its centre line on the other axis, metres.
+        span: start and end along the wall, metres.
+        faces: materials of the side towards lower and towards higher coordinates.
+        doors: openings, not overlapping.
+        height: metres.
+    """
+    strip, half = _Strip(is_along_x, at), WALL_THICKNESS_M / 2
+    pieces: list[Piece] = []
+    start = span[0]
+    for door in sorted(doors):
+        left, right = door.centre - door.width / 2, door.centre + door.width / 2
+        pieces += _solid(strip, (start, left), (0.0, height), faces)
+        pieces += _solid(strip, (left, right), (door.height, height), faces, skirting=False)
+        pieces += _door_frame(strip, left, right, door.height)
+        zone = (left - 0.1, right + 0.1)
+        plan.keep_clear(strip.zone(zone, (-half - DOOR_CLEARANCE_M, half + DOOR_CLEARANCE_M)))
+        start = right
+    pieces += _solid(strip, (start, span[1]), (0.0, height), faces)
+    plan.build("SM_Wall", *pieces)
+
+
+def _solid(
+    strip: _Strip,
+    along: tuple[float, float],
+    z: tuple[float, float],
+    faces: tuple[Material, Material],
+    skirting: bool = True,
+) -> list[Piece]:
+    """One unbroken stretch: two half-thick leaves, each with its own face, and skirting on both."""
+    half = WALL_THICKNESS_M / 2
+    if along[1] - along[0] < 1e-3:
+        return []
+    pieces = [Piece(faces[0], strip.box(along, (-half, 0.0), z)), Piece(faces[1], strip.box(along, (0.0, half), z))]
+    if skirting:
+        pieces.append(Piece(SKIRTING, strip.box(along, (-half - 0.012, -half), (0.0, 0.09))))
+        pieces.append(Piece(SKIRTING, strip.box(along, (half, half + 0.012), (0.0, 0.09))))
+    return pieces
+
+
+def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list[Piece]:
+    """Architraves around an opening; they stand beside it, so the clear width stays as asked."""
+    half = WALL_THICKNESS_M / 2 + 0.02
+    parts = [
+        strip.box((left - 0.08, left + 0.002), (-half, half), (0.0, height + 0.08)),
+        strip.box((right - 0.002, right + 0.08), (-half, half), (0.0, height + 0.08)),
+        strip.box((left, right), (-half, half), (height, height + 0.08)),
+    ]
+    return [Piece(DOOR_FRAME, part) for part in parts]
+
+
+def floor(plan: Plan, area: Rectangle, material: Material) -> None:
+    """Lays a floor slab whose top is at z = 0."""
+    plan.build("SM_Floor", Piece(material, block((area.x0, area.y0, -0.05), (area.x1, area.y1, 0.0))))
+
+
+def ceiling(plan: Plan, area: Rectangle, height: float, material: Material, lamp_pitch: float = 2.6) -> None:
+    """Closes a room from above with a slab and a grid of lit panels 0.3 x 1.2 m."""
+    ceiling_slab(plan, area, height, material)
+    columns, rows = max(1, round(area.width / lamp_pitch)), max(1, round(area.depth / lamp_pitch))
+    pieces: list[Piece] = []
+    for column in range(columns):
+        for row in range(rows):
+            x = area.x0 + (column + 0.5) * area.width / columns
+            y = area.y0 + (row + 0.5) * area.depth / rows
+            pieces.append(Piece(LAMP_RIM, block((x - 0.64, y - 0.19, height - 0.03), (x + 0.64, y + 0.19, height))))
+            pieces.append(Piece(LAMP, block((x - 0.6, y - 0.15, height - 0.04), (x + 0.6, y + 0.15, height - 0.02))))
+    plan.build("SM_Lamps", *pieces)
+
+
+def ceiling_slab(plan: Plan, area: Rectangle, height: float, material: Material) -> None:
+    """Closes a room from above; nothing hangs from it."""
+    plan.build("SM_Ceiling", Piece(material, block((area.x0, area.y0, height), (area.x1, area.y1, height + 0.05))))
+
+
+def high_bay_lamps(plan: Plan, area: Rectangle, height: float, pitch: float) -> None:
+    """Roof girders along y and bell lamps hanging below them."""
+    columns, rows = max(1, round(area.width / pitch)), max(1, round(area.depth / pitch))
+    steel, pieces = painted("Steel", 0.4, 1.0), []
+    for column in range(columns):
+        x = area.x0 + (column + 0.5) * area.width / columns
+        pieces.append(Piece(steel, block((x - 0.08, area.y0, height - 0.35), (x + 0.08, area.y1, height - 0.05))))
+        for row in range(rows):
+            y = area.y0 + (row + 0.5) * area.depth / rows
+            bell = lathe([(0.28, height - 0.80), (0.10, height - 0.50), (0.05, height - 0.35)], (x, y), 12)
+            pieces.append(Piece(steel, bell))
+            pieces.append(Piece(LAMP, lathe([(0.24, height - 0.83), (0.25, height - 0.79)], (x, y), 12)))
+    plan.build("SM_Lamps", *pieces)
+
+
+def marking(plan: Plan, area: Rectangle, material: Material) -> None:
+    """Paints a flat strip on the floor, 2 mm thick, so that it is no obstacle."""
+    plan.build("SM_Marking", Piece(material, block((area.x0, area.y0, 0.0), (area.x1, area.y1, 0.002))))
