@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
 
 __all__ = ["BUILTIN_PLANS"]
 
@@ -13,6 +13,7 @@ _DEMO = Plan(
     name="demo",
     scenes=tuple(ScenePlan(name=name, episodes=5) for name in BUILTIN_CATEGORIES),
     tiers={Tier.NEAR: 0.7, Tier.MID: 0.2, Tier.FAR: 0.1},
+    splits=dict.fromkeys(Split, 0.2),
     balance="categories",
 )
 """A few short episodes of every scene: minutes on two cores, under 1 GB."""

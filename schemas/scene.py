@@ -148,7 +148,7 @@ class CompiledScene:
     collider_triangles: NDArray[np.int32]
     """(K, 3) indices into `collider_vertices`."""
     occupancy: NDArray[np.uint8]
-    """(H, W) 1 where the robot's height band is occupied; row is y, column is x."""
+    """(H, W) 0 free, 1 occupied in the robot's height band, 2 so and tall enough to hide what stands behind; row is y."""
     reachable: NDArray[np.uint8]
     """(H, W) 1 on the connected floor on which the robot's body fits."""
     spawns: NDArray[np.float32]
@@ -171,7 +171,7 @@ SCENE_ARRAYS = {
         ArraySpec("textures", (None, _T, _T, 3), np.uint8, "sRGB"),
         ArraySpec("collider_vertices", (None, 3), np.float32, "m", -1e4, 1e4),
         ArraySpec("collider_triangles", (None, 3), np.int32, "vertex", 0),
-        ArraySpec("occupancy", (None, None), np.uint8, "1", 0, 1),
+        ArraySpec("occupancy", (None, None), np.uint8, "1", 0, 2),
         ArraySpec("reachable", (None, None), np.uint8, "1", 0, 1),
         ArraySpec("spawns", (None, 2), np.float32, "m", -1e4, 1e4),
         ArraySpec("spawn_sees", (None, None), np.uint8, "1", 0, 1),

@@ -1,0 +1,30 @@
+# The whole interface of a checkout: make setup | run | test | check. Everything lives in .venv.
+VENV   := .venv
+PYTHON ?= python3.11
+READY  := $(VENV)/.ready
+
+.PHONY: setup run test check clean
+
+setup: $(READY)
+
+$(READY): requirements.txt pyproject.toml
+	@command -v $(PYTHON) >/dev/null || { echo "Python 3.11 is needed (PyBullet has no wheels for later ones); install python3.11 and python3.11-venv, or call make PYTHON=/path/to/python3.11"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	sh deploy/ensure_egl.sh $(VENV)/bin/python
+	touch $(READY)
+
+run: $(READY)
+	$(VENV)/bin/factory run demo --out dataset
+
+test: $(READY)
+	$(VENV)/bin/python -m pytest
+
+check: $(READY)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis

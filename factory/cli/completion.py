@@ -1,0 +1,23 @@
+"""`factory completion`: the shell's completion script on stdout."""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import get_completion_class
+
+from factory.cli import main
+
+__all__ = ["command"]
+
+
+@click.command("completion")
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def command(shell: str) -> None:
+    """Print the completion script of a SHELL.
+
+    \b
+    bash:  factory completion bash >> ~/.bashrc
+    """
+    script = get_completion_class(shell)
+    if script is not None:
+        click.echo(script(main.cli, {}, "factory", "_FACTORY_COMPLETE").source())

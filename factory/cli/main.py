@@ -1,0 +1,96 @@
+"""Entry point of `factory`: the tree of commands, loaded when used, and the one place where errors become exit codes.
+
+Exit codes: 0 done, 1 the data or the world said no, 2 wrong usage, 3 our bug, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import traceback
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import click
+
+from schemas.errors import FactoryError, UsageError
+
+__all__ = ["cli", "main"]
+
+_COMMANDS: Mapping[str, str] = MappingProxyType(
+    {
+        "run": "factory.cli.run",
+        "plan": "factory.cli.plan",
+        "coordinator": "factory.cli.coordinator",
+        "worker": "factory.cli.worker",
+        "status": "factory.cli.status",
+        "jobs": "factory.cli.jobs",
+        "verify": "factory.cli.verify",
+        "replay": "factory.cli.replay",
+        "show": "factory.cli.show",
+        "scene": "factory.cli.scene",
+        "completion": "factory.cli.completion",
+    }
+)
+"""Verb -> module; each module holds a click command named `command`."""
+
+
+class _LazyGroup(click.Group):
+    """A group that imports a verb only when it is called, so that `factory --help` stays quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        module = _COMMANDS.get(cmd_name)
+        if module is None:
+            return None
+        command: click.Command = importlib.import_module(module).command
+        return command
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="minivla-factory", prog_name="factory")
+def cli() -> None:
+    """A distributed data factory for language-conditioned robot navigation.
+
+    \b
+    Start here:   factory run demo --out dataset
+    Then:         factory status dataset; factory verify dataset --deep
+    """
+
+
+def main() -> None:
+    """Runs the command line and exits with the code of what happened."""
+    sys.exit(_run())
+
+
+def _run() -> int:
+    try:
+        outcome = cli.main(standalone_mode=False)
+    except click.exceptions.Abort:
+        return _say("interrupted", 130)
+    except KeyboardInterrupt:
+        return _say("interrupted", 130)
+    except click.ClickException as error:
+        error.show()
+        return 2
+    except UsageError as error:
+        return _say(f"error: {error}", 2)
+    except FactoryError as error:
+        return _say(f"error: {error}", 1)
+    except BrokenPipeError:
+        return 1
+    except Exception:  # noqa: BLE001 - the last door: everything else is our bug and says so
+        traceback.print_exc()
+        return _say("this is a bug in minivla-factory; please report the lines above", 3)
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _say(text: str, code: int) -> int:
+    click.echo(text, err=True)
+    return code
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""Options that several verbs share, each defined once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from coordinator.plan_file import shrink
+from schemas.plan import Plan
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName
+
+__all__ = ["dataset_argument", "plan_argument", "shrink_options", "shrunk_plan", "verbose_option"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def plan_argument(default: str | None) -> Callable[[Command], Command]:
+    """PLAN: a built-in name or a TOML file."""
+    return click.argument("plan_name", metavar="[PLAN]", required=False, default=default)
+
+
+def shrink_options(command: Command) -> Command:
+    """`--scene --episodes --expert --seed`: a smaller or differently driven plan."""
+    for option in (
+        click.option("--seed", type=click.IntRange(min=0), help="Another root seed."),
+        click.option("--expert", type=click.Choice([str(name) for name in ExpertName]), help="Another expert."),
+        click.option("--episodes", type=int, metavar="N", help="Shrink the plan to N episodes, proportions kept."),
+        click.option("--scene", metavar="SCENE", help=f"Only this scene ({', '.join(BUILTIN_CATEGORIES)}, ...)."),
+    ):
+        command = option(command)
+    return command
+
+
+def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
+    """Applies the shrink options to a plan."""
+    expert = changes.get("expert")
+    return shrink(
+        plan,
+        scene=changes.get("scene"),
+        episodes=changes.get("episodes"),
+        expert=ExpertName(expert) if expert else None,
+        seed=changes.get("seed"),
+    )
+
+
+dataset_argument = click.argument("root", metavar="DIR", type=click.Path(path_type=Path))
+"""DIR: a dataset directory."""
+
+verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log every event, not only warnings.")

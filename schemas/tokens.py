@@ -1,0 +1,32 @@
+"""The 7 x 7 action grid: continuous actions to tokens and back (paper Sec. II-B; DESIGN 3.8). Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["GRID_POINTS", "V_GRID_MPS", "W_GRID_RPS", "actions_of", "tokens_of"]
+
+GRID_POINTS = 7
+V_GRID_MPS: NDArray[np.float64] = np.linspace(0.0, 1.0, GRID_POINTS)
+"""Grid of the speed, m/s; token 0 is standing."""
+W_GRID_RPS: NDArray[np.float64] = np.linspace(-1.5, 1.5, GRID_POINTS)
+"""Grid of the yaw rate, rad/s; token 3 is straight ahead."""
+
+
+def tokens_of(actions: NDArray[np.float32]) -> NDArray[np.int16]:
+    """Returns the nearest grid point of each action.
+
+    Args:
+        actions: (T, 2), v in m/s and w in rad/s.
+
+    Returns:
+        (T, 2) tokens 0..6; what lies outside the range takes its end.
+    """
+    scaled = np.stack([actions[:, 0] * 6.0, (actions[:, 1] + 1.5) * 2.0], axis=1, dtype=np.float64)
+    return np.clip(np.rint(scaled), 0, GRID_POINTS - 1).astype(np.int16)
+
+
+def actions_of(tokens: NDArray[np.int16]) -> NDArray[np.float32]:
+    """Returns the grid point of each token: (T, 2) in m/s and rad/s."""
+    return np.stack([V_GRID_MPS[tokens[:, 0]], W_GRID_RPS[tokens[:, 1]]], axis=1).astype(np.float32)

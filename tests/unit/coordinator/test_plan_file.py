@@ -1,0 +1,98 @@
+"""Plan files: every mistake is named with its key; shrinking keeps proportions."""
+
+from __future__ import annotations
+
+import pytest
+
+from coordinator.builtin_plans import BUILTIN_PLANS
+from coordinator.plan_file import load_plan, shrink
+from schemas.errors import InvalidPlan, UsageError
+from schemas.terms import Tier
+
+GOOD = """
+name = "mine"
+seed = 7
+[tiers]
+near = 0.5
+mid = 0.5
+[[scenes]]
+name = "office"
+episodes = 12
+[[scenes]]
+name = "my_lab"
+usd = "lab/world.usda"
+seen = ["chair"]
+held_out = ["plant"]
+episodes = 3
+"""
+
+
+def test_a_good_file_is_read_and_relative_scene_paths_start_at_the_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    plan = load_plan(str(path))
+    assert plan.tiers == {Tier.NEAR: 0.5, Tier.MID: 0.5}
+    assert plan.scenes[1].usd == str(tmp_path / "lab/world.usda")
+    assert plan.episodes == 15
+
+
+def test_an_unknown_plan_names_the_built_in_ones():
+    with pytest.raises(UsageError, match="demo, paper, balanced"):
+        load_plan("papper")
+
+
+def test_every_mistake_is_named_with_its_key(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        'name = "bad"\nexpert = "wizard"\nspeed = 3\n[tiers]\nnear = 0.5\nnar = 0.5\n'
+        '[[scenes]]\nname = "offce"\nepisodes = 0\n[[scenes]]\nname = "office"\nepisodes = 2\nseen = ["cat"]\n'
+    )
+    with pytest.raises(InvalidPlan) as caught:
+        load_plan(str(path))
+    text = "\n".join(caught.value.findings)
+    for key in ("scenes[0].name", "scenes[0].episodes", "scenes[1].seen", "expert", "speed", "tiers.nar"):
+        assert f"{key}:" in text
+
+
+def test_shares_that_do_not_add_up_are_each_named(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('[tiers]\nnear = 0.5\n[splits]\ntrain_id = 0.7\n[[scenes]]\nname = "office"\nepisodes = 2\n')
+    with pytest.raises(InvalidPlan) as caught:
+        load_plan(str(path))
+    assert [text.split(":")[0] for text in caught.value.findings] == ["tiers", "splits"]
+
+
+def test_an_unknown_split_is_named(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('[splits]\ntrain = 1.0\n[[scenes]]\nname = "office"\nepisodes = 2\n')
+    with pytest.raises(InvalidPlan, match=r"splits\.train"):
+        load_plan(str(path))
+
+
+def test_a_file_that_is_no_toml_says_so(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text("name = [")
+    with pytest.raises(InvalidPlan, match="no TOML"):
+        load_plan(str(path))
+
+
+def test_shrinking_keeps_the_proportions_of_the_scenes():
+    plan = shrink(BUILTIN_PLANS["paper"], episodes=117)
+    assert plan.episodes == 117
+    assert {scene.name: scene.episodes for scene in plan.scenes} == {
+        "office": 70,
+        "hospital": 5,
+        "full_warehouse": 35,
+        "warehouse_multiple_shelves": 7,
+    }
+
+
+def test_shrinking_to_an_unknown_scene_names_the_scenes_of_the_plan():
+    with pytest.raises(UsageError, match="office, hospital"):
+        shrink(BUILTIN_PLANS["demo"], scene="garage")
+
+
+def test_two_plans_that_ask_for_the_same_have_one_digest():
+    demo = BUILTIN_PLANS["demo"]
+    assert demo.digest == shrink(demo, episodes=demo.episodes).digest
+    assert demo.digest != shrink(demo, seed=1).digest

@@ -1,0 +1,36 @@
+"""Experts: controllers that know the goal and produce the demonstrations. One registry, one protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from schemas.errors import UsageError
+from schemas.job import Job
+from schemas.terms import ExpertName
+from workers.experts.base import Expert, Observation
+from workers.experts.proportional import ProportionalExpert, centroid_speed, depth_speed, literal_speed
+
+__all__ = ["EXPERTS", "Expert", "Observation", "make_expert"]
+
+EXPERTS: Mapping[ExpertName, Callable[[Job], Expert]] = MappingProxyType(
+    {
+        ExpertName.PROPORTIONAL: lambda job: ProportionalExpert(job, centroid_speed),
+        ExpertName.DEPTH: lambda job: ProportionalExpert(job, depth_speed),
+        ExpertName.PAPER_LITERAL: lambda job: ProportionalExpert(job, literal_speed),
+    }
+)
+"""Every expert this version can drive with."""
+
+
+def make_expert(job: Job) -> Expert:
+    """Returns the expert a job asks for.
+
+    Raises:
+        UsageError: this version has no such expert.
+    """
+    factory = EXPERTS.get(job.expert)
+    if factory is None:
+        known = ", ".join(EXPERTS)
+        raise UsageError(f"expert {job.expert} is not part of this version; it has {known}")
+    return factory(job)

@@ -1,0 +1,68 @@
+"""The proportional expert (paper Eq. 2-5) and its speed laws; heads for the mask, else for the bearing.
+
+Knows nothing of obstacles beyond the paper's speed cap; it cannot pass corners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.config import ExpertConfig
+from schemas.job import Job
+from workers.experts.base import Observation
+from workers.slew import Twist
+
+__all__ = ["ProportionalExpert", "centroid_speed", "depth_speed", "literal_speed"]
+
+SpeedLaw = Callable[[Observation, bool, ExpertConfig, float], float]
+"""(observation, visible, gains, success radius) -> speed in m/s before clamping."""
+
+
+def centroid_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m: float) -> float:  # noqa: ARG001
+    """k_v * d with d the planar distance to the centroid, and 0 inside the circle: the published behaviour."""
+    return gains.speed_gain * seen.distance_m if seen.distance_m > radius_m else 0.0
+
+
+def depth_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
+    """k_v * (median mask depth) while visible, else k_v * d; 0 inside the circle."""
+    if seen.distance_m <= radius_m:
+        return 0.0
+    return gains.speed_gain * (seen.sighting.depth_m if visible else seen.distance_m)
+
+
+def literal_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
+    """Paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) while visible, else k_v * d.
+
+    Measured from the camera to the surface, the speed reaches 0 before the base is within the radius of the
+    centroid, so that this law only times out (DESIGN 3.1).
+    """
+    if visible:
+        return gains.speed_gain * (seen.sighting.depth_m - radius_m)
+    return gains.speed_gain * seen.distance_m
+
+
+class ProportionalExpert:
+    """Yaw rate from the mask's column or the bearing, speed from a speed law, capped near obstacles."""
+
+    def __init__(self, job: Job, speed_law: SpeedLaw) -> None:
+        self._gains = job.gains
+        self._robot = job.robot
+        self._radius_m = job.task.success_radius_m
+        self._speed_law = speed_law
+
+    def act(self, seen: Observation) -> Twist:
+        """Returns the wanted twist; standing still, heading and all, once the speed law says 0 inside the circle."""
+        visible = seen.sighting.pixels >= self._gains.min_mask_px
+        speed = self._speed_law(seen, visible, self._gains, self._radius_m)
+        if speed <= 0.0 and seen.distance_m <= self._radius_m:
+            return Twist(0.0, 0.0)
+        if seen.obstacle_near:
+            speed = min(speed, self._gains.avoidance_speed_mps)
+        half = FRAME_SIZE_PX / 2
+        error = -(seen.sighting.column - half) / half if visible else seen.bearing_rad
+        limit = self._robot.max_yaw_rate_rps
+        return Twist(
+            min(max(speed, 0.0), self._robot.max_speed_mps),
+            min(max(self._gains.yaw_gain * error, -limit), limit),
+        )

@@ -1,0 +1,59 @@
+"""What an expert reads off a frame: where its target stands in the image, how deep, and whether something is near.
+
+Pure functions over the id and depth images; they never look at the simulation's ground truth.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import TaskConfig
+
+__all__ = ["Sighting", "is_obstacle_near", "see"]
+
+
+class Sighting(NamedTuple):
+    """The target in the image."""
+
+    pixels: int
+    """Size of the mask."""
+    column: float
+    """Mean column of the mask, pixels from the left edge; the image centre when nothing is seen."""
+    depth_m: float
+    """Median depth over the mask in metres; 0 when nothing is seen."""
+
+
+def see(ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, min_pixels: int) -> Sighting:
+    """Measures the target's mask (paper Eq. 2-3).
+
+    Args:
+        ids: (H, W) instance ids.
+        depth: (H, W) metres along the optical axis.
+        instance_id: of the target.
+        min_pixels: masks smaller than this are reported without column and depth.
+    """
+    width = ids.shape[1]
+    mask = ids == instance_id
+    pixels = int(np.count_nonzero(mask))
+    if pixels < min_pixels:
+        return Sighting(pixels, width / 2, 0.0)
+    column = float(np.dot(mask.sum(axis=0), np.arange(width) + 0.5)) / pixels
+    return Sighting(pixels, column, float(np.median(depth[mask])))
+
+
+def is_obstacle_near(depth: NDArray[np.float32], task: TaskConfig) -> bool:
+    """Whether the 5th-percentile depth of the foreground crop is below the limit (paper Sec. III-F).
+
+    The percentile is told by counting: it is below the limit when more than 5 % of the valid pixels are.
+    """
+    height, width = depth.shape
+    top, bottom = (round(side * height) for side in task.crop_rows)
+    left, right = (round(side * width) for side in task.crop_columns)
+    crop = depth[top:bottom, left:right]
+    near = int(np.count_nonzero(crop < task.near_obstacle_depth_m)) - int(np.count_nonzero(crop == 0.0))
+    if near <= 0:
+        return False
+    return near > 0.05 * int(np.count_nonzero(crop))

@@ -1,0 +1,95 @@
+"""Where an attempt starts: tiered draws on the occupancy grid, then a check in physics (paper Sec. III-D).
+
+Draws come from the attempt's generator only; the grid part is pure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from schemas.job import Job
+from schemas.scene import Target
+from schemas.terms import TIER_RANGE_M, ExpertName, Tier
+from workers.grid import Grid
+from workers.pose import Pose
+from workers.stage import LoadedScene
+from workers.world import World
+
+__all__ = ["draw_poses", "is_spawn_firm"]
+
+
+def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Pose]:
+    """Yields start poses that fit on the grid, at most `job.spawn.physics_draws` of them.
+
+    Near and mid: uniform distance and bearing around the target, facing it within the heading noise. Far: a
+    surveyed floor point and a uniform heading. Experts that drive straight get starts whose straight line to the
+    success circle is free; the planner gets any start on the connected floor.
+
+    Args:
+        job: gives tier, expert and spawn settings.
+        target: the object to approach.
+        place: the scene with its grid.
+        rng: the attempt's generator; consumed in a fixed order.
+    """
+    z = place.scene.info.floor_height_m
+    for _ in range(job.spawn.physics_draws):
+        found = _draw_on_grid(job, target, place, rng)
+        if found is None:
+            return
+        yield Pose.planar(*found, z=z)
+
+
+def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
+    """Places the robot, lets it stand for the warm-up steps, and says whether it stayed (DESIGN 3.12).
+
+    The paper's displacement test alone misses overlaps of a few centimetres, hence the penetration test before it.
+    """
+    spawn = job.spawn
+    world.place(pose.x, pose.y, pose.yaw)
+    if world.deepest_penetration() > spawn.max_penetration_m:
+        return False
+    for _ in range(spawn.warmup_steps):
+        world.step()
+    after = world.pose()
+    return math.hypot(after.x - pose.x, after.y - pose.y) <= spawn.max_displacement_m
+
+
+def _draw_on_grid(
+    job: Job, target: Target, place: LoadedScene, rng: np.random.Generator
+) -> tuple[float, float, float] | None:
+    for _ in range(job.spawn.grid_draws):
+        x, y, yaw = _draw_far(job, target, place, rng) if job.tier is Tier.FAR else _draw_around(job, target, rng)
+        if place.grid.is_pose_free(x, y, yaw, job.spawn.margin_m) and _can_start(job, target, place, x, y, yaw):
+            return x, y, yaw
+    return None
+
+
+def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> tuple[float, float, float]:
+    low, high = TIER_RANGE_M[job.tier]
+    distance, bearing = rng.uniform(low, high), rng.uniform(-math.pi, math.pi)
+    noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad)
+    x = target.centroid_m[0] + distance * math.cos(bearing)
+    y = target.centroid_m[1] + distance * math.sin(bearing)
+    return float(x), float(y), math.remainder(bearing + math.pi + noise, 2 * math.pi)
+
+
+def _draw_far(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> tuple[float, float, float]:
+    column = place.scene.info.targets.index(target)
+    allowed = np.arange(len(place.scene.spawns))
+    if job.expert is not ExpertName.PLANNER:
+        allowed = np.flatnonzero(place.scene.spawn_sees[:, column])
+    yaw = float(rng.uniform(-math.pi, math.pi))
+    if len(allowed) == 0:
+        return math.inf, math.inf, yaw
+    x, y = place.scene.spawns[allowed[int(rng.integers(len(allowed)))]]
+    return float(x), float(y), yaw
+
+
+def _can_start(job: Job, target: Target, grid: Grid, x: float, y: float, yaw: float) -> bool:
+    if job.expert is ExpertName.PLANNER or job.tier is Tier.FAR:
+        return grid.is_connected(x, y, yaw)
+    end = grid.straight_end((x, y), target.centroid_m[:2], job.task.success_radius_m)
+    return grid.is_connected(x, y, yaw) and grid.is_line_free((x, y), end, job.spawn.approach_clearance_m)

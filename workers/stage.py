@@ -1,0 +1,70 @@
+"""What a simulation process keeps between jobs: the open renderer and the scenes it has loaded, keyed by content hash.
+
+A cache and nothing else: an attempt never depends on what ran before it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+
+from schemas.fingerprint import Fingerprint
+from schemas.scene import CompiledScene, decode_scene
+from workers.fingerprint import make_fingerprint
+from workers.grid import Grid
+from workers.render import Renderer
+from workers.render.choose import open_renderer
+from workers.world import ColliderMesh
+
+__all__ = ["LoadedScene", "RendererKind", "Stage"]
+
+RendererKind = Literal["auto", "gl", "tiny"]
+_KEPT_SCENES = 4
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene with what is derived from it once."""
+
+    scene: CompiledScene
+    grid: Grid
+    collider: ColliderMesh
+
+
+class Stage:
+    """Opens the renderer; loads scenes on demand and keeps the few used last."""
+
+    def __init__(self, renderer_kind: RendererKind = "auto") -> None:
+        self.renderer: Renderer = open_renderer(renderer_kind)
+        self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
+        self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
+
+    def load(self, path: Path, sha256: str) -> LoadedScene:
+        """Returns the scene of that digest, read from `path` unless it is at hand."""
+        if sha256 not in self._loaded:
+            with path.open("rb") as file:
+                self._loaded[sha256] = prepare_scene(decode_scene(file))
+            while len(self._loaded) > _KEPT_SCENES:
+                self._loaded.popitem(last=False)
+        self._loaded.move_to_end(sha256)
+        return self._loaded[sha256]
+
+    def loaded(self, sha256: str) -> LoadedScene:
+        """Returns a scene that `load` has brought; `KeyError` when it has not."""
+        return self._loaded[sha256]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.renderer.close()
+
+
+def prepare_scene(scene: CompiledScene) -> LoadedScene:
+    """Derives the grid and the collider lists of a scene."""
+    return LoadedScene(scene, Grid.from_scene(scene), ColliderMesh.from_scene(scene))

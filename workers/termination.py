@@ -1,0 +1,62 @@
+"""When an episode ends: success hold, stall and timeout, told from poses and commands alone. Pure of any simulation."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from schemas.config import TaskConfig
+from schemas.terms import EndReason
+
+__all__ = ["Termination"]
+
+
+class Termination:
+    """Watches the frames of one episode in order (paper Sec. II-A; DESIGN 3.4).
+
+    A frame is judged before its action is carried out: success needs `hold_steps` consecutive frames inside the
+    radius with a measured speed below the limit, so that the recorded poses alone prove it.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        self._task = task
+        self._held = 0
+        self._frames = 0
+        self._forward = 0
+        self._track: deque[tuple[float, float]] = deque(maxlen=task.stall_steps + 1)
+
+    def judge(
+        self, x_m: float, y_m: float, distance_m: float, is_blocked: bool, commanded_mps: float
+    ) -> EndReason | None:
+        """Takes the next frame.
+
+        Args:
+            x_m: base_link in the world frame.
+            y_m: base_link in the world frame.
+            distance_m: planar distance to the target's centroid.
+            is_blocked: whether there is a contact or an obstacle near.
+            commanded_mps: speed of the action of this frame.
+
+        Returns:
+            Why the episode ends with this frame, or `None` to go on.
+        """
+        self._frames += 1
+        self._track.append((x_m, y_m))
+        self._held = self._held + 1 if self._is_stationary() and distance_m <= self._task.success_radius_m else 0
+        self._forward = self._forward + 1 if commanded_mps > 0 else 0
+        if self._held >= self._task.hold_steps:
+            return EndReason.SUCCESS
+        if is_blocked and self._is_stalled():
+            return EndReason.COLLISION
+        return EndReason.TIMEOUT if self._frames >= self._task.max_steps else None
+
+    def _is_stationary(self) -> bool:
+        if len(self._track) < 2:
+            return False
+        moved_m = math.dist(self._track[-1], self._track[-2])
+        return moved_m * self._task.control_hz < self._task.stationary_speed_mps
+
+    def _is_stalled(self) -> bool:
+        if self._forward < self._task.stall_steps or len(self._track) <= self._task.stall_steps:
+            return False
+        return math.dist(self._track[-1], self._track[0]) < self._task.stall_progress_m
