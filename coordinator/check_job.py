@@ -1,0 +1,87 @@
+"""Whether a bundle is what was asked for: its metadata against the job, the language and its own tables. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+from schemas.episode import EpisodeMeta
+from schemas.job import Job
+from schemas.language import TEMPLATES, instruction, needs_colour, templates_for
+from schemas.scene import Target
+
+__all__ = ["job_findings", "table_findings", "target_findings"]
+
+CENTROID_SLACK_M = 1e-6
+"""Between the centroid in meta.json and in the scene: both are the same float64, written as JSON."""
+
+
+def job_findings(meta: EpisodeMeta, job: Job) -> list[str]:
+    """Returns every field in which the bundle's job differs from the job that was leased."""
+    return [
+        f"job.{name}: the bundle says {_show(getattr(meta.job, name))}, the ledger leased {_show(getattr(job, name))}"
+        for name in Job.model_fields
+        if getattr(meta.job, name) != getattr(job, name)
+    ]
+
+
+def table_findings(meta: EpisodeMeta) -> list[str]:
+    """Returns every contradiction within the metadata itself: id, instruction, instance table, digests."""
+    found = []
+    if meta.episode_id != meta.job.episode_id:
+        found.append(f"episode_id {meta.episode_id!r}, its job's index gives {meta.job.episode_id!r}")
+    if len(meta.frame_digests) != meta.rollout.num_steps:
+        found.append(f"{len(meta.frame_digests)} frame digests for {meta.rollout.num_steps} frames")
+    return found + _language_findings(meta.job) + _instance_findings(meta)
+
+
+def target_findings(meta: EpisodeMeta, target: Target) -> list[str]:
+    """Returns every field in which the bundle's target differs from the compiled scene's."""
+    job = meta.job
+    pairs = {
+        "target_id": (job.target_id, target.target_id),
+        "category": (job.category, target.category),
+        "target_prim_path": (meta.target_prim_path, target.prim_path),
+        "target_instance_id": (meta.target_instance_id, target.instance_id),
+    }
+    found = [f"{name} {ours!r}, the scene says {theirs!r}" for name, (ours, theirs) in pairs.items() if ours != theirs]
+    off = math.dist(meta.target_centroid_m, target.centroid_m)
+    if not off <= CENTROID_SLACK_M:
+        found.append(f"target_centroid_m lies {off:.6f} m from the scene's {target.centroid_m}")
+    return found
+
+
+def _language_findings(job: Job) -> list[str]:
+    if job.template_id not in TEMPLATES:
+        return [f"template_id {job.template_id!r} does not exist"]
+    if job.colour == "unknown" and needs_colour(job.template_id):
+        return [f"template {job.template_id} names a colour, but the colour is unknown"]
+    found = []
+    if job.template_id not in templates_for(job.split, job.colour):
+        found.append(f"template {job.template_id} does not belong to split {job.split}")
+    wanted = instruction(job.template_id, job.category, job.colour)
+    if job.instruction != wanted:
+        found.append(f"instruction {job.instruction!r}, template {job.template_id} gives {wanted!r}")
+    return found
+
+
+def _instance_findings(meta: EpisodeMeta) -> list[str]:
+    found = [
+        f"instance id {number} stands {times} times in the table"
+        for number, times in Counter(instance.id for instance in meta.instances).items()
+        if times > 1
+    ]
+    of_target = [instance for instance in meta.instances if instance.id == meta.target_instance_id]
+    if not of_target:
+        return [*found, f"target_instance_id {meta.target_instance_id} is not in the instance table"]
+    target = of_target[0]
+    if target.category != meta.job.category:
+        found.append(f"the target is a {target.category} in the instance table, the job asks for a {meta.job.category}")
+    if target.prim_path != meta.target_prim_path:
+        found.append(f"target_prim_path {meta.target_prim_path!r}, the instance table says {target.prim_path!r}")
+    return found
+
+
+def _show(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,0 +1,173 @@
+"""Laws of motion: whether the recorded poses can have come from the recorded commands. Pure; every tolerance is named.
+
+It bounds what a differential drive can do in a period; it never simulates, and a robot held by an obstacle passes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.bundle import EpisodeArrays
+from schemas.config import RobotConfig
+
+__all__ = ["motion_findings", "yaw_of"]
+
+F64 = NDArray[np.float64]
+
+COMMAND_SLACK = 1e-4
+"""m/s and rad/s: float32 rounding of a command and of the one before it."""
+QUATERNION_SLACK = 1e-3
+"""Deviation of the norm from 1: float32 rounding is 1e-7, physics renormalises every step."""
+HEIGHT_SLACK_M = 0.03
+"""Rise or fall of base_link against frame 0: the floor is flat and springs give millimetres."""
+MAX_TILT_RAD = 0.10
+"""Lean of base_link: braking at 8 m/s2 pitches it by about 0.01 rad, leaning on an obstacle by a few hundredths."""
+LAG_STEPS = 6
+"""Periods (0.1 s) for which the wheels may still follow an older command."""
+STEP_SLACK_M = 0.003
+"""Displacement a step beyond the command: sway of the body on its wheels while starting and braking."""
+CONTACT_STEP_SLACK_M = 0.012
+"""The same while something is touched: the solver pushes overlaps apart."""
+SIDE_SLACK_M = 0.002
+"""Sideways displacement a step: a wheel slips by less when the slew limits are kept."""
+YAW_STEP_SLACK_RAD = 0.006
+"""Turn a step beyond the command, from the same sway; 0.36 rad/s at 60 Hz."""
+CONTACT_YAW_STEP_SLACK_RAD = 0.06
+"""The same while something is touched: an off-centre push turns the robot about the contact."""
+PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
+"""Distance driven over a window against the distance commanded, without contact: wheels follow to 0.2 %."""
+TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.08, 0.10
+"""Angle turned over a window against the angle commanded, without contact."""
+WINDOW_STEPS = 60
+"""Periods over which distance and angle are summed up."""
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """Commands and increments of an episode; increment t leads from pose t to pose t + 1 under command t."""
+
+    v: F64
+    w: F64
+    along: F64
+    """(T - 1,) displacement along the heading, metres."""
+    aside: F64
+    """(T - 1,) displacement to the left, metres."""
+    turned: F64
+    """(T - 1,) change of heading, radians."""
+    hz: int
+    touched: bool
+    """Whether the episode reports any contact."""
+
+
+def yaw_of(poses: NDArray[np.floating]) -> F64:
+    """Returns the heading of each (x, y, z, qw, qx, qy, qz) in radians, (-pi, pi]."""
+    qw, qx, qy, qz = poses[:, 3:].astype(np.float64).T
+    return np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+
+
+def motion_findings(arrays: EpisodeArrays, robot: RobotConfig, control_hz: int, collision_count: int) -> list[str]:
+    """Returns all that contradicts the robot's limits and the recorded commands.
+
+    Args:
+        arrays: of the episode, already within their specs.
+        robot: limits of speed and of its change.
+        control_hz: periods a second.
+        collision_count: steps with contact the episode reports; with contact the bounds are wider.
+    """
+    drive = _drive_of(arrays, control_hz, collision_count > 0)
+    return [
+        *_command_findings(drive, robot),
+        *_stance_findings(arrays.poses),
+        *_step_findings(drive),
+        *_window_findings(drive),
+    ]
+
+
+def _drive_of(arrays: EpisodeArrays, control_hz: int, touched: bool) -> _Drive:
+    poses = arrays.poses.astype(np.float64)
+    yaw = yaw_of(poses)
+    turned = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
+    heading = yaw[:-1] + turned / 2
+    dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
+    v, w = arrays.actions_continuous.astype(np.float64).T
+    along = dx * np.cos(heading) + dy * np.sin(heading)
+    aside = dy * np.cos(heading) - dx * np.sin(heading)
+    return _Drive(v, w, along, aside, turned, control_hz, touched)
+
+
+def _command_findings(drive: _Drive, robot: RobotConfig) -> list[str]:
+    dv, dw = (np.diff(command, prepend=0.0) * drive.hz for command in (drive.v, drive.w))
+    slack = COMMAND_SLACK * drive.hz
+    return [
+        *_beyond("speed command", "m/s", drive.v, robot.max_speed_mps, COMMAND_SLACK),
+        *_beyond("yaw rate command", "rad/s", np.abs(drive.w), robot.max_yaw_rate_rps, COMMAND_SLACK),
+        *_beyond("speeding up", "m/s2", dv, robot.max_acceleration_mps2, slack),
+        *_beyond("braking", "m/s2", -dv, robot.max_braking_mps2, slack),
+        *_beyond("change of the yaw rate", "rad/s2", np.abs(dw), robot.max_yaw_acceleration_rps2, slack),
+    ]
+
+
+def _stance_findings(poses: NDArray[np.float32]) -> list[str]:
+    quaternions = poses[:, 3:].astype(np.float64)
+    norm_error = np.abs(np.linalg.norm(quaternions, axis=1) - 1)
+    found = _beyond("deviation of the quaternion's norm from 1", "", norm_error, QUATERNION_SLACK, 0.0)
+    up_z = np.clip(1 - 2 * (quaternions[:, 1] ** 2 + quaternions[:, 2] ** 2), -1, 1)
+    if not found:  # a tilt means nothing for a quaternion that is none
+        found = _beyond("tilt", "rad", np.arccos(up_z), MAX_TILT_RAD, 0.0)
+    heights = poses[:, 2].astype(np.float64)
+    return found + _beyond("height above the first frame", "m", np.abs(heights - heights[0]), HEIGHT_SLACK_M, 0.0)
+
+
+def _step_findings(drive: _Drive) -> list[str]:
+    period = 1 / drive.hz
+    reach = _recent_maximum(drive.v)[:-1] * period
+    turn = _recent_maximum(np.abs(drive.w))[:-1] * period
+    step_slack = CONTACT_STEP_SLACK_M if drive.touched else STEP_SLACK_M
+    side_slack = CONTACT_STEP_SLACK_M if drive.touched else SIDE_SLACK_M
+    yaw_slack = CONTACT_YAW_STEP_SLACK_RAD if drive.touched else YAW_STEP_SLACK_RAD
+    moved = np.hypot(drive.along, drive.aside)
+    return [
+        *_beyond("displacement in a step beyond the command", "m", moved - reach, step_slack, 0.0),
+        *_beyond("displacement backwards in a step", "m", -drive.along, step_slack, 0.0),
+        *_beyond("displacement sideways in a step", "m", np.abs(drive.aside), side_slack, 0.0),
+        *_beyond("turn in a step beyond the command", "rad", np.abs(drive.turned) - turn, yaw_slack, 0.0),
+    ]
+
+
+def _window_findings(drive: _Drive) -> list[str]:
+    if drive.touched or len(drive.along) == 0:
+        return []
+    period = 1 / drive.hz
+    wanted, driven = _window_sums(drive.v[:-1] * period), _window_sums(drive.along)
+    path_error = np.abs(driven - wanted) - PATH_SLACK_SHARE * np.abs(wanted)
+    wanted_turn, turned = _window_sums(drive.w[:-1] * period), _window_sums(drive.turned)
+    effort = _window_sums(np.abs(drive.w[:-1]) * period)
+    turn_error = np.abs(turned - wanted_turn) - TURN_SLACK_SHARE * effort
+    return [
+        *_beyond("distance driven in a window against the commands", "m", path_error, PATH_SLACK_M, 0.0),
+        *_beyond("angle turned in a window against the commands", "rad", turn_error, TURN_SLACK_RAD, 0.0),
+    ]
+
+
+def _recent_maximum(command: F64) -> F64:
+    padded = np.concatenate([np.zeros(LAG_STEPS), command])
+    return np.lib.stride_tricks.sliding_window_view(padded, LAG_STEPS + 1).max(axis=1)
+
+
+def _window_sums(values: F64) -> F64:
+    width = min(WINDOW_STEPS, len(values))
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    return total[width:] - total[:-width]
+
+
+def _beyond(what: str, unit: str, values: F64, limit: float, slack: float) -> list[str]:
+    """One sentence that names the worst value and how many are beyond the limit, or none."""
+    bad = ~(values <= limit + slack)
+    if not bad.any():
+        return []
+    worst = int(np.argmax(np.where(bad, values, -np.inf)))
+    text = f"{what}: {values[worst]:.4g} {unit}".rstrip()
+    return [f"{text} at step {worst}, limit {limit:.4g}; {int(bad.sum())} steps beyond it"]

@@ -1,0 +1,167 @@
+"""One row of `metadata.parquet`: what a reader must know of an archived episode without opening it.
+
+Copies from the episode's metadata; measures nothing and opens nothing.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from typing import Annotated
+
+from pydantic import Field
+
+from schemas.base import Model, Name, NonNegative, Sha256
+from schemas.episode import EpisodeMeta
+from schemas.terms import EndReason, ExpertName, Split, Tier
+
+__all__ = ["PUBLISHED_COLUMNS", "EpisodeSummary", "file_name_of", "summary_of"]
+
+PUBLISHED_COLUMNS = (
+    "episode_id",
+    "split",
+    "scene",
+    "instruction",
+    "target_category",
+    "target_id",
+    "spawn_tier",
+    "spawn_dist_m",
+    "num_steps",
+    "trajectory_length_m",
+    "final_ne_m",
+    "collision_count",
+    "template_id",
+)
+"""The columns of the published data set, in its order; every other column stands behind them."""
+
+
+class EpisodeSummary(Model):
+    """A row of `metadata.parquet`; the fields stand in the order of the columns."""
+
+    episode_id: Name
+    split: Split
+    scene: Name
+    instruction: str
+    target_category: Name
+    target_id: Name
+    spawn_tier: Tier
+    spawn_dist_m: NonNegative
+    """Planar distance from the spawn to the target's centroid, metres."""
+    num_steps: Annotated[int, Field(ge=1)]
+    """T: frames and actions."""
+    trajectory_length_m: NonNegative
+    """TL, metres."""
+    final_ne_m: NonNegative
+    """NE, planar, metres."""
+    collision_count: Annotated[int, Field(ge=0)]
+    """Steps with a contact other than the floor."""
+    template_id: Name
+
+    index: Annotated[int, Field(ge=1)]
+    """Number of the episode in the plan."""
+    colour: Name
+    """Colour word of the target, or `unknown`."""
+    phrase_is_unique: bool
+    """Whether category and colour fit one target of the scene only."""
+    target_prim_path: str
+    goal_x_m: float
+    goal_y_m: float
+    goal_z_m: float
+    """Centroid of the target in the world frame, metres."""
+    spawn_x_m: float
+    spawn_y_m: float
+    spawn_yaw_rad: float
+    """base_link at frame 0 in the world frame."""
+    spawn_draws: Annotated[int, Field(ge=1)]
+    expert: ExpertName
+    draw: Annotated[int, Field(ge=0)]
+    """How often target and template were drawn anew."""
+    attempt: Annotated[int, Field(ge=1)]
+    """Number of the attempt that succeeded."""
+    end_reason: EndReason
+    final_ne_3d_m: NonNegative
+    min_ne_m: NonNegative
+    steps_visible: Annotated[int, Field(ge=0)]
+    """Steps in which the expert saw the target."""
+    scene_sha256: Sha256
+    """Digest of the compiled scene."""
+    plan_digest: Sha256
+    run: str
+    content_digest: str
+    """XXH3-128 over the decoded content; equal for equal content, whatever compressed it."""
+    file_sha256: Sha256
+    file_bytes: Annotated[int, Field(ge=1)]
+    file_name: str
+    """Path of the bundle below the dataset's directory."""
+    format: int
+    """Version of the bundle."""
+    created_at: datetime
+    worker: str
+    renderer: str
+    cpu: str
+    software: str
+    """Package versions as JSON with sorted keys."""
+
+
+def file_name_of(episode_id: str) -> str:
+    """Returns where an episode lies below the dataset's directory."""
+    return f"episodes/{episode_id}.zip"
+
+
+def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
+    """Returns the row of an episode.
+
+    Args:
+        meta: the bundle's metadata.
+        sha256: digest of the bundle file.
+        size: of the bundle file, bytes.
+    """
+    job, rollout, made = meta.job, meta.rollout, meta.provenance
+    goal_x, goal_y, goal_z = meta.target_centroid_m
+    spawn_x, spawn_y, spawn_yaw = rollout.spawn_pose
+    return EpisodeSummary(
+        episode_id=meta.episode_id,
+        split=job.split,
+        scene=job.scene,
+        instruction=job.instruction,
+        target_category=job.category,
+        target_id=job.target_id,
+        spawn_tier=job.tier,
+        spawn_dist_m=rollout.spawn_dist_m,
+        num_steps=rollout.num_steps,
+        trajectory_length_m=rollout.trajectory_length_m,
+        final_ne_m=rollout.final_ne_m,
+        collision_count=rollout.collision_count,
+        template_id=job.template_id,
+        index=job.index,
+        colour=job.colour,
+        phrase_is_unique=meta.phrase_is_unique,
+        target_prim_path=meta.target_prim_path,
+        goal_x_m=goal_x,
+        goal_y_m=goal_y,
+        goal_z_m=goal_z,
+        spawn_x_m=spawn_x,
+        spawn_y_m=spawn_y,
+        spawn_yaw_rad=spawn_yaw,
+        spawn_draws=rollout.spawn_draws,
+        expert=job.expert,
+        draw=job.draw,
+        attempt=job.attempt,
+        end_reason=rollout.end_reason,
+        final_ne_3d_m=rollout.final_ne_3d_m,
+        min_ne_m=rollout.min_ne_m,
+        steps_visible=rollout.steps_visible,
+        scene_sha256=job.scene_sha256,
+        plan_digest=job.plan_digest,
+        run=job.run,
+        content_digest=meta.content_digest,
+        file_sha256=sha256,
+        file_bytes=size,
+        file_name=file_name_of(meta.episode_id),
+        format=meta.format,
+        created_at=made.created_at,
+        worker=made.worker,
+        renderer=made.fingerprint.renderer,
+        cpu=made.fingerprint.cpu,
+        software=json.dumps(made.fingerprint.software, sort_keys=True),
+    )
