@@ -1,4 +1,4 @@
-"""The compiled scenes of a run: taken from the dataset if it has them, else built or imported and kept there.
+"""The compiled scenes of a run: taken from the dataset if it has them, else built or imported.
 
 A dataset keeps the packages it was made with, so that it can be resumed and replayed by later versions.
 """
@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from coordinator.archive import SCENES
 from coordinator.catalog import Catalog, SceneEntry, read_entry
 from factory.scenes.build import build_scene, import_scene
+from schemas.errors import ArchiveCorrupt
 from schemas.plan import Plan, ScenePlan
 
-__all__ = ["open_catalog", "packages_of"]
+__all__ = ["find_package", "open_catalog"]
 
 Listener = Callable[[str], None]
 
@@ -26,20 +28,26 @@ def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _:
         cache: where new packages are built.
         tell: told the name of each scene before it is built.
     """
-    kept = packages_of(root)
     entries: dict[str, SceneEntry] = {}
     for scene in plan.scenes:
-        path = kept.get(scene.name)
-        if path is None:
+        kept = sorted((root / SCENES).glob(f"{scene.name}-*.scene"))
+        if not kept:
             tell(scene.name)
-            path = _make(scene, cache)
-        entries[scene.name] = read_entry(path)
+        entries[scene.name] = read_entry(kept[0] if kept else _make(scene, cache))
     return entries
 
 
-def packages_of(root: Path) -> dict[str, Path]:
-    """Returns the packages a dataset holds, by scene name."""
-    return {path.name.rsplit("-", 1)[0]: path for path in sorted((root / "scenes").glob("*-*.scene.zip"))}
+def find_package(root: Path, name: str, sha256: str) -> SceneEntry:
+    """Returns the package an episode was made with.
+
+    Raises:
+        ArchiveCorrupt: the dataset does not hold it.
+    """
+    for path in sorted((root / SCENES).glob(f"{name}-*.scene")):
+        entry = read_entry(path)
+        if entry.sha256 == sha256:
+            return entry
+    raise ArchiveCorrupt(f"{root / SCENES} holds no package of {name} with SHA-256 {sha256}; run `factory verify`")
 
 
 def _make(scene: ScenePlan, cache: Path) -> Path:

@@ -1,0 +1,53 @@
+"""`factory replay`: regenerate an episode and compare digests."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+from rich.progress import Progress
+
+from factory.cli.episodes import episode_path
+from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json, stderr
+from factory.logs import configure_logs
+from factory.replay import Replay, replay_episode
+
+__all__ = ["command"]
+
+
+@click.command("replay")
+@dataset_argument
+@click.argument("episode")
+@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@json_option
+def command(root: Path, episode: str, renderer: str, as_json: bool) -> int:
+    """Simulate EPISODE (`ep_000001` or a number) of the dataset DIR again; exit 1 when the content differs."""
+    configure_logs()
+    path = episode_path(root, episode)
+    with Progress(console=stderr, transient=True) as bar:
+        task = bar.add_task(f"replaying {path.stem}", total=None)
+        outcome = replay_episode(
+            root,
+            path,
+            renderer,  # type: ignore[arg-type]
+            lambda step, steps: bar.update(task, completed=step, total=steps),
+        )
+    if as_json:
+        print_json({**asdict(outcome), "identical": outcome.is_identical})
+    else:
+        _print(outcome)
+    return 0 if outcome.is_identical else 1
+
+
+def _print(outcome: Replay) -> None:
+    if outcome.is_identical:
+        click.echo(f"{outcome.episode_id}: identical, {outcome.steps} steps, digest {outcome.archived_digest}")
+    else:
+        click.echo(f"{outcome.episode_id}: differs")
+        click.echo(f"  archived {outcome.archived_digest}\n  replayed {outcome.replayed_digest}")
+        for name, distance in outcome.differences.items():
+            click.echo(f"  {name}: largest difference {distance:g}")
+    for name, (then, now) in outcome.fingerprint_changes.items():
+        click.echo(f"  made with {name} {then}, here {now}")

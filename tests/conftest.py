@@ -1,0 +1,22 @@
+"""Fixtures of the whole suite: no test may touch the user's home or caches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Compiled scenes shared by the tests of one session."""
+    return tmp_path_factory.mktemp("scenes")
+
+
+@pytest.fixture(autouse=True)
+def guarded_home(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Points HOME and every cache at a folder that only the test sees."""
+    home = tmp_path_factory.mktemp("home")
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("MINIVLA_CACHE", str(home / "cache"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)

@@ -1,0 +1,96 @@
+"""The directions of imports and the doors of foreign systems, read from the source."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("schemas", "coordinator", "workers", "factory")
+ALLOWED = {
+    "schemas": {"schemas"},
+    "coordinator": {"schemas", "coordinator"},
+    "workers": {"schemas", "workers"},
+    "factory": set(PACKAGES),
+}
+DOORS = {
+    "pybullet": {"workers/bullet.py"},
+    "moderngl": {"workers/render/"},
+    "zenoh": {"workers/link.py", "coordinator/router.py", "coordinator/zenoh_config.py", "factory/client.py"},
+    "sqlalchemy": {"coordinator/"},
+    "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
+    "pyarrow": {"coordinator/dataset_tables.py", "factory/"},
+}
+
+
+def imports_of(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            modules = {name for name in inner if _is_module(name)}
+            found |= modules or {node.module}
+    return found
+
+
+def _is_module(name: str) -> bool:
+    path = ROOT.joinpath(*name.split("."))
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+def sources() -> list[Path]:
+    return [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_import_only_what_lies_below_them(package):
+    stray = {
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for name in imports_of(path)
+        if name.split(".")[0] in PACKAGES and name.split(".")[0] not in ALLOWED[package]
+    }
+    assert not stray
+
+
+@pytest.mark.parametrize("system", sorted(DOORS))
+def test_each_foreign_system_has_its_door(system):
+    users = {str(path.relative_to(ROOT)) for path in sources() if system in {n.split(".")[0] for n in imports_of(path)}}
+    stray = {user for user in users if not any(user.startswith(door) for door in DOORS[system])}
+    assert not stray
+
+
+def test_modules_import_each_other_without_cycles():
+    names = {_module(path): path for path in sources()}
+    graph = {
+        name: {other for other in imports_of(path) if other in names and other != name} for name, path in names.items()
+    }
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, " -> ".join((*trail[trail.index(name) :], name))
+        if name not in done:
+            for other in graph[name]:
+                visit(other, (*trail, name))
+            done.add(name)
+
+    for name in graph:
+        visit(name, ())
+
+
+def test_every_module_says_what_it_is():
+    silent = [
+        str(path.relative_to(ROOT))
+        for path in sources()
+        if path.read_text().strip() and ast.get_docstring(ast.parse(path.read_text())) is None
+    ]
+    assert not silent
+
+
+def _module(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
