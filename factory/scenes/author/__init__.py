@@ -46,10 +46,16 @@ _SCENES = (
     BuiltinScene("office", "24 x 16 m office floor off a corridor, authored in centimetres", 0.01, lay_out_office),
     BuiltinScene("hospital", "30 x 20 m hospital floor: wards, waiting hall, reception", 1.0, lay_out_hospital),
     BuiltinScene(
-        "full_warehouse", "32 x 24 m warehouse: double pallet-rack rows, floor goods", 1.0, lay_out_full_warehouse
+        "full_warehouse",
+        "32 x 24 m warehouse: double pallet-rack rows, floor goods",
+        1.0,
+        lay_out_full_warehouse,
     ),
     BuiltinScene(
-        "warehouse_multiple_shelves", "22 x 18 m hall: alternating rack and shelf rows", 1.0, lay_out_multiple_shelves
+        "warehouse_multiple_shelves",
+        "22 x 18 m hall: alternating rack and shelf rows",
+        1.0,
+        lay_out_multiple_shelves,
     ),
 )
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 from numpy.random import Generator
 
-from factory.scenes.author.materials import Material, textured
+from factory.scenes.author.geometry import block
+from factory.scenes.author.materials import Material, Piece, painted, textured
 from factory.scenes.author.placement import Plan, Rectangle
 from factory.scenes.author.room import WALL_THICKNESS_M, Door, ceiling, floor, wall
 
@@ -18,6 +19,8 @@ __all__ = ["Cell", "Room", "Style", "build_wings", "divide"]
 
 PLASTER = textured("Plaster", "#e4e1d8", 2.0, 0.9)
 CEILING = textured("CeilingTile", "#e6e5e0", 1.2, 0.9)
+LEAF = textured("WoodWalnut", "#7a5233", 1.1, 0.5)
+GRIP = painted("Steel", 0.35, 1.0)
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,7 @@ def _build_wing(
         inside = area.grown(-WALL_THICKNESS_M / 2)
         room = Room(cell.kind, inside, door, side, "N" if is_south else "S")
         rooms.append(room)
+        _hang_leaves(plan, room)
         if style.has_windows:
             _hang_windows(plan, room)
     wall(plan, False, spans[-1][2], depth, (previous, previous), (), height)
@@ -139,6 +143,27 @@ def _build_wing(
 def _draw_door(rng: Generator, cell: Cell, x0: float, x1: float) -> Door:
     reach = cell.door_width / 2 + 0.35
     return Door(float(rng.uniform(x0 + reach, x1 - reach)), cell.door_width)
+
+
+def _hang_leaves(plan: Plan, room: Room) -> None:
+    """Door leaves folded open against the corridor wall, on each side of the door where they fit."""
+    width = room.door.width if room.door.width <= 1.3 else room.door.width / 2
+    face, into = (room.area.y1, -1.0) if room.inner == "N" else (room.area.y0, 1.0)
+    sides = (1.0, -1.0) if width < room.door.width else (1.0 if plan.rng.random() < 0.5 else -1.0,)
+    for side in sides:
+        hinge = room.door.centre + side * (room.door.width / 2 + 0.06)
+        x0, x1 = sorted((hinge, hinge + side * width))
+        if x0 < room.area.x0 + 0.05 or x1 > room.area.x1 - 0.05:
+            continue
+        y0, y1 = sorted((face + into * 0.025, face + into * 0.065))
+        grip = x1 - 0.12 if side > 0 else x0 + 0.06
+        g0, g1 = sorted((face + into * 0.065, face + into * 0.10))
+        plan.build(
+            "SM_DoorLeaf",
+            Piece(LEAF, block((x0, y0, 0.01), (x1, y1, room.door.height - 0.02))),
+            Piece(GRIP, block((grip, g0, 0.98), (grip + 0.06, g1, 1.01))),
+        )
+        plan.taken.append(Rectangle(x0, y0 - 0.05, x1, y1 + 0.05))
 
 
 def _hang_windows(plan: Plan, room: Room) -> None:

@@ -121,7 +121,12 @@ def lathe(profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0
 
 
 def cylinder(
-    radius: float, z0: float, z1: float, at: tuple[float, float] = (0.0, 0.0), sides: int = 14, top: float | None = None
+    radius: float,
+    z0: float,
+    z1: float,
+    at: tuple[float, float] = (0.0, 0.0),
+    sides: int = 14,
+    top: float | None = None,
 ) -> Mesh:
     """An upright cylinder, or a cone frustum when `top` radius is given."""
     return lathe([(radius, z0), (radius if top is None else top, z1)], at, sides)
@@ -166,9 +171,7 @@ def card(outline: Sequence[Vector]) -> Mesh:
     return _mesh(np.array(outline, dtype=np.float64), [front, front[::-1]])
 
 
-def moved(
-    mesh: Mesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0
-) -> Mesh:
+def moved(mesh: Mesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> Mesh:
     """Rotates about x by `roll`, about y by `pitch`, about z by `yaw` (radians), then shifts by metres."""
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)

@@ -31,7 +31,7 @@ def lay_out_hospital(plan: Plan) -> None:
     ward_paints = [(MINT, SKY, CREAM)[k] for k in rng.permutation(3)]
     styles = {
         "corridor": Style(LINOLEUM, ward_paints[2]),
-        "ward": Style(LINOLEUM, ward_paints[0]),
+        "ward": Style(LINOLEUM, ward_paints[0], has_windows=False),
         "exam": Style(WARM, ward_paints[1]),
         "waiting": Style(TILES, PLASTER),
         "reception": Style(TILES, ward_paints[1]),
@@ -74,8 +74,19 @@ def _ward(plan: Plan, room: Room) -> None:
     if rng.random() < 0.8:
         plan.place(shop.model("SM_Curtain", look), area.centre[0], y_head + inward * 0.32, 0.0, area, 0.0)
     if rng.random() < 0.6:
-        plan.against(shop.model("SM_Whiteboard_A", plan.pick(2)), area, "EW"[plan.pick(2)], 0.25 if room.outer == "N" else 0.75)
-    names = ("SM_TrashCan_A", ("SM_ChairWaiting_E", "SM_Stool_F", "SM_Cabinet", "SM_Trolley")[plan.pick(4)])
+        plan.against(
+            shop.model("SM_Whiteboard_A", plan.pick(2)),
+            area,
+            "EW"[plan.pick(2)],
+            0.25 if room.outer == "N" else 0.75,
+        )
+    plan.add(shop.model("SM_Window", 1), area.centre[0], y_head, yaw)
+    plan.against_somewhere(shop.model("SM_WashUnit", 0), area, "EW", 0.4)
+    names = (
+        "SM_TrashCan_A",
+        "SM_Cabinet",
+        ("SM_ChairWaiting_E", "SM_Stool_F", "SM_WheelChair", "SM_Trolley")[plan.pick(4)],
+    )
     _along(plan, room, names)
     _decorate(plan, room)
 
@@ -89,24 +100,30 @@ def _exam(plan: Plan, room: Room) -> None:
     other = "W" if side == "E" else "E"
     plan.against(shop.model("SM_Whiteboard_A", plan.pick(3)), area, other, float(rng.uniform(0.35, 0.65)), 0.2)
     plan.against_somewhere(shop.model("SM_Trolley", plan.pick(3)), area, room.outer, 0.2)
-    for name in ("SM_Stool_F", "SM_ChairVisitor_C", "SM_ChairWaiting_E", "SM_TrashCan_A", "SM_Cabinet", "SM_FireExtinguisher_02"):
+    plan.against_somewhere(shop.model("SM_WashUnit", 0), area, room.outer, 0.2)
+    for name in (
+        "SM_Stool_F",
+        "SM_ChairVisitor_C",
+        "SM_ChairWaiting_E",
+        "SM_TrashCan_A",
+        "SM_Cabinet",
+        "SM_FireExtinguisher_02",
+    ):
         _along(plan, room, (name,))
     _decorate(plan, room)
 
 
 def _waiting(plan: Plan, room: Room) -> None:
-    """Three rows of chairs facing the corridor, a board, a television and bins."""
+    """Rows of chairs along three walls around an open floor, a board, a television, bins."""
     area, rng, shop = room.area, plan.rng, plan.workshop
-    inward = -1.0 if room.outer == "N" else 1.0
-    y_wall = area.y1 if room.outer == "N" else area.y0
     look, kind = plan.pick(5), ("SM_ChairWaiting_E", "SM_ChairVisitor_C")[plan.pick(2)]
-    for row in range(3):
-        for seat in range(5):
+    for side, seats in ((room.outer, 6), ("E", 4), ("W", 4)):
+        pitch = 0.68 / (area.width if side in "NS" else area.depth)
+        start = 0.5 - pitch * (seats - 1) / 2
+        for seat in range(seats):
             if rng.random() < 0.85:
-                x = area.centre[0] + (seat - 2) * 0.66 + float(rng.uniform(-0.03, 0.03))
-                y = y_wall + inward * (0.6 + row * 1.75)
                 model = shop.model(kind, look if rng.random() < 0.8 else look + 1)
-                plan.place(model, x, y, FACING[room.outer] + float(rng.uniform(-0.06, 0.06)), area, 0.0)
+                plan.against(model, area, side, start + seat * pitch, 0.0, 0.1)
     plan.hang(shop.model("SM_Television", 1), area, "EW"[plan.pick(2)], 0.5)
     _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_WaterCooler", "SM_FireExtinguisher_02"))
     plan.against_somewhere(shop.model("SM_Whiteboard_A", 1), area, "EW", 0.2)
@@ -118,7 +135,14 @@ def _reception(plan: Plan, room: Room) -> None:
     area, rng, shop = room.area, plan.rng, plan.workshop
     inward = -1.0 if room.outer == "N" else 1.0
     y_wall = area.y1 if room.outer == "N" else area.y0
-    plan.place(shop.model("SM_Reception", plan.pick(3)), area.centre[0], y_wall + inward * 2.3, FACING[room.outer], area, 0.1)
+    plan.place(
+        shop.model("SM_Reception", plan.pick(3)),
+        area.centre[0],
+        y_wall + inward * 2.3,
+        FACING[room.outer],
+        area,
+        0.1,
+    )
     for along in (0.3, 0.5, 0.7):
         plan.against(shop.model("SM_Cabinet", plan.pick(3)), area, room.outer, along, 0.02)
     stool_y = y_wall + inward * 1.45
@@ -141,6 +165,7 @@ def _corridor(plan: Plan, area: Rectangle) -> None:
         model = shop.model(name, plan.pick(12))
         plan.against_somewhere(model, area, "NS"[number % 2], 0.5)
     plan.against(shop.model("SM_Whiteboard_A", 1), area, "EW"[plan.pick(2)], 0.5)
+    plan.hang(shop.model("SM_Clock", 0), area, "EW"[plan.pick(2)], 0.2)
 
 
 def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
@@ -152,7 +177,12 @@ def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
 def _decorate(plan: Plan, room: Room) -> None:
     """A notice on a side wall and a lit sign above the door, on both sides of it."""
     shop = plan.workshop
-    plan.hang(shop.model("SM_Poster", plan.pick(3)), room.area, "EW"[plan.pick(2)], float(plan.rng.uniform(0.1, 0.9)))
+    plan.hang(
+        shop.model("SM_Poster", plan.pick(3)),
+        room.area,
+        "EW"[plan.pick(2)],
+        float(plan.rng.uniform(0.1, 0.9)),
+    )
     inner = room.area.y1 if room.inner == "N" else room.area.y0
     outward = 1.0 if room.inner == "N" else -1.0
     plan.add(shop.model("SM_Sign", 0), room.door.centre, inner, FACING[room.inner], 0.06)

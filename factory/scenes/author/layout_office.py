@@ -9,7 +9,7 @@ import math
 
 from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
 from factory.scenes.author.materials import Material, textured
-from factory.scenes.author.placement import FACING, Plan, Rectangle
+from factory.scenes.author.placement import FACING, Plan, Rectangle, wall_pose
 
 __all__ = ["lay_out_office"]
 
@@ -24,8 +24,8 @@ PAINTS = (
     Material("WallSand", "#d9cbb0", roughness=0.9),
     Material("WallRose", "#cfa99a", roughness=0.9),
 )
-SOUTH = (Cell("open", 8.4, 1.8), Cell("meeting", 5.4, 1.2), Cell("private", 4.6, 1.1), Cell("kitchen", 5.0, 1.3))
-NORTH = (Cell("lounge", 5.6, 1.5), Cell("open", 8.4, 1.8), Cell("private", 4.6, 1.1), Cell("meeting", 5.4, 1.2))
+SOUTH = (Cell("open", 8.4, 2.2), Cell("meeting", 5.4, 1.5), Cell("private", 4.6, 1.25), Cell("kitchen", 5.0, 1.6))
+NORTH = (Cell("lounge", 5.6, 1.9), Cell("open", 8.4, 2.2), Cell("private", 4.6, 1.25), Cell("meeting", 5.4, 1.5))
 
 
 def lay_out_office(plan: Plan) -> None:
@@ -47,7 +47,13 @@ def lay_out_office(plan: Plan) -> None:
         "kitchen": Style(TILES, accents[3]),
     }
     rooms = build_wings(plan, SIZE, corridor, wings, styles)
-    furnish = {"open": _open_plan, "meeting": _meeting, "private": _private, "lounge": _lounge, "kitchen": _kitchen}
+    furnish = {
+        "open": _open_plan,
+        "meeting": _meeting,
+        "private": _private,
+        "lounge": _lounge,
+        "kitchen": _kitchen,
+    }
     for room in rooms:
         furnish[room.kind](plan, room)
     _corridor(plan, Rectangle(0.06, corridor[0] + 0.06, SIZE[0] - 0.06, corridor[1] - 0.06))
@@ -66,53 +72,72 @@ def _workplace(plan: Plan, x: float, y: float, yaw: float, look: int, room: Rect
         return x + c * a - s * b, y + s * a + c * b
 
     top = 0.745
-    plan.add(shop.model("SM_Monitor_A", look + plan.pick(2)), *local(aside, 0.08), yaw + float(rng.uniform(-0.2, 0.2)), top)
+    plan.add(
+        shop.model("SM_Monitor_A", look + plan.pick(2)),
+        *local(aside, 0.08),
+        yaw + float(rng.uniform(-0.2, 0.2)),
+        top,
+    )
     plan.add(shop.model("SM_TypingPad", 0), *local(aside, -0.2), yaw, top)
     chair = shop.model(("SM_ChairOffice_A", "SM_ChairOffice_A", "SM_ChairExecutive_B")[plan.pick(3)], plan.pick(5))
     tuck = float(rng.uniform(-0.42, -0.34))
-    plan.place(chair, *local(aside + float(rng.uniform(-0.1, 0.1)), tuck), yaw + math.pi + float(rng.uniform(-0.3, 0.3)), room, 0.0, True)
+    plan.place(
+        chair,
+        *local(aside + float(rng.uniform(-0.1, 0.1)), tuck),
+        yaw + math.pi + float(rng.uniform(-0.3, 0.3)),
+        room,
+        0.0,
+        True,
+    )
+
+
+def _wall_workplace(plan: Plan, area: Rectangle, side: str, along: float, look: int) -> None:
+    """A workplace whose desk stands with its back to a wall."""
+    desk = plan.workshop.model("SM_TableDesk_A", look)
+    x, y, yaw = wall_pose(desk, area, side, along, 0.06)
+    _workplace(plan, x, y, yaw, look, area)
 
 
 def _open_plan(plan: Plan, room: Room) -> None:
-    """Two rows of desks with wide lanes; whiteboard, plants, bins and cabinets along the walls."""
-    area, rng = room.area, plan.rng
+    """Desks in pairs and alone along the walls around an open middle; boards, plants, bins, a copier."""
+    area, rng, shop = room.area, plan.rng, plan.workshop
     look = plan.pick(12)
-    columns = 3 if area.width > 7.8 else 2
-    pitch_x, lane = (area.width - 1.2) / columns, area.depth / 2
-    for row, share in enumerate((0.27, 0.71)):
-        for column in range(columns):
-            if column == 1 and row == plan.pick(4):
-                continue
-            x = area.x0 + 0.6 + (column + 0.5) * pitch_x + float(rng.uniform(-0.12, 0.12))
-            y = area.y0 + share * 2 * lane + float(rng.uniform(-0.1, 0.1))
-            yaw = FACING["N"] if (row + plan.pick(2)) % 2 else FACING["S"]
-            _workplace(plan, x, y, yaw, look, area)
-    shop = plan.workshop
-    plan.against(shop.model("SM_Whiteboard_A", plan.pick(2)), area, "EW"[plan.pick(2)], float(rng.uniform(0.3, 0.7)))
+    spread = float(rng.uniform(0.0, 0.06))
+    for along in ((0.10, 0.32, 0.88), (0.12, 0.68, 0.90), (0.10, 0.50, 0.90))[plan.pick(3)]:
+        _wall_workplace(plan, area, room.outer, along + spread - 0.03, look)
+    desk_side, board_side = ("E", "W") if rng.random() < 0.5 else ("W", "E")
+    near = 0.34 if room.outer == "N" else 0.66
+    _wall_workplace(plan, area, desk_side, near + float(rng.uniform(-0.06, 0.06)), look)
+    if rng.random() < 0.5:
+        _wall_workplace(plan, area, board_side, 1.0 - near, look)
+    plan.against(shop.model("SM_Whiteboard_A", plan.pick(2)), area, board_side, near, 0.2)
     for corner in rng.permutation(4)[:2]:
-        plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, int(corner))
+        plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, int(corner), 0.3)
     _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_Printer", "SM_Cabinet", "SM_FireExtinguisher_02"))
     plan.hang(shop.model("SM_Clock", 0), area, room.inner, float(rng.uniform(0.1, 0.9)))
     _decorate(plan, room, 2)
 
 
 def _meeting(plan: Plan, room: Room) -> None:
-    """One conference table with chairs tucked in, a whiteboard and a television."""
+    """A conference table towards the windows with chairs tucked in; board and bin in the free half."""
     area, rng, shop = room.area, plan.rng, plan.workshop
-    x, y = area.centre
-    x, y = x + float(rng.uniform(-0.2, 0.2)), y + float(rng.uniform(-0.3, 0.3))
+    inward = -1.0 if room.outer == "N" else 1.0
+    x = area.centre[0] + float(rng.uniform(-0.2, 0.2))
+    y = (area.y1 if room.outer == "N" else area.y0) + inward * float(rng.uniform(2.0, 2.2))
     table = shop.model("SM_TableMeeting_B", plan.pick(4))
     if plan.place(table, x, y, 0.0, area, 0.6):
         look, kind = plan.pick(5), ("SM_ChairVisitor_C", "SM_ChairOffice_A")[plan.pick(2)]
-        for side, yaw in ((-1, FACING["S"]), (1, FACING["N"])):
-            for shift in (-0.34, 0.34):
-                if rng.random() < 0.85:
-                    depth = 0.42 + float(rng.uniform(0.0, 0.06))
-                    plan.place(shop.model(kind, look), x + shift, y + side * depth, yaw + float(rng.uniform(-0.12, 0.12)), area, 0.0, True)
+        seats = [(-inward, 0.0), (inward, -0.34), (inward, 0.34)]
+        for side, shift in seats:
+            yaw = FACING["S"] if side < 0 else FACING["N"]
+            turn, depth = float(rng.uniform(-0.12, 0.12)), 0.42 + float(rng.uniform(0.0, 0.06))
+            plan.place(shop.model(kind, look), x + shift, y + side * depth, yaw + turn, area, 0.0, True)
     board, screen = ("E", "W") if rng.random() < 0.5 else ("W", "E")
-    plan.against(shop.model("SM_Whiteboard_A", plan.pick(3)), area, board, float(rng.uniform(0.35, 0.65)))
+    near = float(rng.uniform(0.3, 0.45))
+    near = near if room.outer == "N" else 1.0 - near
+    plan.against(shop.model("SM_Whiteboard_A", plan.pick(3)), area, board, near)
     plan.hang(shop.model("SM_Television", plan.pick(2)), area, screen, 0.5)
-    plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, plan.pick(4))
+    plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, plan.pick(2) + (0 if room.outer == "N" else 2), 0.3)
     _along(plan, room, ("SM_TrashCan_A",))
     _decorate(plan, room, 1)
 
@@ -143,7 +168,14 @@ def _lounge(plan: Plan, room: Room) -> None:
     corner_x = x + (1 if rng.random() < 0.5 else -1) * float(rng.uniform(1.0, 1.2))
     corner_y = y + (1.35 if room.outer == "N" else -1.35)
     plan.place(shop.model("SM_TableCoffee_D", plan.pick(4)), corner_x, corner_y, 0.0, area, 0.2)
-    plan.place(shop.model("SM_TableRound_C", plan.pick(6)), x + float(rng.uniform(-0.3, 0.3)), y - (0.9 if room.outer == "N" else -0.9), 0.0, area, 0.5)
+    plan.place(
+        shop.model("SM_TableRound_C", plan.pick(6)),
+        x + float(rng.uniform(-0.3, 0.3)),
+        y - (0.9 if room.outer == "N" else -0.9),
+        0.0,
+        area,
+        0.5,
+    )
     for corner in rng.permutation(4)[:3]:
         plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, int(corner))
     _along(plan, room, ("SM_TrashCan_A", "SM_FloorLamp", "SM_FireExtinguisher_02"))
@@ -157,14 +189,22 @@ def _kitchen(plan: Plan, room: Room) -> None:
     plan.against(shop.model("SM_KitchenCounter", plan.pick(3)), area, run, 0.5, 0.0, 0.0)
     plan.against(shop.model("SM_Fridge", 0), area, run, 0.99 if room.outer == "N" else 0.01, 0.02)
     look, kind = plan.pick(5), ("SM_ChairWood_D", "SM_ChairWaiting_E")[plan.pick(2)]
-    shift = 0.55 if run == "W" else -0.55
+    shift = 0.8 if run == "W" else -0.8
     for share in (0.3, 0.72):
         x, y = area.centre[0] + shift + float(rng.uniform(-0.2, 0.2)), area.y0 + share * area.depth
         if plan.place(shop.model("SM_TableRound_C", look + plan.pick(2)), x, y, 0.0, area, 0.5):
             first = float(rng.uniform(0.0, 2 * math.pi))
-            for turn in (0.0, 2 * math.pi / 3, 4 * math.pi / 3)[: 2 + plan.pick(2)]:
+            for turn in (0.0, 2 * math.pi / 3, 4 * math.pi / 3)[:2]:
                 a = first + turn
-                plan.place(shop.model(kind, look), x + 0.5 * math.cos(a), y + 0.5 * math.sin(a), a - math.pi / 2, area, 0.0, True)
+                plan.place(
+                    shop.model(kind, look),
+                    x + 0.5 * math.cos(a),
+                    y + 0.5 * math.sin(a),
+                    a - math.pi / 2,
+                    area,
+                    0.0,
+                    True,
+                )
     _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_FireExtinguisher_02", "SM_WaterCooler"))
     plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, plan.pick(4))
     _decorate(plan, room, 1)
@@ -173,7 +213,15 @@ def _kitchen(plan: Plan, room: Room) -> None:
 def _corridor(plan: Plan, area: Rectangle) -> None:
     """Extinguishers, bins, plants and pictures along a corridor whose middle stays free."""
     shop = plan.workshop
-    for number, name in enumerate(("SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_FireExtinguisher_02", "SM_WaterCooler", "SM_TrashCan_A")):
+    for number, name in enumerate(
+        (
+            "SM_FireExtinguisher_02",
+            "SM_TrashCan_A",
+            "SM_FireExtinguisher_02",
+            "SM_WaterCooler",
+            "SM_TrashCan_A",
+        )
+    ):
         plan.against_somewhere(shop.model(name, plan.pick(12)), area, "NS"[number % 2], 0.6)
     plan.against(shop.model("SM_Whiteboard_A", 1), area, "EW"[plan.pick(2)], 0.5)
     for corner in (plan.pick(2), 2 + plan.pick(2)):
@@ -190,7 +238,12 @@ def _decorate(plan: Plan, room: Room, posters: int) -> None:
     """Pictures on the side walls and an exit sign above the door."""
     shop = plan.workshop
     for _ in range(posters):
-        plan.hang(shop.model("SM_Poster", plan.pick(3)), room.area, "EW"[plan.pick(2)], float(plan.rng.uniform(0.08, 0.92)))
+        plan.hang(
+            shop.model("SM_Poster", plan.pick(3)),
+            room.area,
+            "EW"[plan.pick(2)],
+            float(plan.rng.uniform(0.08, 0.92)),
+        )
     sign = shop.model("SM_Sign", 0)
     y = room.area.y1 if room.inner == "N" else room.area.y0
     plan.add(sign, room.door.centre, y, FACING[room.inner], 0.06)

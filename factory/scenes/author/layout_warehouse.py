@@ -89,7 +89,12 @@ def _shell(plan: Plan, hall: Rectangle, gates: int) -> None:
     for side in "NS":
         for along in (0.1, 0.3, 0.5, 0.7, 0.9):
             plan.hang(shop.model("SM_Window", 2), inside, side, along)
-            plan.hang(shop.model("SM_SafetyNotice", plan.pick(3)), inside, side, along + float(plan.rng.uniform(-0.05, 0.05)))
+            plan.hang(
+                shop.model("SM_SafetyNotice", plan.pick(3)),
+                inside,
+                side,
+                along + float(plan.rng.uniform(-0.05, 0.05)),
+            )
 
 
 def _fill_rows(plan: Plan, hall: Rectangle, rows: list[Row], margin: float) -> None:
@@ -144,7 +149,15 @@ def _floor_goods(plan: Plan, inside: Rectangle, singles: int, clusters: int) -> 
         for _ in range(2 + plan.pick(2)):
             dx, dy = float(rng.uniform(-0.8, 0.8)), float(rng.uniform(-0.4, 0.4))
             plan.place(shop.model(name, plan.pick(12)), x + dx, y + dy, float(rng.uniform(-0.5, 0.5)), inside, 0.02)
-    clutter = ("SM_PalletPile", "SM_CardBoxPile", "SM_PalletTruck", "SM_Workbench", "SM_Cone", "SM_Cone", "SM_CardBoxPile")
+    clutter = (
+        "SM_PalletPile",
+        "SM_CardBoxPile",
+        "SM_PalletTruck",
+        "SM_Workbench",
+        "SM_Cone",
+        "SM_Cone",
+        "SM_CardBoxPile",
+    )
     for name in clutter:
         plan.against_somewhere(shop.model(name, plan.pick(4)), inside, "NESW", 0.6)
     for side in "NS":

@@ -14,10 +14,14 @@ from numpy.random import Generator
 from factory.scenes.author.catalogue import Model, Workshop
 from factory.scenes.author.materials import Piece
 
-__all__ = ["FACING", "Placement", "Plan", "Rectangle", "Structure"]
+__all__ = ["FACING", "Placement", "Plan", "Rectangle", "Structure", "wall_pose"]
 
 FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
 """Yaw in radians of a prop whose back is to that wall; at yaw 0 a prop faces -y, its back is to the north."""
+
+SMALL_HALF_WIDTH_M = 0.3
+SMALL_STANDOFF_M = 0.30
+"""Small things stand with their centre this far from a wall, so that a robot may come along the wall."""
 
 
 class Rectangle(NamedTuple):
@@ -150,7 +154,13 @@ class Plan:
         return self.add(model, x, y, yaw)
 
     def against(
-        self, model: Model, room: Rectangle, side: str, along: float, clearance: float = 0.1, gap: float = 0.03
+        self,
+        model: Model,
+        room: Rectangle,
+        side: str,
+        along: float,
+        clearance: float = 0.1,
+        gap: float = 0.03,
     ) -> Placement | None:
         """Places a model with its back to a wall of the room.
 
@@ -183,9 +193,10 @@ class Plan:
 
     def in_corner(self, model: Model, room: Rectangle, corner: int, clearance: float = 0.1) -> Placement | None:
         """Places a model in corner 0 SW, 1 SE, 2 NW or 3 NE of a room."""
-        x = room.x1 - model.high[0] - 0.08 if corner & 1 else room.x0 - model.low[0] + 0.08
-        y = room.y1 - model.high[1] - 0.08 if corner & 2 else room.y0 - model.low[1] + 0.08
-        return self.place(model, float(x), float(y), 0.0, None, clearance)
+        reach = float(max(model.high[0], -model.low[0], model.high[1], -model.low[1], 0.3)) + 0.04
+        x = room.x1 - reach if corner & 1 else room.x0 + reach
+        y = room.y1 - reach if corner & 2 else room.y0 + reach
+        return self.place(model, x, y, 0.0, None, clearance)
 
 
 def footprint(model: Model, x: float, y: float, yaw: float) -> Rectangle:
@@ -201,6 +212,8 @@ def wall_pose(model: Model, room: Rectangle, side: str, along: float, gap: float
     """Position and yaw that put a model's back to a wall, at `along` 0..1 of what is left of the wall."""
     half = float(max(model.high[0], -model.low[0]))
     back = float(model.high[1]) + gap
+    if gap > 0.0 and half < SMALL_HALF_WIDTH_M:
+        back = max(back, SMALL_STANDOFF_M)
     if side in "NS":
         x = room.x0 + half + along * max(room.width - 2 * half, 0.0)
         return x, (room.y1 - back if side == "N" else room.y0 + back), FACING[side]

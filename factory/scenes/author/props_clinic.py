@@ -14,7 +14,7 @@ from numpy.random import Generator
 from factory.scenes.author.geometry import block, cushion, cylinder, fitted_block, loft, moved, rod, tube
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 
-__all__ = ["bed", "curtain", "drip_stand", "head_panel", "nightstand", "trolley", "wheelchair"]
+__all__ = ["bed", "curtain", "drip_stand", "head_panel", "nightstand", "trolley", "wash_unit", "wheelchair"]
 
 WHITE = painted("White", 0.45)
 BLACK = painted("Black", 0.5)
@@ -33,14 +33,25 @@ def bed(variant: int, rng: Generator) -> list[Piece]:
     cover = cushion((-0.455, -0.96, 0.44), (0.455, 0.10, 0.605), 0.03)
     pillow = moved(cushion((-0.27, -0.17, 0.0), (0.27, 0.17, 0.12), 0.05), (0.0, 0.68, 0.59 + 0.35 * tilt), roll=tilt)
     ends = [cushion((-0.46, y - 0.02, 0.30), (0.46, y + 0.02, z), 0.015) for y, z in ((1.0, 1.02), (-1.0, 0.86))]
-    legs = [block((x - 0.025, y - 0.025, 0.1), (x + 0.025, y + 0.025, 0.36)) for x in (-0.36, 0.36) for y in (-0.8, 0.8)]
+    legs = [
+        block((x - 0.025, y - 0.025, 0.1), (x + 0.025, y + 0.025, 0.36)) for x in (-0.36, 0.36) for y in (-0.8, 0.8)
+    ]
     base = block((-0.36, -0.8, 0.14), (0.36, 0.8, 0.19))
-    wheels = [moved(cylinder(0.055, -0.02, 0.02, sides=8), (x, y, 0.055), pitch=1.5708) for x in (-0.36, 0.36) for y in (-0.8, 0.8)]
+    wheels = [
+        moved(cylinder(0.055, -0.02, 0.02, sides=8), (x, y, 0.055), pitch=1.5708)
+        for x in (-0.36, 0.36)
+        for y in (-0.8, 0.8)
+    ]
     rails = [
         tube([(x, 0.15, 0.45), (x, 0.2, 0.8), (x, 0.75, 0.8), (x, 0.8, 0.45)], 0.016, 5) for x in (-0.465, 0.465)
     ] + [rod((x, 0.18, 0.64), (x, 0.78, 0.64), 0.010, 4) for x in (-0.465, 0.465)]
     pieces = [Piece(WHITE, m) for m in (frame, mattress, raised, pillow)] + [Piece(PALE, m) for m in ends]
-    return [*pieces, Piece(blanket, cover), *(Piece(STEEL, m) for m in (*legs, base, *rails)), *(Piece(BLACK, m) for m in wheels)]
+    return [
+        *pieces,
+        Piece(blanket, cover),
+        *(Piece(STEEL, m) for m in (*legs, base, *rails)),
+        *(Piece(BLACK, m) for m in wheels),
+    ]
 
 
 def nightstand(variant: int, rng: Generator) -> list[Piece]:
@@ -57,11 +68,18 @@ def nightstand(variant: int, rng: Generator) -> list[Piece]:
 def drip_stand(variant: int, rng: Generator) -> list[Piece]:
     """A drip pole on five castors with a bag."""
     pole = rod((0.0, 0.0, 0.1), (0.0, 0.0, 1.95), 0.014)
-    feet = [tube([(0, 0, 0.12), (0.22 * x, 0.22 * y, 0.05)], 0.013, 4) for x, y in ((1, 0), (0.31, 0.95), (-0.81, 0.59), (-0.81, -0.59), (0.31, -0.95))]
+    feet = [
+        tube([(0, 0, 0.12), (0.22 * x, 0.22 * y, 0.05)], 0.013, 4)
+        for x, y in ((1, 0), (0.31, 0.95), (-0.81, 0.59), (-0.81, -0.59), (0.31, -0.95))
+    ]
     arm = rod((-0.14, 0.0, 1.95), (0.14, 0.0, 1.95), 0.01)
     bag = cushion((-0.20, -0.03, 1.62), (-0.08, 0.03, 1.88), 0.015)
     unit = cushion((-0.09, -0.12, 1.05), (0.09, -0.01, 1.3), 0.02)
-    return [*(Piece(CHROME, m) for m in (pole, arm, *feet)), Piece(painted("SkyBlue", 0.2), bag), Piece(WHITE, unit)]
+    return [
+        *(Piece(CHROME, m) for m in (pole, arm, *feet)),
+        Piece(painted("SkyBlue", 0.2), bag),
+        Piece(WHITE, unit),
+    ]
 
 
 def curtain(variant: int, rng: Generator) -> list[Piece]:
@@ -79,7 +97,11 @@ def head_panel(variant: int, rng: Generator) -> list[Piece]:
     light = block((-0.4, -0.04, 1.55), (0.4, 0.06, 1.62))
     sockets = [block((x - 0.04, -0.01, 1.3), (x + 0.04, 0.0, 1.4)) for x in (-0.5, -0.3, 0.3, 0.5)]
     paint = (painted("Green"), painted("Blue"), painted("Yellow"), painted("Red"))
-    return [Piece(PALE, board), Piece(glowing("LampPanel", "#fffdf4"), light), *(Piece(p, m) for p, m in zip(paint, sockets, strict=True))]
+    return [
+        Piece(PALE, board),
+        Piece(glowing("LampPanel", "#fffdf4"), light),
+        *(Piece(p, m) for p, m in zip(paint, sockets, strict=True)),
+    ]
 
 
 def trolley(variant: int, rng: Generator) -> list[Piece]:
@@ -87,7 +109,11 @@ def trolley(variant: int, rng: Generator) -> list[Piece]:
     body = block((-0.3, -0.22, 0.14), (0.3, 0.22, 0.92))
     paint = painted(("Red", "Blue", "Teal")[variant % 3])
     drawers = [block((-0.28, -0.235, 0.18 + row * 0.18), (0.28, -0.22, 0.34 + row * 0.18)) for row in range(4)]
-    wheels = [moved(cylinder(0.06, -0.02, 0.02, sides=8), (x, y, 0.06), pitch=1.5708) for x in (-0.24, 0.24) for y in (-0.16, 0.16)]
+    wheels = [
+        moved(cylinder(0.06, -0.02, 0.02, sides=8), (x, y, 0.06), pitch=1.5708)
+        for x in (-0.24, 0.24)
+        for y in (-0.16, 0.16)
+    ]
     top = cushion((-0.32, -0.24, 0.92), (0.32, 0.24, 0.96), 0.01)
     jar = fitted_block((-0.2, -0.1, 0.96), (0.0, 0.1, 1.08))
     return [Piece(WHITE, body), *(Piece(paint, m) for m in drawers), *(Piece(BLACK, m) for m in wheels),
@@ -107,8 +133,16 @@ def wheelchair(variant: int, rng: Generator) -> list[Piece]:
         pieces.append(Piece(CHROME, moved(hub, place, pitch=1.5708)))
         for spoke in ((0.0, 0.27), (0.23, -0.13), (-0.23, -0.13)):
             pieces.append(Piece(CHROME, rod(place, (x, 0.12 + spoke[0], 0.30 + spoke[1]), 0.006, 4)))
-        pieces.append(Piece(BLACK, moved(cylinder(0.08, -0.015, 0.015, sides=10), (x * 0.85, -0.36, 0.08), pitch=1.5708)))
-        frame = [(x * 0.85, 0.22, 0.9), (x * 0.85, 0.16, 0.48), (x * 0.85, -0.26, 0.48), (x * 0.85, -0.4, 0.14), (x * 0.85, -0.52, 0.12)]
+        pieces.append(
+            Piece(BLACK, moved(cylinder(0.08, -0.015, 0.015, sides=10), (x * 0.85, -0.36, 0.08), pitch=1.5708))
+        )
+        frame = [
+            (x * 0.85, 0.22, 0.9),
+            (x * 0.85, 0.16, 0.48),
+            (x * 0.85, -0.26, 0.48),
+            (x * 0.85, -0.4, 0.14),
+            (x * 0.85, -0.52, 0.12),
+        ]
         pieces.append(Piece(CHROME, tube(frame, 0.013, 5)))
         pieces.append(Piece(BLACK, block((x * 0.85 - 0.02, -0.2, 0.66), (x * 0.85 + 0.02, 0.12, 0.69))))
     pieces.append(Piece(cloth, block((-0.23, -0.26, 0.47), (0.23, 0.16, 0.50))))
@@ -116,3 +150,16 @@ def wheelchair(variant: int, rng: Generator) -> list[Piece]:
     return pieces
 
 
+def wash_unit(variant: int, rng: Generator) -> list[Piece]:
+    """A hand basin on a cupboard with tap, mirror, tiles and a soap dispenser."""
+    cupboard = block((-0.3, -0.2, 0.12), (0.3, 0.22, 0.78))
+    doors = [block((x - 0.14, -0.215, 0.16), (x + 0.14, -0.2, 0.74)) for x in (-0.145, 0.145)]
+    basin = cushion((-0.33, -0.24, 0.78), (0.33, 0.22, 0.88), 0.03)
+    tap = tube([(0.0, 0.17, 0.88), (0.0, 0.17, 1.05), (0.0, 0.05, 1.06), (0.0, 0.02, 1.01)], 0.014)
+    tiles = block((-0.45, 0.205, 0.9), (0.45, 0.22, 1.6))
+    mirror = block((-0.22, 0.195, 1.1), (0.22, 0.205, 1.55))
+    soap = block((0.3, 0.12, 1.1), (0.4, 0.205, 1.35))
+    foot = block((-0.27, -0.15, 0.0), (0.27, 0.22, 0.12))
+    wall = textured("TileWall", "#e3e6e4", 1.0, 0.3)
+    return [Piece(PALE, cupboard), *(Piece(WHITE, m) for m in (*doors, basin, soap)), Piece(CHROME, tap),
+            Piece(wall, tiles), Piece(painted("SkyBlue", 0.1), mirror), Piece(BLACK, foot)]  # fmt: skip

@@ -7,7 +7,18 @@ from __future__ import annotations
 
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import Mesh, block, cushion, cylinder, fitted_block, lathe, moved, quad, rod, tube
+from factory.scenes.author.geometry import (
+    Mesh,
+    block,
+    cushion,
+    cylinder,
+    fitted_block,
+    lathe,
+    moved,
+    quad,
+    rod,
+    tube,
+)
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 from factory.scenes.author.props_storage import CARTON, ROUGH, carton_stack, pallet
 
@@ -37,7 +48,11 @@ def cabinet(variant: int, rng: Generator) -> list[Piece]:
         body = block((-0.45, -0.22, 0.0), (0.45, 0.22, 1.9))
         doors = [block((x - 0.215, -0.235, 0.08), (x + 0.215, -0.22, 1.87)) for x in (-0.225, 0.225)]
         grips = [block((x - 0.012, -0.265, 0.95), (x + 0.012, -0.235, 1.15)) for x in (-0.05, 0.05)]
-        return [Piece(painted("Charcoal"), body), *(Piece(GREY, m) for m in doors), *(Piece(BLACK, m) for m in grips)]
+        return [
+            Piece(painted("Charcoal"), body),
+            *(Piece(GREY, m) for m in doors),
+            *(Piece(BLACK, m) for m in grips),
+        ]
     body = [block((x - 0.02, -0.16, 0.0), (x + 0.02, 0.16, 1.85)) for x in (-0.43, 0.43)]
     body.append(block((-0.43, 0.14, 0.0), (0.43, 0.16, 1.85)))
     body += [block((-0.43, -0.16, 0.05 + row * 0.355), (0.43, 0.15, 0.08 + row * 0.355)) for row in range(6)]
@@ -60,7 +75,12 @@ def kitchen_counter(variant: int, rng: Generator) -> list[Piece]:
         pieces.append(Piece(front, block((x + 0.01, -0.30, 0.12), (x + 0.59, -0.28, 0.84))))
         pieces.append(Piece(STEEL, block((x + 0.2, -0.32, 0.78), (x + 0.4, -0.30, 0.795))))
         pieces.append(Piece(front, block((x + 0.01, -0.04, 1.42), (x + 0.59, 0.3, 2.02))))
-    pieces.append(Piece(STEEL, tube([(-0.5, 0.15, 0.9), (-0.5, 0.15, 1.15), (-0.5, 0.02, 1.18), (-0.5, -0.04, 1.12)], 0.015)))
+    pieces.append(
+        Piece(
+            STEEL,
+            tube([(-0.5, 0.15, 0.9), (-0.5, 0.15, 1.15), (-0.5, 0.02, 1.18), (-0.5, -0.04, 1.12)], 0.015),
+        )
+    )
     pieces.append(Piece(BLACK, cushion((0.55, -0.15, 0.9), (0.85, 0.22, 1.28), 0.02)))
     pieces.append(Piece(painted("Red"), cylinder(0.07, 0.9, 1.05, (0.1, 0.05), 10)))
     return pieces
@@ -77,7 +97,10 @@ def fridge(variant: int, rng: Generator) -> list[Piece]:
 def coat_stand(variant: int, rng: Generator) -> list[Piece]:
     """A pole with hooks and a coat or two."""
     pole = lathe([(0.17, 0.0), (0.17, 0.02), (0.025, 0.05), (0.022, 1.75)], sides=12)
-    hooks = [tube([(0, 0, 1.7), (x, y, 1.66), (1.3 * x, 1.3 * y, 1.74)], 0.01, 4) for x, y in ((0.12, 0), (-0.12, 0), (0, 0.12))]
+    hooks = [
+        tube([(0, 0, 1.7), (x, y, 1.66), (1.3 * x, 1.3 * y, 1.74)], 0.01, 4)
+        for x, y in ((0.12, 0), (-0.12, 0), (0, 0.12))
+    ]
     coat = lathe([(0.16, 0.75), (0.13, 1.2), (0.06, 1.62)], at=(0.13, 0.0), sides=8)
     paint = painted(("Navy", "Beige", "DarkRed")[int(rng.integers(3))], 0.95)
     return [Piece(BLACK, pole), *(Piece(BLACK, hook) for hook in hooks), Piece(paint, coat)]
@@ -105,7 +128,12 @@ def printer(variant: int, rng: Generator) -> list[Piece]:
     lid = cushion((-0.29, -0.27, 0.92), (0.29, 0.28, 1.08), 0.03)
     panel = quad([(0.02, -0.271, 0.97), (0.24, -0.271, 0.97), (0.24, -0.271, 1.05), (0.02, -0.271, 1.05)])
     lit = glowing("PanelLit", "#5fb4e6", glow=0.8)
-    return [Piece(GREY, body), *(Piece(WHITE, m) for m in trays), Piece(painted("Charcoal"), lid), Piece(lit, panel)]
+    return [
+        Piece(GREY, body),
+        *(Piece(WHITE, m) for m in trays),
+        Piece(painted("Charcoal"), lid),
+        Piece(lit, panel),
+    ]
 
 
 def reception(variant: int, rng: Generator) -> list[Piece]:
@@ -116,7 +144,13 @@ def reception(variant: int, rng: Generator) -> list[Piece]:
     wings = [block((x - 0.04, -0.27, 0.0), (x + 0.04, 0.35, 1.10)) for x in (-1.26, 1.26)]
     band = block((-1.31, -0.36, 0.45), (1.31, -0.345, 0.62))
     work = block((-1.22, -0.27, 0.70), (1.22, 0.32, 0.74))
-    return [Piece(WHITE, front), Piece(OAK, top), Piece(stripe, band), Piece(WHITE, work), *(Piece(WHITE, m) for m in wings)]
+    return [
+        Piece(WHITE, front),
+        Piece(OAK, top),
+        Piece(stripe, band),
+        Piece(WHITE, work),
+        *(Piece(WHITE, m) for m in wings),
+    ]
 
 
 def carton_pile(variant: int, rng: Generator) -> list[Piece]:
@@ -152,13 +186,20 @@ def cone(variant: int, rng: Generator) -> list[Piece]:
     """An orange traffic cone with a white band."""
     body = cylinder(0.13, 0.03, 0.55, sides=14, top=0.025)
     band = cylinder(0.098, 0.22, 0.34, sides=14, top=0.069)
-    return [Piece(painted("Orange"), body), Piece(WHITE, band), Piece(BLACK, block((-0.17, -0.17, 0.0), (0.17, 0.17, 0.03)))]
+    return [
+        Piece(painted("Orange"), body),
+        Piece(WHITE, band),
+        Piece(BLACK, block((-0.17, -0.17, 0.0), (0.17, 0.17, 0.03))),
+    ]
 
 
 def protection_post(variant: int, rng: Generator) -> list[Piece]:
     """A yellow impact post with black bands, as they guard rack ends."""
     bands = [cylinder(0.062, z, z + 0.12, sides=12) for z in (0.25, 0.55)]
-    return [Piece(painted("Yellow"), cylinder(0.06, 0.0, 0.8, sides=12)), *(Piece(BLACK, band) for band in bands)]
+    return [
+        Piece(painted("Yellow"), cylinder(0.06, 0.0, 0.8, sides=12)),
+        *(Piece(BLACK, band) for band in bands),
+    ]
 
 
 def workbench(variant: int, rng: Generator) -> list[Piece]:
@@ -168,4 +209,10 @@ def workbench(variant: int, rng: Generator) -> list[Piece]:
     low = block((-0.85, -0.3, 0.25), (0.85, 0.35, 0.28))
     goods = fitted_block((-0.6, -0.2, 0.92), (-0.15, 0.15, 1.22))
     roll = moved(cylinder(0.09, -0.25, 0.25, sides=12), (0.45, 0.1, 1.01), pitch=1.5708)
-    return [Piece(ROUGH, top), *(Piece(painted("Blue"), leg) for leg in legs), Piece(GREY, low), Piece(CARTON, goods), Piece(WHITE, roll)]
+    return [
+        Piece(ROUGH, top),
+        *(Piece(painted("Blue"), leg) for leg in legs),
+        Piece(GREY, low),
+        Piece(CARTON, goods),
+        Piece(WHITE, roll),
+    ]

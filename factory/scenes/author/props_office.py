@@ -107,7 +107,13 @@ def monitor(variant: int, rng: Generator) -> list[Piece]:
     foot = cushion((-0.12, -0.07, 0.0), (0.12, 0.10, 0.014), 0.004)
     stand = STEEL if variant % 3 == 2 else case
     hump = cushion((-half * 0.6, 0.02, lift + 0.06), (half * 0.6, 0.05, lift + height - 0.06), 0.012)
-    return [Piece(case, body), Piece(case, hump), Piece(SCREENS[variant % 3], screen), Piece(stand, neck), Piece(stand, foot)]
+    return [
+        Piece(case, body),
+        Piece(case, hump),
+        Piece(SCREENS[variant % 3], screen),
+        Piece(stand, neck),
+        Piece(stand, foot),
+    ]
 
 
 def _broad_leaf(angle: float, tilt: float, length: float, width: float, at: Vector) -> Mesh:
@@ -118,9 +124,20 @@ def _broad_leaf(angle: float, tilt: float, length: float, width: float, at: Vect
 
 
 def _pot(variant: int, radius: float, height: float) -> list[Piece]:
-    clay = (painted("Terracotta", 0.8), painted("White", 0.4), painted("Charcoal", 0.7), painted("Navy", 0.4))[variant % 4]
-    wall = lathe([(radius * 0.72, 0.0), (radius, height), (radius * 0.9, height), (radius * 0.88, height - 0.04)], sides=14)
-    return [Piece(clay, wall), Piece(painted("Soil", 1.0), cylinder(radius * 0.87, height - 0.05, height - 0.03, sides=12))]
+    clay = (
+        painted("Terracotta", 0.8),
+        painted("White", 0.4),
+        painted("Charcoal", 0.7),
+        painted("Navy", 0.4),
+    )[variant % 4]
+    wall = lathe(
+        [(radius * 0.72, 0.0), (radius, height), (radius * 0.9, height), (radius * 0.88, height - 0.04)],
+        sides=14,
+    )
+    return [
+        Piece(clay, wall),
+        Piece(painted("Soil", 1.0), cylinder(radius * 0.87, height - 0.05, height - 0.03, sides=12)),
+    ]
 
 
 def plant(variant: int, rng: Generator) -> list[Piece]:
@@ -166,7 +183,10 @@ def trash_can(variant: int, rng: Generator) -> list[Piece]:
     kind = variant % 4
     if kind == 0:
         rim = lathe([(0.12, 0.0), (0.16, 0.40), (0.165, 0.41), (0.15, 0.41), (0.12, 0.06)], sides=16)
-        return [Piece(painted("Charcoal"), rim), Piece(WHITE, lathe([(0.12, 0.1), (0.14, 0.33), (0.05, 0.37)], sides=9))]
+        return [
+            Piece(painted("Charcoal"), rim),
+            Piece(WHITE, lathe([(0.12, 0.1), (0.14, 0.33), (0.05, 0.37)], sides=9)),
+        ]
     if kind == 1:
         can = lathe([(0.15, 0.0), (0.15, 0.03), (0.145, 0.03), (0.145, 0.50)], sides=18)
         lid = lathe([(0.15, 0.50), (0.15, 0.53), (0.10, 0.57), (0.02, 0.58)], sides=18)
@@ -177,9 +197,19 @@ def trash_can(variant: int, rng: Generator) -> list[Piece]:
         hood = moved(cushion((-0.18, -0.15, 0.52), (0.18, 0.15, 0.66), 0.05), (0.0, 0.0, 0.0))
         flap = quad([(-0.12, -0.151, 0.56), (0.12, -0.151, 0.56), (0.12, -0.151, 0.63), (-0.12, -0.151, 0.63)])
         paint = painted(("Green", "Blue", "Red")[variant // 4 % 3])
-        return [Piece(paint, body), Piece(paint, hood), Piece(BLACK, Mesh(flap.points, flap.counts, flap.indices))]
-    body = lathe([(0.20, 0.0), (0.22, 0.62), (0.235, 0.62), (0.235, 0.66), (0.16, 0.70), (0.12, 0.70), (0.12, 0.62)], sides=16)
-    return [Piece(painted(("Blue", "Grey", "Yellow")[variant // 4 % 3]), body), Piece(BLACK, cylinder(0.11, 0.60, 0.64, sides=12))]
+        return [
+            Piece(paint, body),
+            Piece(paint, hood),
+            Piece(BLACK, Mesh(flap.points, flap.counts, flap.indices)),
+        ]
+    body = lathe(
+        [(0.20, 0.0), (0.22, 0.62), (0.235, 0.62), (0.235, 0.66), (0.16, 0.70), (0.12, 0.70), (0.12, 0.62)],
+        sides=16,
+    )
+    return [
+        Piece(painted(("Blue", "Grey", "Yellow")[variant // 4 % 3]), body),
+        Piece(BLACK, cylinder(0.11, 0.60, 0.64, sides=12)),
+    ]
 
 
 def keys_pad(variant: int, rng: Generator) -> list[Piece]:

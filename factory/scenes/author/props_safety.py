@@ -7,7 +7,18 @@ from __future__ import annotations
 
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import Mesh, Vector, block, cushion, cylinder, lathe, moved, quad, rod, tube
+from factory.scenes.author.geometry import (
+    Mesh,
+    Vector,
+    block,
+    cushion,
+    cylinder,
+    lathe,
+    moved,
+    quad,
+    rod,
+    tube,
+)
 from factory.scenes.author.materials import Material, Piece, painted
 
 __all__ = ["fire_extinguisher", "whiteboard"]
@@ -26,16 +37,34 @@ def fire_extinguisher(variant: int, rng: Generator) -> list[Piece]:
     bottom = (0.05, 0.28, 0.06)[kind]
     top = bottom + height
     bottle = lathe(
-        [(radius * 0.9, bottom), (radius, bottom + 0.02), (radius, top - 0.08), (radius * 0.75, top - 0.03), (0.03, top)], sides=18
+        [
+            (radius * 0.9, bottom),
+            (radius, bottom + 0.02),
+            (radius, top - 0.08),
+            (radius * 0.75, top - 0.03),
+            (0.03, top),
+        ],
+        sides=18,
     )
     valve = cylinder(0.022, top, top + 0.05, sides=8)
     levers = [
-        moved(block((-0.012, -0.02, 0.0), (0.012, 0.13, 0.015)), (0.0, -0.02, top + 0.05), yaw=1.57, pitch=0.0, roll=0.25),
+        moved(
+            block((-0.012, -0.02, 0.0), (0.012, 0.13, 0.015)),
+            (0.0, -0.02, top + 0.05),
+            yaw=1.57,
+            pitch=0.0,
+            roll=0.25,
+        ),
         moved(block((-0.012, -0.02, 0.0), (0.012, 0.12, 0.015)), (0.0, -0.02, top + 0.03), yaw=1.57, roll=-0.1),
     ]
     gauge = moved(cylinder(0.022, 0.0, 0.015, sides=10), (0.0, -0.02, top + 0.02), roll=1.57)
     x = radius + 0.025
-    path: list[Vector] = [(0.02, 0.0, top + 0.03), (x, 0.0, top + 0.01), (x + 0.015, 0.0, top - 0.10), (x, 0.0, bottom + 0.14)]
+    path: list[Vector] = [
+        (0.02, 0.0, top + 0.03),
+        (x, 0.0, top + 0.01),
+        (x + 0.015, 0.0, top - 0.10),
+        (x, 0.0, bottom + 0.14),
+    ]
     horn = moved(cylinder(0.014, 0.0, 0.13, sides=8, top=0.026), (x, 0.0, bottom + 0.14), roll=3.1416)
     half = radius * 0.72
     front = -radius * 1.004
@@ -44,8 +73,17 @@ def fire_extinguisher(variant: int, rng: Generator) -> list[Piece]:
               (half * 0.5, front, bottom + 0.30), (-half * 0.5, front, bottom + 0.30)])
     ]  # fmt: skip
     plain = [Mesh(mesh.points, mesh.counts, mesh.indices) for mesh in label]
-    pieces = [Piece(RED, bottle), Piece(STEEL, valve), *(Piece(BLACK, lever) for lever in levers), Piece(BRIGHT, gauge)]
-    pieces += [Piece(BLACK, tube(path, 0.011, 6)), Piece(BLACK, horn), *(Piece(BRIGHT, mesh) for mesh in plain)]
+    pieces = [
+        Piece(RED, bottle),
+        Piece(STEEL, valve),
+        *(Piece(BLACK, lever) for lever in levers),
+        Piece(BRIGHT, gauge),
+    ]
+    pieces += [
+        Piece(BLACK, tube(path, 0.011, 6)),
+        Piece(BLACK, horn),
+        *(Piece(BRIGHT, mesh) for mesh in plain),
+    ]
     return [*pieces, *_mount(kind, radius, bottom, top)]
 
 
@@ -85,7 +123,10 @@ def whiteboard(variant: int, rng: Generator) -> list[Piece]:
         block((-half * 0.6, front - 0.07, low - 0.02), (half * 0.6, front, low - 0.005)),
     ]
     pens = [
-        Piece(painted(paint), rod((x, front - 0.04, low + 0.003), (x + 0.12, front - 0.04, low + 0.003), 0.009, 5))
+        Piece(
+            painted(paint),
+            rod((x, front - 0.04, low + 0.003), (x + 0.12, front - 0.04, low + 0.003), 0.009, 5),
+        )
         for paint, x in (("Red", -0.3), ("Blue", -0.1), ("Green", 0.12))
     ]
     frame = (STEEL, BLACK, STEEL)[kind]
@@ -103,5 +144,3 @@ def _trestle(half: float, high: float) -> list[Piece]:
             pieces.append(Piece(BLACK, moved(cylinder(0.03, -0.015, 0.015, sides=8), (x, y, 0.03), pitch=1.5708)))
     pieces.append(Piece(STEEL, rod((-half, 0.0, 0.3), (half, 0.0, 0.3), 0.014)))
     return pieces
-
-

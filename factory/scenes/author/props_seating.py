@@ -12,7 +12,15 @@ from numpy.random import Generator
 from factory.scenes.author.geometry import Mesh, Vector, block, cushion, cylinder, moved, rod, tube
 from factory.scenes.author.materials import Material, Piece, painted, textured
 
-__all__ = ["cantilever_chair", "executive_chair", "sofa", "stool", "task_chair", "waiting_chair", "wooden_chair"]
+__all__ = [
+    "cantilever_chair",
+    "executive_chair",
+    "sofa",
+    "stool",
+    "task_chair",
+    "waiting_chair",
+    "wooden_chair",
+]
 
 BLACK = painted("Black")
 CHROME = painted("Chrome", 0.25, 1.0)
@@ -131,7 +139,10 @@ def stool(variant: int, rng: Generator) -> list[Piece]:
     """A low round stool on castors, as clinics have them, or on four wooden legs."""
     if variant % 2 == 0:
         seat = cylinder(0.18, 0.46, 0.53, sides=16)
-        return [*_star_base(CHROME, 0.24), Piece((painted("Teal"), painted("Black", 0.9))[variant // 2 % 2], seat)]
+        return [
+            *_star_base(CHROME, 0.24),
+            Piece((painted("Teal"), painted("Black", 0.9))[variant // 2 % 2], seat),
+        ]
     seat = cylinder(0.17, 0.44, 0.48, sides=14)
     legs = [rod((x, y, 0.44), (x * 1.5, y * 1.5, 0.0), 0.018, 5) for x in (-0.1, 0.1) for y in (-0.1, 0.1)]
     return [Piece(PALE, mesh) for mesh in (seat, *legs)]
@@ -143,7 +154,9 @@ def sofa(variant: int, rng: Generator) -> list[Piece]:
     half, arm, height = ((0.78, 0.16, 0.60), (0.72, 0.10, 0.66), (0.76, 0.20, 0.56))[variant % 3]
     depth = 0.40
     meshes = [block((-half + arm * 0.5, -depth + 0.03, 0.12), (half - arm * 0.5, depth - 0.05, 0.30))]
-    meshes.append(moved(cushion((-half + 0.04, -0.11, 0.0), (half - 0.04, 0.11, 0.56), 0.05), (0.0, 0.27, 0.25), roll=-0.1))
+    meshes.append(
+        moved(cushion((-half + 0.04, -0.11, 0.0), (half - 0.04, 0.11, 0.56), 0.05), (0.0, 0.27, 0.25), roll=-0.1)
+    )
     inner = half - arm
     for side in (-1, 1):
         low, high = (0.005, inner) if side > 0 else (-inner, -0.005)
@@ -157,4 +170,3 @@ def sofa(variant: int, rng: Generator) -> list[Piece]:
     throw = moved(cushion((-0.19, -0.06, -0.19), (0.19, 0.06, 0.19), 0.05), (-inner + 0.22, 0.03, 0.60), roll=-0.3)
     foot = OAK if variant % 2 == 0 else BLACK
     return [*(Piece(cover, m) for m in meshes), *(Piece(foot, m) for m in legs), Piece(accent, throw)]
-

@@ -18,7 +18,9 @@ ROUGH = textured("WoodRough", "#b3905f", 0.8, 0.9)
 CARTON = Material("Carton", "#b48a5a", "Carton", roughness=0.9)
 WRAP = painted("LightGrey", 0.25)
 TOTES = tuple(painted(paint, 0.5) for paint in ("Blue", "Grey", "Green", "Red", "Yellow"))
-FRAMES = tuple((painted(a, 0.5), painted(b, 0.5)) for a, b in (("Blue", "Orange"), ("Green", "Orange"), ("Grey", "Yellow")))
+FRAMES = tuple(
+    (painted(a, 0.5), painted(b, 0.5)) for a, b in (("Blue", "Orange"), ("Green", "Orange"), ("Grey", "Yellow"))
+)
 
 
 def pallet(x: float, y: float, z: float, half_x: float = 0.58, half_y: float = 0.5) -> list[Piece]:
@@ -99,7 +101,12 @@ def rack(variant: int, rng: Generator) -> list[Piece]:
 def shelf(variant: int, rng: Generator) -> list[Piece]:
     """A shelf unit 0.9-1.2 m wide: boltless steel, painted steel with totes, wood, or bright wire."""
     kind = variant % 4
-    half_x, half_y, height, decks = ((0.60, 0.25, 2.0, 5), (0.50, 0.22, 1.8, 4), (0.60, 0.25, 2.2, 5), (0.45, 0.23, 1.7, 4))[kind]
+    half_x, half_y, height, decks = (
+        (0.60, 0.25, 2.0, 5),
+        (0.50, 0.22, 1.8, 4),
+        (0.60, 0.25, 2.2, 5),
+        (0.45, 0.23, 1.7, 4),
+    )[kind]
     frame = (painted("Grey", 0.5), painted("Blue", 0.5), ROUGH, STEEL)[kind]
     plank = (ROUGH, painted("LightGrey", 0.5), ROUGH, STEEL)[kind]
     pieces = [
@@ -126,7 +133,10 @@ def _shelf_goods(half_x: float, half_y: float, z: float, room: float, kind: int,
         width = min(float(rng.uniform(0.22, 0.42)), half_x - x)
         if rng.random() < 0.82:
             tall = room * float(rng.uniform(0.45, 0.95))
-            low, high = (x + 0.01, -half_y, z), (x + width - 0.01, half_y * float(rng.uniform(0.6, 1.0)), z + tall)
+            low, high = (
+                (x + 0.01, -half_y, z),
+                (x + width - 0.01, half_y * float(rng.uniform(0.6, 1.0)), z + tall),
+            )
             if kind in (1, 3) or rng.random() < 0.15:
                 pieces.append(Piece(TOTES[int(rng.integers(len(TOTES)))], block(low, high)))
             else:
@@ -150,10 +160,22 @@ def barrel(variant: int, rng: Generator) -> list[Piece]:
         height = 0.875
     else:
         paint = painted(("Blue", "Yellow", "Green")[variant // 3 % 3], 0.4)
-        profile = [(0.19, 0.0), (0.22, 0.04), (0.22, 0.46), (0.20, 0.50), (0.20, 0.53), (0.225, 0.53), (0.225, 0.57), (0.02, 0.59)]
+        profile = [
+            (0.19, 0.0),
+            (0.22, 0.04),
+            (0.22, 0.46),
+            (0.20, 0.50),
+            (0.20, 0.53),
+            (0.225, 0.53),
+            (0.225, 0.57),
+            (0.02, 0.59),
+        ]
         height = 0.575
     bungs = [cylinder(0.03, height, height + 0.025, (x, 0.0), 8) for x in (-0.12, 0.13)]
-    return [Piece(paint, lathe(profile, sides=20)), *(Piece(BLACK if kind else STEEL, bung) for bung in bungs)]
+    return [
+        Piece(paint, lathe(profile, sides=20)),
+        *(Piece(BLACK if kind else STEEL, bung) for bung in bungs),
+    ]
 
 
 def plastic_crate(variant: int, rng: Generator) -> list[Piece]:

@@ -22,7 +22,10 @@ def _picture(art: Material, frame: Material, low: tuple[float, float], high: tup
     """A framed rectangle between two (x, z) corners, standing 3 cm off the wall."""
     (x0, z0), (x1, z1) = low, high
     border = block((x0 - 0.025, -0.03, z0 - 0.025), (x1 + 0.025, 0.0, z1 + 0.025))
-    return [Piece(frame, border), Piece(art, quad([(x0, -0.0315, z0), (x1, -0.0315, z0), (x1, -0.0315, z1), (x0, -0.0315, z1)]))]
+    return [
+        Piece(frame, border),
+        Piece(art, quad([(x0, -0.0315, z0), (x1, -0.0315, z0), (x1, -0.0315, z1), (x0, -0.0315, z1)])),
+    ]
 
 
 def poster(variant: int, rng: Generator) -> list[Piece]:
@@ -58,7 +61,10 @@ def clock(variant: int, rng: Generator) -> list[Piece]:
     """A round wall clock."""
     rim = moved(cylinder(0.16, 0.0, 0.035, sides=20), (0.0, 0.0, 2.1), roll=1.5708)
     face = moved(cylinder(0.145, 0.0, 0.038, sides=20), (0.0, 0.0, 2.1), roll=1.5708)
-    hands = [block((-0.006, -0.041, 2.1), (0.006, -0.039, 2.2)), block((0.0, -0.041, 2.095), (0.08, -0.039, 2.105))]
+    hands = [
+        block((-0.006, -0.041, 2.1), (0.006, -0.039, 2.2)),
+        block((0.0, -0.041, 2.095), (0.08, -0.039, 2.105)),
+    ]
     return [Piece(BLACK, rim), Piece(WHITE, face), *(Piece(BLACK, hand) for hand in hands)]
 
 

@@ -12,7 +12,17 @@ from factory.scenes.author.geometry import Mesh, block, lathe
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 from factory.scenes.author.placement import Plan, Rectangle
 
-__all__ = ["DOOR_CLEARANCE_M", "WALL_THICKNESS_M", "Door", "ceiling", "ceiling_slab", "floor", "high_bay_lamps", "marking", "wall"]
+__all__ = [
+    "DOOR_CLEARANCE_M",
+    "WALL_THICKNESS_M",
+    "Door",
+    "ceiling",
+    "ceiling_slab",
+    "floor",
+    "high_bay_lamps",
+    "marking",
+    "wall",
+]
 
 WALL_THICKNESS_M = 0.12
 DOOR_CLEARANCE_M = 0.9
@@ -97,7 +107,10 @@ def _solid(
     half = WALL_THICKNESS_M / 2
     if along[1] - along[0] < 1e-3:
         return []
-    pieces = [Piece(faces[0], strip.box(along, (-half, 0.0), z)), Piece(faces[1], strip.box(along, (0.0, half), z))]
+    pieces = [
+        Piece(faces[0], strip.box(along, (-half, 0.0), z)),
+        Piece(faces[1], strip.box(along, (0.0, half), z)),
+    ]
     if skirting:
         pieces.append(Piece(SKIRTING, strip.box(along, (-half - 0.012, -half), (0.0, 0.09))))
         pieces.append(Piece(SKIRTING, strip.box(along, (half, half + 0.012), (0.0, 0.09))))

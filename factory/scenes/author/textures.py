@@ -77,11 +77,11 @@ def _carpet(bases: tuple[str, ...]) -> Callable[[Generator], Pixels]:
     return draw
 
 
-def _tiles(base: str, grout: float, cells: int, mottle: float) -> Callable[[Generator], Pixels]:
+def _tiles(base: str, grout: float, cells: int, mottle: float, spread: float = 0.025) -> Callable[[Generator], Pixels]:
     def draw(rng: Generator) -> Pixels:
         rows, columns = _grid()
         pitch = TEXTURE_SIZE // cells
-        cell_tone = rng.normal(1.0, 0.025, (cells, cells))
+        cell_tone = rng.normal(1.0, spread, (cells, cells))
         tone = cell_tone[(rows // pitch).astype(int), (columns // pitch).astype(int)]
         tone = tone + mottle * _clouds(rng, 1.4)
         tone[(rows % pitch < 4) | (columns % pitch < 4)] *= grout
@@ -152,7 +152,7 @@ TEXTURES: Mapping[str, Callable[[Generator], Pixels]] = MappingProxyType(
         "CarpetCorridor": _carpet(("#8b8a86", "#7d8a94", "#94897a")),
         "TileFloor": _tiles("#c9c6bd", 0.78, 4, 0.02),
         "TileWall": _tiles("#e3e6e4", 0.86, 8, 0.008),
-        "CeilingTile": _tiles("#e6e5e0", 0.85, 2, 0.02),
+        "CeilingTile": _tiles("#efeeea", 0.82, 2, 0.006, 0.006),
         "Linoleum": _mottled("#b9c6c4", 0.025, 0.035, 0.02),
         "LinoleumWarm": _mottled("#cdbfa6", 0.025, 0.035, 0.02),
         "Plaster": _mottled("#e4e1d8", 0.018, 0.012),
