@@ -1,0 +1,38 @@
+"""Finds out what software and machine shape the bytes this process makes.
+
+Only asks; it imports none of the libraries it names and changes nothing.
+"""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+from pathlib import Path
+
+from schemas.fingerprint import Fingerprint
+
+__all__ = ["make_fingerprint"]
+
+_PACKAGES = ("isal", "minivla-factory", "moderngl", "numpy", "pybullet", "zstandard")
+_CPU_INFO = Path("/proc/cpuinfo")
+
+
+def make_fingerprint(renderer: str) -> Fingerprint:
+    """Returns the fingerprint of this process.
+
+    Args:
+        renderer: the description of the renderer in use.
+    """
+    software = {name: version(name) for name in _PACKAGES}
+    software["python"] = platform.python_version()
+    software["libc"] = " ".join(platform.libc_ver()).strip() or "unknown"  # it computes the sines
+    return Fingerprint(software=software, renderer=renderer, cpu=f"{_cpu_model()} ({platform.machine()})")
+
+
+def _cpu_model() -> str:
+    """Returns the processor's model name as Linux has it, else what Python knows."""
+    if _CPU_INFO.is_file():
+        for line in _CPU_INFO.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or "unknown"

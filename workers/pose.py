@@ -1,0 +1,41 @@
+"""Where the robot stands: the pose of base_link in the world frame.
+
+A value, never a simulation: no physics and no rendering is imported here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["Pose"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Pose of base_link (x forward, y left, z up) in the world frame, float64.
+
+    base_link lies on the floor midway between the drive wheels. The quaternion (w, x, y, z) has unit length and turns
+    vectors of base_link into vectors of the world.
+    """
+
+    x: float
+    """Metres."""
+    y: float
+    """Metres."""
+    z: float
+    """Metres."""
+    qw: float = 1.0
+    qx: float = 0.0
+    qy: float = 0.0
+    qz: float = 0.0
+
+    @classmethod
+    def planar(cls, x: float, y: float, yaw_rad: float, z: float = 0.0) -> Pose:
+        """Returns an upright pose at (x, y, z) metres that heads `yaw_rad` from the world's x axis."""
+        return cls(x, y, z, math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
+
+    @property
+    def yaw(self) -> float:
+        """Heading in radians, (-pi, pi], counter-clockwise from the world's x axis."""
+        return math.atan2(2 * (self.qw * self.qz + self.qx * self.qy), 1 - 2 * (self.qy * self.qy + self.qz * self.qz))

@@ -1,0 +1,58 @@
+"""Renderers: what the front camera sees as colour, depth and instance ids, behind one protocol.
+
+Says what a renderer and a frame are; it never draws and imports no graphics library.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import CameraConfig
+from schemas.scene import CompiledScene
+from workers.pose import Pose
+
+__all__ = ["Frame", "Renderer"]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One look of the camera; rows from the top, arrays freshly owned by the frame."""
+
+    rgb: NDArray[np.uint8]
+    """(size, size, 3) sRGB; black where nothing was hit."""
+    depth: NDArray[np.float32]
+    """(size, size) metres along the optical axis; 0 where nothing was hit within the clip range."""
+    ids: NDArray[np.uint16]
+    """(size, size) instance id of the nearest surface; 0 is nothing."""
+
+
+class Renderer(Protocol):
+    """Something that can show a compiled scene from the robot's camera; opened once, closed once."""
+
+    @property
+    def description(self) -> str:
+        """The renderer in its own words, driver and version included; recorded with every episode."""
+
+    def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
+        """Makes `scene` the one that `camera` shows. Scenes shown lately stay ready, so that going back is cheap."""
+
+    def render(self, pose: Pose) -> Frame:
+        """Returns what the camera sees when base_link stands at `pose` in the world.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+
+    def close(self) -> None:
+        """Frees everything; closing twice is harmless."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...

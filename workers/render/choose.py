@@ -1,0 +1,60 @@
+"""Opens the renderer that was asked for, or the best one this machine has.
+
+Says in one log line when it has to fall back; it never renders.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import structlog
+
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.errors import UsageError, WorldError
+from workers.render import Renderer
+
+__all__ = ["RendererKind", "open_renderer"]
+
+RendererKind = Literal["auto", "gl", "tiny"]
+"""`gl` is OpenGL through EGL, `tiny` PyBullet's TinyRenderer, `auto` the first of them that works."""
+
+_log = structlog.get_logger(__name__)
+
+
+def open_renderer(kind: RendererKind = "auto", size: int = FRAME_SIZE_PX) -> Renderer:
+    """Opens a renderer; the caller closes it.
+
+    Args:
+        kind: which one.
+        size: width and height of the frames, pixels.
+
+    Raises:
+        UsageError: there is no renderer of that kind.
+        WorldError: `gl` was asked for and this machine has no usable EGL driver.
+    """
+    if kind not in get_args(RendererKind):
+        raise UsageError(f"no renderer {kind!r}; choose one of {', '.join(get_args(RendererKind))}")
+    if kind == "tiny":
+        return _open_tiny(size)
+    try:
+        return _open_gl(size)
+    except WorldError as error:
+        if kind == "gl":
+            raise
+        _log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
+        return _open_tiny(size)
+
+
+_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
+
+
+def _open_gl(size: int) -> Renderer:
+    from workers.render.gl import GlRenderer
+
+    return GlRenderer(size)
+
+
+def _open_tiny(size: int) -> Renderer:
+    from workers.render.tiny import TinyRenderer
+
+    return TinyRenderer(size)

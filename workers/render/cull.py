@@ -1,0 +1,54 @@
+"""Which parts of a scene the camera can see at all, nearest first.
+
+Pure geometry on bounding boxes; it never draws, and what one part hides of another is left to the depth test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.scene import CompiledScene
+
+__all__ = ["PartBounds", "visible_parts"]
+
+
+@dataclass(frozen=True)
+class PartBounds:
+    """Bounding boxes along the world axes, one a part."""
+
+    centre: NDArray[np.float64]
+    """(P, 3) metres."""
+    half: NDArray[np.float64]
+    """(P, 3) half extents, metres; negative infinity for a part without vertices, which nothing can see."""
+
+    @classmethod
+    def of(cls, scene: CompiledScene) -> PartBounds:
+        """Measures the parts of a scene."""
+        count = len(scene.part_first)
+        centre, half = np.zeros((count, 3)), np.full((count, 3), -np.inf)
+        for part in np.flatnonzero(scene.part_count):
+            first = scene.part_first[part]
+            corners = scene.positions[first : first + scene.part_count[part]].astype(np.float64)
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            centre[part], half[part] = (low + high) / 2, (high - low) / 2
+        return cls(centre, half)
+
+
+def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Returns the indices of the parts whose box reaches into the view, nearest box first.
+
+    Args:
+        bounds: of the parts.
+        clip: (4, 4) from world to OpenGL clip space, for columns.
+        eye: (3,) the camera's place in the world, metres.
+    """
+    w = clip[3]
+    planes = np.concatenate((w + clip[:3], w - clip[:3]))  # left, bottom, near, right, top, far; inside is positive
+    normals, offsets = planes[:, :3], planes[:, 3]
+    reach = bounds.centre @ normals.T + bounds.half @ np.abs(normals).T + offsets
+    seen = np.flatnonzero((reach >= 0).all(axis=1))
+    gap = np.maximum(np.abs(bounds.centre[seen] - eye) - bounds.half[seen], 0.0)
+    return seen[np.argsort(np.einsum("ij,ij->i", gap, gap), kind="stable")]

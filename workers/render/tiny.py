@@ -1,0 +1,133 @@
+"""The fallback renderer: PyBullet's TinyRenderer, which needs nothing but pip, at about a twentieth of the speed.
+
+It shows each part in its mean colour, because TinyRenderer has no vertex colours; it never simulates.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.config import CameraConfig
+from schemas.errors import UsageError
+from schemas.scene import CompiledScene
+from workers.bullet import MESH_TRIANGLES, BulletClient, CameraImage, bullet_version
+from workers.camera import optical_pose, projection_matrix, view_matrix
+from workers.pose import Pose
+from workers.render import Frame
+from workers.render.shelf import SceneShelf
+
+__all__ = ["TinyRenderer"]
+
+_KEPT_SCENES = 2
+_TEXTURE_PX = 128
+"""Textures are shrunk to this: TinyRenderer picks single texels, which flicker at full resolution."""
+
+
+class TinyRenderer:
+    """A `Renderer` in software that runs wherever PyBullet does."""
+
+    def __init__(self, size: int = FRAME_SIZE_PX) -> None:
+        """Makes the renderer.
+
+        Args:
+            size: width and height of the frames, pixels.
+        """
+        self.description = f"PyBullet TinyRenderer {bullet_version()}"
+        self._camera = CameraConfig()
+        self._size = size
+        self._shelf = SceneShelf(_TinyScene, _KEPT_SCENES)
+        self._scene: _TinyScene | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Frees the physics clients that hold the scenes; closing twice is harmless."""
+        self._shelf.clear()
+        self._scene = None
+
+    def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
+        """Makes `scene` the one that `camera` shows; the last scenes stay ready."""
+        self._camera = camera
+        self._scene = self._shelf.take(scene)
+
+    def render(self, pose: Pose) -> Frame:
+        """Returns what the camera sees when base_link stands at `pose` in the world.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+        if self._scene is None:
+            raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
+        view = view_matrix(optical_pose(pose, self._camera))
+        projection = _at_pixel_centres(projection_matrix(self._camera), self._size)
+        image = self._scene.client.camera_image(self._size, view, projection)
+        return self._frame(image, self._scene.instance_of_body)
+
+    def _frame(self, image: CameraImage, instance_of_body: NDArray[np.uint16]) -> Frame:
+        near, far = self._camera.near_m, self._camera.far_m
+        depth = far * near / (far - (far - near) * image.depth.astype(np.float64))
+        hit = (image.bodies >= 0) & (depth >= near) & (depth <= far)
+        return Frame(
+            rgb=image.rgba[:, :, :3] * hit[:, :, None].astype(np.uint8),
+            depth=np.where(hit, depth, 0.0).astype(np.float32),
+            ids=np.where(hit, instance_of_body[image.bodies], 0).astype(np.uint16),
+        )
+
+
+def _at_pixel_centres(projection: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    """Shifts the image by half a pixel: TinyRenderer samples the corner of a pixel, not its centre."""
+    shifted = projection.copy()
+    shifted[:2, 2] += 1.0 / size
+    return shifted
+
+
+class _TinyScene:
+    """A scene as visual bodies in a client of its own."""
+
+    def __init__(self, scene: CompiledScene) -> None:
+        self.client = BulletClient()
+        instances: dict[int, int] = {}
+        with tempfile.TemporaryDirectory() as folder:
+            textures = [self.client.load_texture(path) for path in _write_textures(scene.textures, Path(folder))]
+        for part, run in _runs(scene):
+            rgb = scene.colours[run].mean(axis=0) / 255
+            body = self.client.add_visual(scene.positions[run], scene.uvs[run], (rgb[0], rgb[1], rgb[2]))
+            instances[body] = int(scene.part_instance[part])
+            if scene.part_texture[part] >= 0:
+                self.client.set_texture(body, textures[scene.part_texture[part]])
+        self.instance_of_body = np.zeros(max(instances, default=0) + 1, np.uint16)
+        for body, instance in instances.items():
+            self.instance_of_body[body] = instance
+
+    def close(self) -> None:
+        """Frees the client."""
+        self.client.close()
+
+
+def _runs(scene: CompiledScene) -> Iterator[tuple[int, slice]]:
+    """Yields (part, run of vertices), a part in several runs where it is too large for one shape."""
+    for part, (first, count) in enumerate(zip(scene.part_first.tolist(), scene.part_count.tolist(), strict=True)):
+        for start in range(first, first + count, 3 * MESH_TRIANGLES):
+            yield part, slice(start, min(start + 3 * MESH_TRIANGLES, first + count))
+
+
+def _write_textures(textures: NDArray[np.uint8], folder: Path) -> Iterator[Path]:
+    for layer, pixels in enumerate(textures):
+        path = folder / f"{layer}.png"
+        Image.fromarray(pixels).resize((_TEXTURE_PX, _TEXTURE_PX), Image.Resampling.BOX).save(path)
+        yield path
