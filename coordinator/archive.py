@@ -241,7 +241,7 @@ class Archive:
 
     def scene_path(self, name: str, sha256: str) -> Path:
         """Returns where a compiled scene lies, or will lie."""
-        return self.root / SCENES / f"{name}-{sha256[:16]}.scene"
+        return self.root / SCENES / f"{name}-{sha256[:16]}.scene.zip"
 
     def close(self) -> None:
         """Lets another coordinator open the directory."""

@@ -12,12 +12,12 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
-from coordinator.check_motion import yaw_of
 from schemas.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.bundle import BundleReader
 from schemas.digest import frame_digest
 from schemas.episode import EpisodeMeta
 from schemas.errors import InvalidBundle
+from schemas.measure import yaw_of
 
 __all__ = ["FrameSurvey", "survey_frames"]
 

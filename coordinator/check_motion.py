@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
 from schemas.config import RobotConfig
+from schemas.measure import yaw_of
 
-__all__ = ["motion_findings", "yaw_of"]
+__all__ = ["motion_findings"]
 
 F64 = NDArray[np.float64]
 
@@ -28,19 +29,28 @@ MAX_TILT_RAD = 0.10
 LAG_STEPS = 6
 """Periods (0.1 s) for which the wheels may still follow an older command."""
 STEP_SLACK_M = 0.003
-"""Displacement a step beyond the command: sway of the body on its wheels while starting and braking."""
-CONTACT_STEP_SLACK_M = 0.012
-"""The same while something is touched: the solver pushes overlaps apart."""
-SIDE_SLACK_M = 0.002
-"""Sideways displacement a step: a wheel slips by less when the slew limits are kept."""
+"""Displacement a step beyond the command: measured below 0.0006 m without contact."""
+CONTACT_STEP_SLACK_M = 0.02
+"""The same while something is touched: the solver pushes overlaps apart; measured below 0.008 m."""
+SIDE_SLACK_M = 0.003
+"""Sideways displacement a step; measured below 0.001 m without contact."""
 YAW_STEP_SLACK_RAD = 0.006
-"""Turn a step beyond the command, from the same sway; 0.36 rad/s at 60 Hz."""
-CONTACT_YAW_STEP_SLACK_RAD = 0.06
-"""The same while something is touched: an off-centre push turns the robot about the contact."""
+"""Turn a step beyond the command, without contact and without skid."""
+CONTACT_YAW_STEP_SLACK_RAD = 0.08
+"""The same while something is touched: an off-centre push turns the robot; measured below 0.034 rad."""
 PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
 """Distance driven over a window against the distance commanded, without contact: wheels follow to 0.2 %."""
-TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.08, 0.10
-"""Angle turned over a window against the angle commanded, without contact."""
+TURN_SLACK_RAD, TURN_SLACK_SHARE = 0.10, 0.10
+"""Angle turned over a window against the angle commanded, without contact and without skid."""
+SKID_TURN = 2.5
+"""Radians of extra turn for each rad of turn commanded at 1 m/s: the tail-heavy robot oversteers in fast bends and can
+spin under random commands at full speed; slow turns and straight lines get no allowance."""
+SKID_PATH_M = 0.5
+"""Metres by which a second of such a bend may shorten or lengthen the way; measured up to 0.29."""
+SKID_STEP_M = 0.008
+"""Metres of displacement a step, sideways or backwards, for each m/s2 of such a bend."""
+SKID_STEPS = 90
+"""Periods for which a skid may outlast the bend that caused it."""
 WINDOW_STEPS = 60
 """Periods over which distance and angle are summed up."""
 
@@ -57,15 +67,11 @@ class _Drive:
     """(T - 1,) displacement to the left, metres."""
     turned: F64
     """(T - 1,) change of heading, radians."""
+    bend: F64
+    """(T - 1,) sharpest recent bend: commanded speed times yaw rate, m/s2."""
     hz: int
     touched: bool
     """Whether the episode reports any contact."""
-
-
-def yaw_of(poses: NDArray[np.floating]) -> F64:
-    """Returns the heading of each (x, y, z, qw, qx, qy, qz) in radians, (-pi, pi]."""
-    qw, qx, qy, qz = poses[:, 3:].astype(np.float64).T
-    return np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
 
 
 def motion_findings(arrays: EpisodeArrays, robot: RobotConfig, control_hz: int, collision_count: int) -> list[str]:
@@ -88,14 +94,15 @@ def motion_findings(arrays: EpisodeArrays, robot: RobotConfig, control_hz: int, 
 
 def _drive_of(arrays: EpisodeArrays, control_hz: int, touched: bool) -> _Drive:
     poses = arrays.poses.astype(np.float64)
-    yaw = yaw_of(poses)
+    yaw = yaw_of(arrays.poses)
     turned = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
     heading = yaw[:-1] + turned / 2
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
     v, w = arrays.actions_continuous.astype(np.float64).T
     along = dx * np.cos(heading) + dy * np.sin(heading)
     aside = dy * np.cos(heading) - dx * np.sin(heading)
-    return _Drive(v, w, along, aside, turned, control_hz, touched)
+    bend = _recent_maximum(v * np.abs(w), SKID_STEPS)[:-1]
+    return _Drive(v, w, along, aside, turned, bend, control_hz, touched)
 
 
 def _command_findings(drive: _Drive, robot: RobotConfig) -> list[str]:
@@ -123,16 +130,16 @@ def _stance_findings(poses: NDArray[np.float32]) -> list[str]:
 
 def _step_findings(drive: _Drive) -> list[str]:
     period = 1 / drive.hz
-    reach = _recent_maximum(drive.v)[:-1] * period
-    turn = _recent_maximum(np.abs(drive.w))[:-1] * period
+    reach = _recent_maximum(drive.v, LAG_STEPS)[:-1] * period
+    turn = (_recent_maximum(np.abs(drive.w), LAG_STEPS)[:-1] + SKID_TURN * drive.bend) * period
     step_slack = CONTACT_STEP_SLACK_M if drive.touched else STEP_SLACK_M
     side_slack = CONTACT_STEP_SLACK_M if drive.touched else SIDE_SLACK_M
     yaw_slack = CONTACT_YAW_STEP_SLACK_RAD if drive.touched else YAW_STEP_SLACK_RAD
-    moved = np.hypot(drive.along, drive.aside)
+    moved, skid = np.hypot(drive.along, drive.aside), SKID_STEP_M * drive.bend
     return [
-        *_beyond("displacement in a step beyond the command", "m", moved - reach, step_slack, 0.0),
-        *_beyond("displacement backwards in a step", "m", -drive.along, step_slack, 0.0),
-        *_beyond("displacement sideways in a step", "m", np.abs(drive.aside), side_slack, 0.0),
+        *_beyond("displacement in a step beyond the command", "m", moved - reach - skid, step_slack, 0.0),
+        *_beyond("displacement backwards in a step", "m", -drive.along - skid, step_slack, 0.0),
+        *_beyond("displacement sideways in a step", "m", np.abs(drive.aside) - skid, side_slack, 0.0),
         *_beyond("turn in a step beyond the command", "rad", np.abs(drive.turned) - turn, yaw_slack, 0.0),
     ]
 
@@ -141,20 +148,19 @@ def _window_findings(drive: _Drive) -> list[str]:
     if drive.touched or len(drive.along) == 0:
         return []
     period = 1 / drive.hz
-    wanted, driven = _window_sums(drive.v[:-1] * period), _window_sums(drive.along)
-    path_error = np.abs(driven - wanted) - PATH_SLACK_SHARE * np.abs(wanted)
-    wanted_turn, turned = _window_sums(drive.w[:-1] * period), _window_sums(drive.turned)
-    effort = _window_sums(np.abs(drive.w[:-1]) * period)
-    turn_error = np.abs(turned - wanted_turn) - TURN_SLACK_SHARE * effort
+    wanted, wanted_turn = _window_sums(drive.v[:-1] * period), _window_sums(drive.w[:-1] * period)
+    effort, skid = _window_sums(np.abs(drive.w[:-1]) * period), _window_sums(drive.bend * period)
+    path_error = np.abs(_window_sums(drive.along) - wanted) - PATH_SLACK_SHARE * wanted - SKID_PATH_M * skid
+    turn_error = np.abs(_window_sums(drive.turned) - wanted_turn) - TURN_SLACK_SHARE * effort - SKID_TURN * skid
     return [
         *_beyond("distance driven in a window against the commands", "m", path_error, PATH_SLACK_M, 0.0),
         *_beyond("angle turned in a window against the commands", "rad", turn_error, TURN_SLACK_RAD, 0.0),
     ]
 
 
-def _recent_maximum(command: F64) -> F64:
-    padded = np.concatenate([np.zeros(LAG_STEPS), command])
-    return np.lib.stride_tricks.sliding_window_view(padded, LAG_STEPS + 1).max(axis=1)
+def _recent_maximum(command: F64, steps: int) -> F64:
+    padded = np.concatenate([np.zeros(steps), command])
+    return np.lib.stride_tricks.sliding_window_view(padded, steps + 1).max(axis=1)
 
 
 def _window_sums(values: F64) -> F64:

@@ -1,0 +1,192 @@
+"""Builds the smallest bundle that passes validation: a short drive that ends in a success, with synthetic images.
+
+Knobs break one thing at a time; nothing here simulates physics or renders.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import io
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.bundle import BundleWriter, EpisodeArrays
+from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.episode import EpisodeMeta, Provenance, Rollout
+from schemas.fingerprint import Fingerprint
+from schemas.job import Job
+from schemas.language import instruction
+from schemas.measure import measure_track
+from schemas.scene import Instance
+from schemas.terms import EndReason, ExpertName, Split, Tier
+from schemas.tokens import tokens_of
+
+__all__ = ["BundleParts", "bundle_bytes", "job_for", "parts_for", "short_task"]
+
+Frame = tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint16]]
+
+GOAL_M = (1.6, 0.0, 0.5)
+"""Centroid of the target."""
+RADIUS_M = 1.58
+"""A wide success circle, so that a drive of a few centimetres reaches it."""
+TARGET_ID, FLOOR_ID, WALL_ID = 7, 1, 2
+
+
+def short_task() -> TaskConfig:
+    """Returns a task that an episode of twelve steps can fulfil."""
+    return TaskConfig(success_radius_m=RADIUS_M, hold_steps=2)
+
+
+def job_for(index: int = 1, **changes: Any) -> Job:
+    """Returns a job that the smallest bundle fulfils."""
+    values: dict[str, Any] = {
+        "run": "test-00000000",
+        "plan_digest": "a" * 64,
+        "root_seed": 42,
+        "index": index,
+        "draw": 0,
+        "attempt": 1,
+        "scene": "office",
+        "scene_sha256": "b" * 64,
+        "scene_bytes": 1000,
+        "tier": Tier.NEAR,
+        "split": Split.TRAIN_ID,
+        "category": "chair",
+        "target_id": "chair_001",
+        "colour": "red",
+        "template_id": "train_01",
+        "instruction": instruction("train_01", "chair", "red"),
+        "expert": ExpertName.PROPORTIONAL,
+        "task": short_task(),
+        "robot": RobotConfig(),
+        "camera": CameraConfig(),
+        "spawn": SpawnConfig(),
+        "gains": ExpertConfig(),
+    }
+    return Job(**values | changes)
+
+
+@dataclass
+class BundleParts:
+    """What a bundle is written from; change any of it before `write`."""
+
+    meta: EpisodeMeta
+    arrays: EpisodeArrays
+    frames: list[Frame]
+
+    def with_meta(self, **changes: Any) -> BundleParts:
+        return dataclasses.replace(self, meta=self.meta.model_copy(update=changes))
+
+    def with_rollout(self, **changes: Any) -> BundleParts:
+        return self.with_meta(rollout=self.meta.rollout.model_copy(update=changes))
+
+    def with_job(self, **changes: Any) -> BundleParts:
+        return self.with_meta(job=self.meta.job.model_copy(update=changes))
+
+    def with_arrays(self, **changes: NDArray[Any]) -> BundleParts:
+        return dataclasses.replace(self, arrays=dataclasses.replace(self.arrays, **changes))
+
+    def with_frame(self, t: int, frame: Frame) -> BundleParts:
+        return dataclasses.replace(self, frames=[*self.frames[:t], frame, *self.frames[t + 1 :]])
+
+    def measured(self) -> BundleParts:
+        """Returns the same with the rollout statistics taken anew from the poses."""
+        track = measure_track(self.arrays.poses, self.meta.target_centroid_m)
+        return self.with_rollout(**track._asdict(), num_steps=len(self.arrays.poses))
+
+    def write(self) -> bytes:
+        """Returns the bundle."""
+        file = io.BytesIO()
+        writer = BundleWriter(file)
+        for frame in self.frames:
+            writer.add_frame(*frame)
+        writer.finish(self.arrays, self.meta)
+        return file.getvalue()
+
+
+def parts_for(job: Job | None = None, steps: int = 12) -> BundleParts:
+    """Returns the parts of the smallest valid bundle for a job: it speeds up, brakes and stands."""
+    job = job or job_for()
+    arrays = _drive(steps, job)
+    frames = [_frame(float(x), steps_seen) for steps_seen, x in enumerate(arrays.poses[:, 0])]
+    return BundleParts(_meta(job, arrays), arrays, frames)
+
+
+def bundle_bytes(index: int = 1) -> bytes:
+    """Returns the smallest valid bundle of an episode; cached, as many tests need one."""
+    return _cached_bundle(index)
+
+
+@functools.cache
+def _cached_bundle(index: int) -> bytes:
+    return parts_for(job_for(index)).write()
+
+
+def _drive(steps: int, job: Job) -> EpisodeArrays:
+    """Follows commands exactly along x from the origin, as a perfect robot would."""
+    hz, robot = job.task.control_hz, job.robot
+    speeds: list[float] = []
+    speed = 0.0
+    for t in range(steps):
+        wanted = robot.max_speed_mps if t < steps - 5 else 0.0
+        speed = min(wanted, speed + robot.max_acceleration_mps2 / hz)
+        speed = max(speed, speeds[-1] - robot.max_braking_mps2 / hz if speeds else 0.0)
+        speeds.append(speed)
+    actions = np.zeros((steps, 2), np.float32)
+    actions[:, 0] = speeds
+    poses = np.zeros((steps, 7), np.float32)
+    poses[1:, 0] = np.cumsum(actions[:-1, 0].astype(np.float64) / hz)
+    poses[:, 3] = 1.0
+    return EpisodeArrays(actions, tokens_of(actions), poses)
+
+
+def _frame(x_m: float, step: int) -> Frame:
+    """A wall 3 m ahead above a floor, with the target in front of it; it comes nearer as the robot drives."""
+    side = FRAME_SIZE_PX
+    rgb = np.full((side, side, 3), 90, np.uint8)
+    rgb[:, :, 1] = (np.arange(side)[:, None] + step) % 256
+    depth = np.full((side, side), 3.0 - x_m, np.float32)
+    ids = np.full((side, side), WALL_ID, np.uint16)
+    ids[side // 2 :] = FLOOR_ID
+    ids[280:360, 290:350] = TARGET_ID
+    ids[:20], depth[:20] = 0, 0.0
+    return rgb, depth, ids
+
+
+def _meta(job: Job, arrays: EpisodeArrays) -> EpisodeMeta:
+    track = measure_track(arrays.poses, GOAL_M)
+    steps = len(arrays.poses)
+    return EpisodeMeta(
+        episode_id=job.episode_id,
+        job=job,
+        target_prim_path="/World/chair_1",
+        target_instance_id=TARGET_ID,
+        target_centroid_m=GOAL_M,
+        phrase_is_unique=True,
+        rollout=Rollout(
+            end_reason=EndReason.SUCCESS,
+            num_steps=steps,
+            spawn_draws=1,
+            collision_count=0,
+            steps_visible=steps,
+            **track._asdict(),
+        ),
+        instances=(
+            Instance(id=FLOOR_ID, prim_path="/World/floor"),
+            Instance(id=WALL_ID, prim_path="/World/wall"),
+            Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),
+        ),
+        frame_digests=(),
+        content_digest="0" * 32,
+        provenance=Provenance(
+            created_at=datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC),
+            worker="host-1",
+            fingerprint=Fingerprint(software={"minivla-factory": "0.1.0"}, renderer="synthetic", cpu="test"),
+        ),
+    )
