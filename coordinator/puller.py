@@ -1,0 +1,211 @@
+"""Fetches announced bundles chunk by chunk, has them validated, publishes them and commits them to the ledger.
+
+Fails fast and forgets: whatever goes wrong on the way, the worker's next beat announces the bundle again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections import Counter
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+import structlog
+
+from coordinator import ledger_claims, ledger_outcomes
+from coordinator.archive import Archive, Staged
+from coordinator.draw import redraw
+from coordinator.protocol import Pull, Terms
+from coordinator.settings import CoordinatorSettings
+from coordinator.summary import EpisodeSummary
+from coordinator.writer import Writer
+from schemas.bundle import MAX_BUNDLE_BYTES
+from schemas.errors import FactoryError, InvalidBundle, TransientError
+from schemas.job import Job
+from schemas.keys import Chunk
+from schemas.terms import FailReason
+from schemas.wire import Fail, Lease
+
+__all__ = ["Checker", "Pullers"]
+
+_VALIDATION_S = 120.0
+"""Lease granted once a bundle is here whole: its worker may die now."""
+_STUMBLES = 2
+"""Times that a bundle may kill the validator before it counts as invalid."""
+_DETAIL_CHARS = 2000
+
+log = structlog.get_logger(__name__)
+
+Fetch = Callable[[str, Lease, Chunk], bytes]
+
+
+class Checker(Protocol):
+    """What judges a bundle; each puller has its own."""
+
+    def check(self, path: Path, job: Job) -> EpisodeSummary:
+        """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
+
+    def close(self) -> None:
+        """Ends what runs for it."""
+
+
+class Pullers:
+    """A few threads that bring bundles home, one of an episode at a time; a context manager."""
+
+    def __init__(
+        self,
+        archive: Archive,
+        writer: Writer,
+        fetch: Fetch,
+        make_checker: Callable[[], Checker],
+        terms: Terms,
+        settings: CoordinatorSettings,
+        clock: Callable[[], datetime],
+        on_archived: Callable[[], None],
+    ) -> None:
+        self._archive = archive
+        self._writer = writer
+        self._fetch = fetch
+        self._make_checker = make_checker
+        self._terms = terms
+        self._settings = settings
+        self._clock = clock
+        self._on_archived = on_archived
+        self._queue: queue.SimpleQueue[Pull | None] = queue.SimpleQueue()
+        self._busy: set[int] = set()
+        self._stumbles: Counter[tuple[int, int]] = Counter()
+        self._guard = threading.Lock()
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._run, name=f"puller-{number}") for number in range(settings.pullers)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def offer(self, pull: Pull) -> None:
+        """Queues a bundle; one of an episode that is queued or under way already is left to the next beat."""
+        with self._guard:
+            if pull.job.index in self._busy or self._stop.is_set():
+                return
+            self._busy.add(pull.job.index)
+        self._queue.put(pull)
+
+    def close(self) -> None:
+        """Stops at the next chunk; part files are removed."""
+        self._stop.set()
+        for _ in self._threads:
+            self._queue.put(None)
+        for thread in self._threads:
+            thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        with contextlib.closing(self._make_checker()) as checker:
+            while (pull := self._queue.get()) is not None:
+                try:
+                    if not self._stop.is_set():
+                        self._bring(pull, checker)
+                except FactoryError as error:
+                    log.warning("pull_failed", episode=pull.job.episode_id, worker=pull.sid, error=str(error))
+                except Exception:
+                    log.exception("pull_crashed", episode=pull.job.episode_id, worker=pull.sid)
+                finally:
+                    with self._guard:
+                        self._busy.discard(pull.job.index)
+
+    def _bring(self, pull: Pull, checker: Checker) -> None:
+        if not self._keep_lease(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
+            return
+        if pull.size > MAX_BUNDLE_BYTES:
+            self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
+            return
+        self._demand_room(pull.size)
+        with self._archive.stage(pull.job.index) as staged:
+            self._transfer(pull, staged)
+            if staged.sha256 != pull.sha256:
+                self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
+                return
+            self._keep_lease(pull, _VALIDATION_S)
+            summary = self._judge(pull, staged.path, checker)
+            if summary is not None:
+                self._publish(pull, staged, summary)
+
+    def _keep_lease(self, pull: Pull, seconds: float) -> bool:
+        return self._writer.call(
+            lambda connection: ledger_claims.extend(connection, pull.lease, self._clock(), seconds)
+        )
+
+    def _is_way_clear(self, index: int) -> bool:
+        """Whether the episode's place is free; what an unfinished commit left there is removed."""
+        if not self._archive.path_of(index).exists():
+            return True
+        if self._writer.call(lambda connection: ledger_outcomes.is_owned(connection, index)):
+            return False
+        self._archive.unpublish(index)
+        return True
+
+    def _demand_room(self, size: int) -> None:
+        free, wanted = self._archive.free_bytes(), size + self._settings.reserve_bytes
+        if free < wanted:
+            raise TransientError(f"{free} bytes free, {wanted} wanted for the bundle and the reserve: free some space")
+
+    def _transfer(self, pull: Pull, staged: Staged) -> None:
+        while staged.size < pull.size:
+            if self._stop.is_set():
+                raise TransientError("the coordinator is closing; the bundle waits in its spool")
+            length = min(self._settings.chunk_bytes, pull.size - staged.size)
+            staged.write(self._fetch(pull.sid, pull.lease, Chunk(staged.size, length)))
+
+    def _judge(self, pull: Pull, path: Path, checker: Checker) -> EpisodeSummary | None:
+        try:
+            return checker.check(path, pull.job)
+        except InvalidBundle as error:
+            self._refuse(pull, str(error))
+        except TransientError as error:
+            key = (pull.lease.job_id, pull.lease.fence)
+            self._stumbles[key] += 1
+            if self._stumbles[key] < _STUMBLES:
+                raise
+            self._refuse(pull, f"the validator died over it {_STUMBLES} times: {error}")
+        return None
+
+    def _refuse(self, pull: Pull, detail: str) -> None:
+        log.warning("bundle_refused", episode=pull.job.episode_id, worker=pull.sid, detail=detail)
+        report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.INVALID, detail=detail[:_DETAIL_CHARS])
+        terms = self._terms
+        self._writer.call(
+            lambda connection: ledger_outcomes.fail(
+                connection,
+                report,
+                self._clock(),
+                terms.plan.budget,
+                lambda planned: redraw(terms.plan, terms.catalog, planned),
+            )
+        )
+
+    def _publish(self, pull: Pull, staged: Staged, summary: EpisodeSummary) -> None:
+        index = pull.job.index
+        self._archive.publish(staged, index)
+        owned = self._writer.call(
+            lambda connection: (
+                ledger_outcomes.archive(connection, pull.lease, summary, self._clock())
+                or ledger_outcomes.is_owned(connection, index)
+            )
+        )
+        if owned:
+            log.info("archived", episode=pull.job.episode_id, worker=pull.sid, steps=summary.num_steps)
+            self._on_archived()
+        else:
+            self._archive.unpublish(index)  # the lease was lost meanwhile, and nobody else has brought it

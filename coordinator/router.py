@@ -1,0 +1,197 @@
+"""The coordinator's door to zenoh: its session is the router, its callbacks only hand over, its pulls ask for chunks.
+
+Reads no message and knows no ledger; whatever came in is bytes until `protocol.parse` has seen it.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import socket
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Self
+
+import structlog
+import zenoh
+
+from coordinator.catalog import Catalog
+from coordinator.settings import CoordinatorSettings
+from coordinator.zenoh_config import router_config
+from schemas.base import Model
+from schemas.errors import TransientError, WorldError
+from schemas.keys import (
+    Chunk,
+    Verb,
+    alive_pattern,
+    bundle_selector,
+    parse_chunk,
+    scene_key,
+    scene_pattern,
+    sid_of_alive_key,
+    verb_key,
+    verb_pattern,
+)
+from schemas.wire import Lease
+
+__all__ = ["Inquiry", "Router"]
+
+_RX_THREADS = "(rx: (worker_threads: 8))"
+_ANY_PORT = ":0"
+_PORT_TRIES = 5
+_VERBS = frozenset(verb.value for verb in Verb)
+
+log = structlog.get_logger(__name__)
+
+
+class Inquiry:
+    """One question from outside; it is answered once or dropped, which the asker sees as unknown."""
+
+    def __init__(self, run: str, query: zenoh.Query) -> None:
+        *_, self.host, self.verb = str(query.key_expr).split("/")
+        self.payload = query.payload.to_bytes() if query.payload is not None else b""
+        self._run = run
+        self._query = query
+
+    def answer(self, reply: Model) -> None:
+        """Sends the reply; an asker that is gone is no error."""
+        # a client that does not know the run asks under a wildcard, but the reply needs a plain key
+        key = verb_key(self._run, self.host, Verb(self.verb)) if self.verb in _VERBS else str(self._query.key_expr)
+        try:
+            with self._query:
+                self._query.reply(key, reply.model_dump_json())
+        except zenoh.ZError as error:
+            log.debug("asker_gone", host=self.host, verb=self.verb, error=str(error))
+
+    def drop(self) -> None:
+        """Leaves the question unanswered; the asker repeats it."""
+        self._query.drop()  # type: ignore[no-untyped-call]
+
+
+class Router:
+    """An open router session; a context manager.
+
+    Args:
+        run: name of the run in every key.
+        listen: endpoints; port 0 takes a free one.
+        catalog: scenes to serve.
+        settings: the coordinator's.
+        on_inquiry: takes a question and must not block.
+        on_gone: takes the session id of a worker whose link has closed, and must not block.
+
+    Raises:
+        WorldError: an endpoint cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        run: str,
+        listen: Sequence[str],
+        catalog: Catalog,
+        settings: CoordinatorSettings,
+        on_inquiry: Callable[[Inquiry], None],
+        on_gone: Callable[[str], None],
+    ) -> None:
+        self._run = run
+        self._timeout_s = settings.pull_timeout_s
+        self._on_inquiry = on_inquiry
+        self._on_gone = on_gone
+        self._scenes = _open_scenes(run, catalog)
+        os.environ.setdefault("ZENOH_RUNTIME", _RX_THREADS)  # two receiving threads freeze when two clients block
+        _raise_file_limit()
+        self.endpoints, self._session = _listen(listen, settings)
+        """Endpoints in force, with their ports."""
+        self._session.declare_queryable(verb_pattern(run), self._take)
+        self._session.declare_queryable(scene_pattern(run), self._serve_scene)
+        self._session.liveliness().declare_subscriber(alive_pattern(run), self._note_token)
+
+    def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
+        """Asks a worker for a part of a spooled bundle; never tries twice, so that no puller hangs on a frozen worker.
+
+        Raises:
+            TransientError: no answer in time, or not the bytes asked for.
+        """
+        try:
+            replies = self._session.get(
+                bundle_selector(self._run, sid, lease, chunk),
+                zenoh.handlers.FifoChannel(4),
+                timeout=self._timeout_s,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+            for reply in replies:
+                if reply.ok is not None and len(reply.ok.payload) == chunk.length:
+                    return reply.ok.payload.to_bytes()
+        except zenoh.ZError as error:
+            raise TransientError(f"worker {sid} cannot be asked: {error}") from error
+        raise TransientError(f"worker {sid} does not serve bytes {chunk.offset}+{chunk.length} of job {lease.job_id}")
+
+    def close(self) -> None:
+        """Closes the session; what zenoh runs in threads ends with it."""
+        if not self._session.is_closed():
+            self._session.close()  # type: ignore[no-untyped-call]
+        for descriptor in self._scenes.values():
+            os.close(descriptor)
+        self._scenes = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _take(self, query: zenoh.Query) -> None:
+        self._on_inquiry(Inquiry(self._run, query))
+
+    def _note_token(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._on_gone(sid_of_alive_key(str(sample.key_expr)))
+
+    def _serve_scene(self, query: zenoh.Query) -> None:
+        with query:
+            key = str(query.key_expr)
+            descriptor = self._scenes.get(key)
+            if descriptor is None:
+                query.reply_err(f"no scene {key}")
+                return
+            try:
+                chunk = parse_chunk({name: query.parameters.get(name) or "" for name in ("off", "n")})
+            except ValueError as error:
+                query.reply_err(str(error))
+                return
+            query.reply(key, os.pread(descriptor, chunk.length, chunk.offset))
+
+
+def _open_scenes(run: str, catalog: Catalog) -> Mapping[str, int]:
+    return {scene_key(run, entry.sha256): os.open(entry.path, os.O_RDONLY | os.O_CLOEXEC) for entry in catalog.values()}
+
+
+def _listen(wanted: Sequence[str], settings: CoordinatorSettings) -> tuple[tuple[str, ...], zenoh.Session]:
+    for trial in range(_PORT_TRIES):
+        endpoints = tuple(_with_port(endpoint) for endpoint in wanted)
+        try:
+            return endpoints, zenoh.open(router_config(endpoints, settings.transport_lease_s, settings.tls))
+        except zenoh.ZError as error:
+            # between choosing a free port and listening on it somebody else may take it
+            if endpoints == tuple(wanted) or trial + 1 == _PORT_TRIES:
+                named = ", ".join(endpoints)
+                raise WorldError(
+                    f"cannot listen on {named}: {error}; is another coordinator running there? Stop it, or give "
+                    "another endpoint with --listen"
+                ) from error
+    raise AssertionError("unreachable")
+
+
+def _with_port(endpoint: str) -> str:
+    if not endpoint.endswith(_ANY_PORT):
+        return endpoint
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"{endpoint.removesuffix(_ANY_PORT)}:{probe.getsockname()[1]}"
+
+
+def _raise_file_limit() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft < hard:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))

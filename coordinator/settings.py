@@ -1,0 +1,52 @@
+"""The coordinator's own numbers: how long leases last, how it pulls, when it stops for want of space."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from schemas.base import Model, NonNegative, Positive
+from schemas.keys import MAX_CHUNK_BYTES
+
+__all__ = ["CoordinatorSettings", "TlsFiles"]
+
+
+class TlsFiles(Model):
+    """Where the coordinator's certificate lies; with it, both sides of every link must show one of the same CA."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+    hosts: tuple[str, ...] = ()
+    """Common names that may work, one a host; others are refused."""
+    operators: tuple[str, ...] = ()
+    """Common names that may ask for progress and administer."""
+
+
+class CoordinatorSettings(Model):
+    """Everything that may differ between two coordinators without changing a byte of the dataset."""
+
+    lease_ttl_s: Positive = 15.0
+    """How long a job stays with a silent worker."""
+    retry_after_s: Positive = 1.0
+    """How long a worker waits when nothing is due."""
+    sweep_s: Positive = 0.25
+    """Pause between two looks for expired leases."""
+    pullers: Annotated[int, Field(ge=1, le=16)] = 2
+    chunk_bytes: Annotated[int, Field(ge=1024, le=MAX_CHUNK_BYTES)] = MAX_CHUNK_BYTES
+    """Bytes asked of a worker at a time."""
+    pull_timeout_s: Positive = 2.0
+    """How long a worker may take to answer for one chunk."""
+    reserve_bytes: Annotated[int, Field(ge=0)] = 2 << 30
+    """Free space below which no job is given out and no bundle pulled."""
+    checkpoint_s: Positive = 30.0
+    """Pause between two writings of the dataset's tables."""
+    transport_lease_s: Positive = 5.0
+    """Silence after which zenoh closes a link."""
+    backlog: Annotated[int, Field(ge=1)] = 20_000
+    """Requests that may wait; further ones get no answer and are asked again."""
+    probe_s: NonNegative = 30.0
+    """Pause between two looks at one's own door from outside; 0 never looks."""
+    tls: TlsFiles | None = None

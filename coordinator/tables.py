@@ -1,0 +1,148 @@
+"""The tables of the ledger, for any database SQLAlchemy speaks to. Describes rows; runs no statement.
+
+Times are seconds since 1970 in UTC. `LEDGER_FORMAT` rises with every change that an older coordinator cannot read.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import BigInteger, Boolean, Column, Double, ForeignKey, Index, Integer, MetaData, String, Table, Text
+from sqlalchemy import text as sql
+
+__all__ = ["LEDGER_FORMAT", "METADATA", "attempts", "episodes", "events", "info", "jobs", "workers"]
+
+LEDGER_FORMAT = 1
+
+METADATA = MetaData()
+
+# SQLite numbers rows by itself only when the key is spelt INTEGER.
+_RowId = BigInteger().with_variant(Integer, "sqlite")
+
+info = Table(
+    "info",
+    METADATA,
+    Column("key", String(40), primary_key=True),
+    Column("value", Text, nullable=False),
+    comment="Format version, plan and run; written once.",
+)
+
+jobs = Table(
+    "jobs",
+    METADATA,
+    Column("id", _RowId, primary_key=True, comment="job_id of a lease"),
+    Column("idx", Integer, nullable=False, comment="episode of the plan, from 1"),
+    Column("draw", Integer, nullable=False),
+    Column("scene", String(64), nullable=False),
+    Column("tier", String(16), nullable=False),
+    Column("split", String(32), nullable=False),
+    Column("category", String(64), nullable=False),
+    Column("target_id", String(64), nullable=False),
+    Column("colour", String(64), nullable=False),
+    Column("template_id", String(64), nullable=False),
+    Column("instruction", Text, nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("superseded", Boolean, nullable=False, default=False, comment="a later draw of the episode exists"),
+    Column("attempt", Integer, nullable=False, default=1, comment="attempt that is running, or that a claim starts"),
+    Column("misses", Integer, nullable=False, default=0, comment="attempts of this draw that the world refused"),
+    Column("crashes", Integer, nullable=False, default=0, comment="workers it has hurt"),
+    Column("losses", Integer, nullable=False, default=0, comment="leases lost in a row; spaces out the next claims"),
+    Column("fence", Integer, nullable=False, default=0, comment="rises at each claim"),
+    Column("token", String(32), comment="of the lease in force or fulfilled"),
+    Column("sid", String(80), comment="worker of the lease"),
+    Column("lease_until", Double),
+    Column("not_before", Double, nullable=False, default=0.0),
+    Column("step", Integer, nullable=False, default=0, comment="as its worker last reported"),
+    Column("sha256", String(64), comment="of the announced bundle"),
+    Column("size", BigInteger, comment="of the announced bundle, bytes"),
+    Column("reason", Text, nullable=False, default="", comment="why it failed, in words"),
+    Column("changed_at", Double, nullable=False, default=0.0),
+    Index("ux_jobs_draw", "idx", "draw", unique=True),
+    Index("ix_jobs_state", "state"),
+)
+Index(
+    "ix_jobs_queue",
+    jobs.c.not_before,
+    jobs.c.id,
+    sqlite_where=sql("state = 'pending'"),
+    postgresql_where=sql("state = 'pending'"),
+)
+Index(
+    "ix_jobs_lease",
+    jobs.c.lease_until,
+    sqlite_where=sql("lease_until IS NOT NULL"),
+    postgresql_where=sql("lease_until IS NOT NULL"),
+)
+Index(
+    "ux_jobs_token",
+    jobs.c.token,
+    unique=True,
+    sqlite_where=sql("token IS NOT NULL"),
+    postgresql_where=sql("token IS NOT NULL"),
+)
+
+attempts = Table(
+    "attempts",
+    METADATA,
+    Column("id", _RowId, primary_key=True),
+    Column("job_id", _RowId, ForeignKey(jobs.c.id), nullable=False),
+    Column("idx", Integer, nullable=False),
+    Column("draw", Integer, nullable=False),
+    Column("attempt", Integer, nullable=False),
+    Column("fence", Integer, nullable=False),
+    Column("outcome", String(16), nullable=False, comment="success, a fail reason, expired, cancelled or lost"),
+    Column("settles", Boolean, nullable=False, comment="success, or the world's refusal: the attempt has its outcome"),
+    Column("detail", Text, nullable=False, default=""),
+    Column("steps", Integer, nullable=False, default=0),
+    Column("seconds", Double, nullable=False, default=0.0),
+    Column("sid", String(80), nullable=False),
+    Column("at", Double, nullable=False),
+    Index("ix_attempts_job", "job_id", "fence"),
+    Index("ix_attempts_outcome", "outcome"),
+)
+Index(
+    "ux_attempts_settled",
+    attempts.c.idx,
+    attempts.c.attempt,
+    unique=True,
+    sqlite_where=sql("settles"),
+    postgresql_where=sql("settles"),
+)
+
+events = Table(
+    "events",
+    METADATA,
+    Column("id", _RowId, primary_key=True),
+    Column("at", Double, nullable=False),
+    Column("job_id", _RowId, nullable=False),
+    Column("event", String(16), nullable=False),
+    Column("state", String(16), nullable=False, comment="after the event"),
+    Column("attempt", Integer, nullable=False),
+    Column("fence", Integer, nullable=False),
+    Column("sid", String(80), nullable=False, default=""),
+    Column("detail", Text, nullable=False, default=""),
+    Index("ix_events_job", "job_id"),
+)
+
+episodes = Table(
+    "episodes",
+    METADATA,
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("job_id", _RowId, ForeignKey(jobs.c.id), nullable=False),
+    Column("attempt", Integer, nullable=False),
+    Column("sha256", String(64), nullable=False),
+    Column("size", BigInteger, nullable=False),
+    Column("content_digest", String(32), nullable=False),
+    Column("summary", Text, nullable=False, comment="EpisodeSummary as JSON"),
+    Column("archived_at", Double, nullable=False),
+    Index("ix_episodes_at", "archived_at"),
+)
+
+workers = Table(
+    "workers",
+    METADATA,
+    Column("sid", String(80), primary_key=True),
+    Column("host", String(80), nullable=False),
+    Column("slots", Integer, nullable=False),
+    Column("version", String(40), nullable=False, default=""),
+    Column("archived", Integer, nullable=False, default=0),
+    Column("last_beat", Double, nullable=False),
+)
