@@ -243,6 +243,26 @@ class Archive:
         """Returns where a compiled scene lies, or will lie."""
         return self.root / SCENES / f"{name}-{sha256[:16]}.scene.zip"
 
+    @contextlib.contextmanager
+    def replacing(self, name: str) -> Iterator[Path]:
+        """Yields the path of a part file that replaces a table of the dataset once the block is left without error.
+
+        Args:
+            name: of a file in the dataset's own directory, e.g. `metadata.parquet`.
+
+        Raises:
+            WorldError: the disk is full or gone; the former file is still there, whole.
+        """
+        part = self.root / STAGING / f"{name}.{secrets.token_hex(8)}.part"
+        try:
+            with _translated("write", self.root / name):
+                yield part
+                _sync_file(part)
+                part.replace(self.root / name)
+                _sync_directory(self.root)
+        finally:
+            part.unlink(missing_ok=True)
+
     def close(self) -> None:
         """Lets another coordinator open the directory."""
         os.close(self._lock)
@@ -285,6 +305,14 @@ def _copy(source: Path, target: Path) -> str:
         writer.flush()
         os.fsync(writer.fileno())
     return digest.hexdigest()
+
+
+def _sync_file(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _sync_directory(path: Path) -> None:

@@ -1,0 +1,18 @@
+"""The smallest plans."""
+
+from __future__ import annotations
+
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import Split, Tier
+
+__all__ = ["small_plan"]
+
+
+def small_plan(episodes: int = 3) -> Plan:
+    """Returns a plan of near training episodes in the office, as the smallest bundles fulfil it."""
+    return Plan(
+        name="test",
+        scenes=(ScenePlan(name="office", episodes=episodes),),
+        tiers={Tier.NEAR: 1.0},
+        splits={Split.TRAIN_ID: 1.0},
+    )
