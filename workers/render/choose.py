@@ -5,6 +5,7 @@ Says in one log line when it has to fall back; it never renders.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, get_args
 
 import structlog
@@ -13,10 +14,12 @@ from schemas.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
 from workers.render import Renderer
 
-__all__ = ["RendererKind", "open_renderer"]
+__all__ = ["RendererKind", "open_first", "open_renderer"]
 
 RendererKind = Literal["auto", "gl", "tiny"]
 """`gl` is OpenGL through EGL, `tiny` PyBullet's TinyRenderer, `auto` the first of them that works."""
+
+_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
 _log = structlog.get_logger(__name__)
 
@@ -36,16 +39,18 @@ def open_renderer(kind: RendererKind = "auto", size: int = FRAME_SIZE_PX) -> Ren
         raise UsageError(f"no renderer {kind!r}; choose one of {', '.join(get_args(RendererKind))}")
     if kind == "tiny":
         return _open_tiny(size)
-    try:
+    if kind == "gl":
         return _open_gl(size)
+    return open_first(_open_gl, size)
+
+
+def open_first(preferred: Callable[[int], Renderer], size: int) -> Renderer:
+    """Opens the preferred renderer, or TinyRenderer with a word of warning where that one has no driver."""
+    try:
+        return preferred(size)
     except WorldError as error:
-        if kind == "gl":
-            raise
         _log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
         return _open_tiny(size)
-
-
-_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
 
 def _open_gl(size: int) -> Renderer:

@@ -1,0 +1,175 @@
+"""The world in real PyBullet: it drives as told, stops at walls, and does the same every time."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import struct
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import pytest
+
+from schemas.config import RobotConfig
+from schemas.scene import CompiledScene
+from tests.builders.scene import Box, box_room, build_scene, room_walls
+from workers.bullet import MESH_TRIANGLES, mesh_lists
+from workers.slew import Twist, slew
+from workers.world import ColliderMesh, World
+
+HZ = 60
+ROBOT = RobotConfig()
+STOP = Twist(0.0, 0.0)
+
+
+def open_world(scene: CompiledScene) -> World:
+    return World(scene, ColliderMesh.from_scene(scene), ROBOT, HZ)
+
+
+@pytest.fixture
+def room() -> Iterator[World]:
+    """A room of 8 x 6 m with a crate, a barrel and a pillar; the robot stands in the middle."""
+    with open_world(box_room()) as world:
+        yield world
+
+
+def drive(world: World, wanted: Iterable[Twist]) -> None:
+    command = STOP
+    for twist in wanted:
+        command = slew(command, twist, ROBOT, 1 / HZ)
+        world.command(*command)
+        world.step()
+
+
+def trajectory_digest() -> str:
+    """Drives a fixed zigzag into the crate and digests every pose."""
+    rng = np.random.default_rng(7)
+    digest = hashlib.sha256()
+    with open_world(box_room()) as world:
+        world.place(0.3, 0.4, 0.2)
+        for _ in range(12):
+            goal = Twist(float(rng.uniform(0, 1)), float(rng.uniform(-1.5, 1.5)))
+            for _ in range(20):
+                drive(world, [goal])
+                pose = world.pose()
+                digest.update(struct.pack("7d", pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz))
+    return digest.hexdigest()
+
+
+def test_robot_drives_a_straight_metre(room: World) -> None:
+    room.place(-1.0, 0.0, 0.0)
+    drive(room, [Twist(0.5, 0.0)] * 126)
+    drive(room, [STOP] * 30)
+    pose = room.pose()
+    assert pose.x == pytest.approx(0.0, abs=0.03)
+    assert pose.y == pytest.approx(0.0, abs=0.02)
+    assert pose.yaw == pytest.approx(0.0, abs=0.02)
+
+
+def test_robot_turns_at_the_commanded_rate_about_base_link(room: World) -> None:
+    drive(room, [Twist(0.0, 1.0)] * 60)
+    before = room.pose()
+    drive_on = room.pose().yaw
+    for _ in range(60):
+        room.command(0.0, 1.0)
+        room.step()
+    after = room.pose()
+    assert math.remainder(after.yaw - drive_on, 2 * math.pi) == pytest.approx(1.0, rel=0.02)
+    assert math.hypot(after.x - before.x, after.y - before.y) < 0.01
+
+
+def test_speed_is_that_of_base_link(room: World) -> None:
+    room.place(-2.0, 0.0, 0.0)
+    drive(room, [Twist(0.8, 0.0)] * 60)
+    assert room.speed() == pytest.approx(0.8, rel=0.01)
+    room.place(-2.0, 0.0, 0.0)
+    drive(room, [Twist(0.0, 1.5)] * 60)
+    assert room.speed() < 0.02
+
+
+def test_robot_comes_to_a_standstill(room: World) -> None:
+    drive(room, [Twist(0.7, 0.3)] * 40)
+    drive(room, [STOP] * 20)
+    assert room.speed() < 0.02
+
+
+def test_robot_stops_at_a_wall_with_its_nose_and_does_not_enter_it(room: World) -> None:
+    room.place(2.5, 0.0, 0.0)
+    assert not room.has_obstacle_contact()
+    drive(room, [Twist(1.0, 0.0)] * 240)
+    assert room.has_obstacle_contact()
+    assert room.pose().x == pytest.approx(4.0 - 0.14, abs=0.003)
+    assert room.deepest_penetration() < 0.002
+
+
+def test_wheels_do_not_reach_beyond_the_footprint() -> None:
+    lane = (*room_walls((-3.0, -3.0), (3.0, 3.0)), Box((-1, 0.27, 0), (1, 0.5, 1)), Box((-1, -0.5, 0), (1, -0.27, 1)))
+    with open_world(build_scene(lane)) as world:
+        world.place(0.0, 0.0, 0.0)
+        assert world.deepest_penetration() == 0.0
+        drive(world, [Twist(0.5, 0.0)] * 60)
+        assert not world.has_obstacle_contact()
+
+
+def test_floor_is_no_obstacle(room: World) -> None:
+    drive(room, [Twist(0.5, 0.5)] * 30)
+    assert not room.has_obstacle_contact()
+    assert room.deepest_penetration() == 0.0
+
+
+@pytest.mark.parametrize("depth", [0.01, 0.05, 0.3])
+def test_a_place_that_overlaps_a_wall_is_told_by_its_penetration(room: World, depth: float) -> None:
+    room.place(4.0 - 0.14 + depth, 0.0, 0.0)
+    assert room.deepest_penetration() > 0.005
+    room.place(0.0, 0.0, 0.0)
+    assert room.deepest_penetration() == 0.0
+
+
+def test_place_puts_base_link_on_the_floor_at_rest(room: World) -> None:
+    drive(room, [Twist(1.0, 1.0)] * 30)
+    room.place(-2.0, 1.0, 2.5)
+    pose = room.pose()
+    assert (pose.x, pose.y, pose.z) == pytest.approx((-2.0, 1.0, 0.0), abs=1e-4)
+    assert pose.yaw == pytest.approx(2.5, abs=1e-5)
+    assert room.speed() == 0.0
+    drive(room, [STOP] * 3)
+    assert math.hypot(room.pose().x + 2.0, room.pose().y - 1.0) < 1e-4
+
+
+def test_robot_stands_on_a_floor_of_any_height() -> None:
+    boxes = [Box((-3, -3, 1.1), (3, 3, 1.2), solid=False), Box((2, -3, 1.2), (2.2, 3, 3.0))]
+    with open_world(build_scene(boxes, floor_height_m=1.2)) as world:
+        drive(world, [STOP] * 30)
+        assert world.pose().z == pytest.approx(1.2, abs=1e-3)
+
+
+def test_two_fresh_worlds_do_the_same_bit_for_bit() -> None:
+    assert trajectory_digest() == trajectory_digest()
+
+
+def test_another_process_does_the_same_bit_for_bit() -> None:
+    code = "from tests.integration.test_world import trajectory_digest as t; print(t())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == trajectory_digest()
+    assert done.stderr == ""
+
+
+def test_two_worlds_side_by_side_do_not_disturb_each_other(room: World) -> None:
+    drive(room, [Twist(0.5, 0.0)] * 5)
+    before = room.pose()
+    with open_world(box_room()) as other:
+        drive(other, [Twist(1.0, 0.0)] * 20)
+    assert room.pose() == before
+    drive(room, [Twist(0.5, 0.0)])
+
+
+def test_large_meshes_are_cut_into_pieces_that_hold_the_same_triangles() -> None:
+    rng = np.random.default_rng(0)
+    vertices = rng.uniform(-1, 1, (500, 3)).astype(np.float32)
+    triangles = rng.integers(0, 500, (MESH_TRIANGLES + 7, 3)).astype(np.int32)
+    pieces = mesh_lists(vertices, triangles)
+    corners = [np.array(piece.vertices)[piece.indices] for piece in pieces]
+    assert [len(piece) // 3 for piece in corners] == [MESH_TRIANGLES, 7]
+    assert np.array_equal(np.concatenate(corners), vertices[triangles.ravel()])
