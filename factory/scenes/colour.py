@@ -1,0 +1,82 @@
+"""Colour arithmetic: sRGB, linear light and CIELAB, and the basic name that people give a colour.
+
+Pure; never decides which surfaces count.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["COLOUR_NAMES", "dominant_name", "lab_of", "linear_of", "name_indices", "srgb_of"]
+
+COLOUR_NAMES = ("black", "gray", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown")
+"""The eleven basic colour terms."""
+_BLACK, _GRAY, _WHITE, _RED, _ORANGE, _YELLOW, _GREEN, _BLUE, _PURPLE, _PINK, _BROWN = range(11)
+_HUES = ((0, 45, _RED), (45, 72, _ORANGE), (72, 108, _YELLOW), (108, 195, _GREEN), (195, 308, _BLUE))
+_LATE_HUES = ((308, 342, _PURPLE), (342, 361, _RED))
+
+_TO_XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+_D65 = np.array([0.95047, 1.0, 1.08883])
+MIN_SHARE = 0.5
+"""Share of the samples that a name needs; below it a thing has no one colour."""
+
+Floats = NDArray[np.float64]
+
+
+def linear_of(srgb: ArrayLike) -> Floats:
+    """Returns linear light of sRGB values 0..1 (IEC 61966-2-1)."""
+    c = np.asarray(srgb, float)
+    curved: Floats = ((np.maximum(c, 0.0) + 0.055) / 1.055) ** 2.4
+    return np.where(c <= 0.04045, c / 12.92, curved)
+
+
+def srgb_of(linear: ArrayLike) -> Floats:
+    """Returns sRGB values 0..1 of linear light; what is out of range is clipped."""
+    c = np.clip(np.asarray(linear, float), 0.0, 1.0)
+    return np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
+
+
+def lab_of(srgb: ArrayLike) -> Floats:
+    """Returns CIELAB (..., 3) of sRGB values 0..1 under D65 (CIE 15:2004)."""
+    xyz = linear_of(srgb) @ _TO_XYZ.T / _D65
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    x, y, z = f[..., 0], f[..., 1], f[..., 2]
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
+    """Returns the index in `COLOUR_NAMES` of each sRGB value (..., 3): sectors of lightness, chroma and hue."""
+    lab = lab_of(srgb)
+    lightness, chroma = lab[..., 0], np.hypot(lab[..., 1], lab[..., 2])
+    hue = np.degrees(np.arctan2(lab[..., 2], lab[..., 1])) % 360
+    names = np.full(lightness.shape, _RED, np.int64)
+    for first, last, name in _HUES + _LATE_HUES:
+        names[(hue >= first) & (hue < last)] = name
+    names[(names == _RED) & (lightness > 68)] = _PINK
+    names[_is_brown(lightness, chroma, hue)] = _BROWN
+    names[(hue >= 50) & (hue < 125) & (lightness >= 85) & (chroma < 24)] = _WHITE
+    plain = chroma < np.where(lightness > 75, 9, 12)
+    names[plain] = np.where(lightness[plain] < 25, _BLACK, np.where(lightness[plain] < 85, _GRAY, _WHITE))
+    names[lightness < 8] = _BLACK
+    return names
+
+
+def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
+    """Dark or dull orange, dull red, and dull dark yellow."""
+    orange = (hue >= 48) & (hue < 72) & ((lightness < 58) | (chroma < 45))
+    red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
+    yellow = (hue >= 72) & (hue < 95) & (lightness < 78) & (chroma < 48)
+    return np.asarray(orange | red | yellow)
+
+
+def dominant_name(srgb: ArrayLike) -> str:
+    """Returns the name that at least half of the samples (N, 3) carry, or `unknown`."""
+    names = name_indices(srgb)
+    if names.size == 0:
+        return "unknown"
+    votes = np.bincount(names.ravel(), minlength=len(COLOUR_NAMES))
+    winner = int(votes.argmax())
+    return COLOUR_NAMES[winner] if votes[winner] >= MIN_SHARE * names.size else "unknown"

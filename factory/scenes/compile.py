@@ -1,0 +1,229 @@
+"""Compiles a USD stage into the package that workers simulate: geometry, look, collider, grid, targets, spawns.
+
+Orchestration only, and a function of the stage's bytes and the rules; each step is a module of its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.collider import solid_triangles, weld
+from factory.scenes.floor import find_floor_height
+from factory.scenes.geometry import lay_out_geometry
+from factory.scenes.importer import Extraction, Part, extract_stage
+from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.rules import RuleBook, load_rules
+from factory.scenes.importer.targets import Candidate, find_candidates
+from factory.scenes.listing import list_targets, with_colours, with_far_tier
+from factory.scenes.objects import assign_objects, number_objects
+from factory.scenes.occupancy import build_occupancy
+from factory.scenes.reach import Terrain, sees_matrix
+from factory.scenes.shade import triangle_areas
+from factory.scenes.survey import MIN_SPAWNS, survey_spawns
+from factory.scenes.textures import TextureBook, load_textures
+from schemas.config import SpawnConfig
+from schemas.errors import WorldError
+from schemas.scene import CompiledScene, Instance, SceneInfo, Target
+from workers.grid import Grid
+
+__all__ = ["COMPILER_VERSION", "compile_stage"]
+
+COMPILER_VERSION = 1
+"""Rises whenever the same stage compiles to other bytes."""
+_SANE_RADIUS_M = 200.0
+_SEE_THROUGH = 0.3
+_MAX_NOTES = 200
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What can be seen, and which thing it belongs to."""
+
+    parts: tuple[Part, ...]
+    candidates: tuple[Candidate, ...]
+    owners: tuple[str, ...]
+    ids: dict[str, int]
+    book: TextureBook
+
+    def triangles(self) -> Floats:
+        return np.concatenate([part.triangles for part in self.parts])
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """Where the robot can start and what it can reach from there."""
+
+    targets: tuple[Target, ...]
+    spawns: NDArray[np.float32]
+    sees: NDArray[np.uint8]
+
+
+def compile_stage(path: Path, name: str, source: str, rules: RuleBook | None = None) -> CompiledScene:
+    """Compiles a USD stage.
+
+    Args:
+        path: its root layer.
+        name: what the scene is called.
+        source: what it is, in words, for the record.
+        rules: what is called how; the built-in table when `None`.
+
+    Raises:
+        UsageError: there is no such file.
+        WorldError: it is no stage, shows no mesh, has no floor, or no thing of a category can be reached.
+    """
+    rules = rules or load_rules()
+    extraction = extract_stage(path)
+    notes = list(extraction.notes)
+    parts = _without_outliers(path.name, extraction, notes)
+    shown = _show(path.name, extraction, parts, rules, notes)
+    floor_m = find_floor_height(shown.triangles())
+    solid = solid_triangles(
+        [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
+    )
+    frame, occupancy = build_occupancy(solid, shown.triangles(), floor_m)
+    grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
+    terrain = Terrain(grid, grid.connected_floor(), SpawnConfig())
+    survey = _survey(path.name, terrain, shown, floor_m, notes)
+    info = SceneInfo(
+        name=name,
+        source=source,
+        source_sha256=_digest(extraction, rules),
+        metres_per_unit=extraction.metres_per_unit,
+        bounds_m=_bounds(shown.triangles()),
+        grid_origin_m=frame.origin_m,
+        grid_resolution_m=frame.resolution_m,
+        targets=survey.targets,
+        instances=_instances(shown),
+        texture_count=len(shown.book.layers),
+        floor_height_m=floor_m,
+        free_area_m2=_area(terrain),
+        notes=_shortened(notes),
+    )
+    return _assemble(info, shown, weld(solid), terrain, survey)
+
+
+def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tuple[Part, ...]:
+    """Drops parts that lie absurdly far from the others: authors' slips would spoil bounds and grid."""
+    parts = [part for part in extraction.parts if len(part.triangles)]
+    if not any(not part.is_collider for part in parts):
+        noted = "; ".join(extraction.notes[:3]) or "no visible mesh or basic solid of purpose default or render"
+        raise WorldError(f"{file} shows no mesh ({noted}); check payloads, references, visibility and purpose")
+    middles = np.array([part.triangles.mean(axis=(0, 1)) for part in parts])
+    off = np.abs(middles - np.median(middles, axis=0)).max(axis=1)
+    kept = []
+    for part, distance in zip(parts, off, strict=True):
+        if distance <= _SANE_RADIUS_M:
+            kept.append(part)
+        else:
+            notes.append(f"{part.path}: left out, {distance:.0f} m away from everything else")
+    return tuple(sorted(kept, key=lambda part: part.path))
+
+
+def _show(file: str, extraction: Extraction, parts: Sequence[Part], rules: RuleBook, notes: list[str]) -> _Shown:
+    visible = tuple(part for part in parts if not part.is_collider and part.surface.opacity >= _SEE_THROUGH)
+    clear = sum(not part.is_collider for part in parts) - len(visible)
+    if clear:
+        notes.append(f"{clear} see-through parts are solid but not shown")
+    if not visible:
+        raise WorldError(f"{file} shows no mesh but {clear} see-through ones; check their opacity")
+    candidates = find_candidates(extraction, visible, rules)
+    owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
+    book = load_textures(_texture_areas(visible), read_asset)
+    notes += book.notes
+    return _Shown(visible, candidates, owners, number_objects(owners), book)
+
+
+def _texture_areas(parts: Sequence[Part]) -> dict[str, float]:
+    areas: dict[str, float] = {}
+    for part in parts:
+        if part.surface.texture:
+            known = areas.get(part.surface.texture, 0.0)
+            areas[part.surface.texture] = known + float(triangle_areas(part.triangles).sum())
+    return areas
+
+
+def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: list[str]) -> _Survey:
+    spawns = survey_spawns(terrain)
+    if len(spawns) < MIN_SPAWNS:
+        notes.append(f"only {len(spawns)} spawn points fit on {_area(terrain)} m2 of connected floor")
+    targets = list_targets(terrain, shown.candidates, shown.ids, floor_m, notes)
+    if not targets:
+        raise WorldError(_why_no_target(file, shown, terrain, notes))
+    targets = with_colours(targets, shown.parts, shown.owners, shown.book)
+    points = spawns.astype(np.float64)
+    sees = sees_matrix(terrain, points, targets)
+    return _Survey(with_far_tier(targets, points, sees), spawns, sees)
+
+
+def _why_no_target(file: str, shown: _Shown, terrain: Terrain, notes: list[str]) -> str:
+    counts = Counter(candidate.category for candidate in shown.candidates)
+    if not counts:
+        names = sorted({path.rpartition("/")[2] for path in shown.owners})
+        return (
+            f"{file} has no thing of a known category among {len(names)} objects (such as {', '.join(names[:5])}); "
+            "name prims after their category or give your own --rules"
+        )
+    found = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
+    return (
+        f"{file} has no reachable target: found {found}, {_area(terrain)} m2 of connected floor; "
+        f"the robot needs 0.72 m wide passages ({notes[-1]})"
+    )
+
+
+def _area(terrain: Terrain) -> float:
+    return round(float(terrain.floor.sum()) * terrain.grid.resolution_m**2, 3)
+
+
+def _digest(extraction: Extraction, rules: RuleBook) -> str:
+    text = f"{extraction.sha256}\n{rules.model_dump_json()}\ncompiler {COMPILER_VERSION}"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _bounds(triangles: Floats) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    corners = triangles.reshape(-1, 3)
+    low, high = ([round(float(value), 4) for value in corner] for corner in (corners.min(axis=0), corners.max(axis=0)))
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+
+def _instances(shown: _Shown) -> tuple[Instance, ...]:
+    categories = {candidate.path: candidate.category for candidate in shown.candidates}
+    return tuple(
+        Instance(id=number, prim_path=path, category=categories.get(path)) for path, number in shown.ids.items()
+    )
+
+
+def _shortened(notes: Sequence[str]) -> tuple[str, ...]:
+    unique = tuple(dict.fromkeys(notes))
+    if len(unique) <= _MAX_NOTES:
+        return unique
+    return (*unique[:_MAX_NOTES], f"and {len(unique) - _MAX_NOTES} notes more")
+
+
+def _assemble(
+    info: SceneInfo,
+    shown: _Shown,
+    collider: tuple[NDArray[np.float32], NDArray[np.int32]],
+    terrain: Terrain,
+    survey: _Survey,
+) -> CompiledScene:
+    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book)
+    return CompiledScene(
+        info=info,
+        **{field.name: getattr(geometry, field.name) for field in fields(geometry)},
+        textures=shown.book.layers,
+        collider_vertices=collider[0],
+        collider_triangles=collider[1],
+        occupancy=terrain.grid.occupancy,
+        reachable=terrain.floor.astype(np.uint8),
+        spawns=survey.spawns,
+        spawn_sees=survey.sees,
+    )

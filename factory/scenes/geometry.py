@@ -1,0 +1,69 @@
+"""Lays the visible parts out as the renderer wants them: un-welded vertices in runs of one instance and one texture.
+
+Pure; decides no colour, no id and no order of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.importer import Part
+from factory.scenes.shade import corner_colours, glows_by_name, texture_layer
+from factory.scenes.textures import TextureBook
+
+__all__ = ["Geometry", "lay_out_geometry"]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """The visible arrays of a compiled scene; fields as in `schemas.scene.CompiledScene`."""
+
+    positions: NDArray[np.float32]
+    uvs: NDArray[np.float32]
+    colours: NDArray[np.uint8]
+    part_first: NDArray[np.int32]
+    part_count: NDArray[np.int32]
+    part_instance: NDArray[np.uint16]
+    part_texture: NDArray[np.int16]
+
+
+def lay_out_geometry(
+    parts: Sequence[Part], owners: Sequence[str], ids: Mapping[str, int], book: TextureBook
+) -> Geometry:
+    """Groups parts by instance and texture.
+
+    Args:
+        parts: the visible parts.
+        owners: the object of each part.
+        ids: instance id of each object.
+        book: the textures.
+    """
+    keys = [(ids[owner], texture_layer(part, book)) for part, owner in zip(parts, owners, strict=True)]
+    order = sorted(range(len(parts)), key=lambda row: (keys[row], parts[row].path))
+    runs = [(key, sum(3 * len(parts[row].triangles) for row in rows)) for key, rows in groupby(order, keys.__getitem__)]
+    counts = np.array([count for _, count in runs], np.int32)
+    states_glow = any(part.surface.emits for part in parts)
+    glows = [part.surface.emits if states_glow else glows_by_name(part.path) for part in parts]
+    colours = [corner_colours(parts[row], book, glows[row]).reshape(-1, 3) for row in order]
+    return Geometry(
+        positions=np.concatenate([parts[row].triangles.reshape(-1, 3) for row in order]).astype(np.float32),
+        uvs=np.concatenate([_uvs(parts[row], keys[row][1]) for row in order]).astype(np.float32),
+        colours=np.concatenate(colours),
+        part_first=(np.cumsum(counts) - counts).astype(np.int32),
+        part_count=counts,
+        part_instance=np.array([key[0] for key, _ in runs], np.uint16),
+        part_texture=np.array([key[1] for key, _ in runs], np.int16),
+    )
+
+
+def _uvs(part: Part, layer: int) -> NDArray[np.float64]:
+    """Texture coordinates (3 T, 2), each triangle moved by whole repeats to lie near zero, where floats are fine."""
+    if layer < 0 or part.uvs is None:
+        return np.zeros((3 * len(part.triangles), 2))
+    finite = np.nan_to_num(part.uvs, posinf=0.0, neginf=0.0)
+    return np.asarray((finite - np.floor(finite.min(axis=1, keepdims=True))).reshape(-1, 2))

@@ -1,0 +1,235 @@
+"""From a stage to a list of parts: triangles in world metres with their look, and notes on what was skipped.
+
+A broken prim becomes a note, never an end; nothing here knows categories, colliders or grids.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom
+
+from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.material import Surface, bound_material, read_surface
+from factory.scenes.importer.mesh import Mesh, corner_values, material_subsets, read_mesh, uv_values
+from factory.scenes.importer.stage import BROKEN_PRIM, Placement, open_stage, walk_stage
+
+__all__ = ["Extraction", "Part", "extract_stage"]
+
+_COLLIDER_NAME = re.compile(r"colli(sion|der)|(^|_)(ucx|ubx|phys(ics)?)(_|$)", re.IGNORECASE)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Triangles of one prim with one look, placed in the world."""
+
+    path: str
+    """Path of the prim, unique with its place."""
+    triangles: Floats
+    """(T, 3, 3) corners, world metres, z up, counter-clockwise from outside."""
+    uvs: Floats | None
+    """(T, 3, 2) texture coordinates, v = 0 at the bottom."""
+    tints: Floats | None
+    """(T, 3, 3) linear colours of the corners, when the prim varies its colour itself."""
+    surface: Surface
+    is_collider: bool = False
+    """Whether it was authored to collide with and not to be seen."""
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """All that a stage shows, in the order of its prims."""
+
+    parts: tuple[Part, ...]
+    metres_per_unit: float
+    labels: dict[str, str]
+    """Semantic label by prim path, where the stage authors one."""
+    groups: frozenset[str]
+    """Paths of prims that only collect others: scopes and prims of kind group or assembly."""
+    models: frozenset[str]
+    """Paths of prims that are one thing: instances, copies and prims of kind component."""
+    components: frozenset[str]
+    """Those of kind component: nothing below them is a thing of its own."""
+    sha256: str
+    """Digest of the layers and textures that went in."""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Triangles of a prim in its own frame; shared by all instances."""
+
+    triangles: Floats
+    uvs: Floats | None
+    tints: Floats | None
+    surface: Surface
+
+
+@dataclass
+class _Extractor:
+    notes: list[str]
+    surfaces: dict[str, Surface | None] = field(default_factory=dict)
+    pieces: dict[tuple[str, str], list[_Piece]] = field(default_factory=dict)
+    parts: list[Part] = field(default_factory=list)
+    labels: dict[str, str] = field(default_factory=dict)
+    groups: set[str] = field(default_factory=set)
+    models: set[str] = field(default_factory=set)
+    components: set[str] = field(default_factory=set)
+
+
+def extract_stage(path: Path) -> Extraction:
+    """Reads all that a stage shows.
+
+    Args:
+        path: the root layer.
+
+    Raises:
+        UsageError: there is no such file.
+        WorldError: it is no stage, or its units make no sense.
+    """
+    notes: list[str] = []
+    scene = open_stage(path, notes)
+    work = _Extractor(notes)
+    for placement in walk_stage(scene, notes):
+        try:
+            _take(work, placement)
+        except BROKEN_PRIM as error:
+            notes.append(f"{placement.path}: skipped, {' '.join(str(error).split())[:200]}")
+    return Extraction(
+        parts=tuple(work.parts),
+        metres_per_unit=scene.metres_per_unit,
+        labels=work.labels,
+        groups=frozenset(work.groups),
+        models=frozenset(work.models),
+        components=frozenset(work.components),
+        sha256=_digest(scene.stage, work.parts),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _take(work: _Extractor, placement: Placement) -> None:
+    prim = placement.prim
+    kind = Usd.ModelAPI(prim).GetKind()
+    if prim.IsA(UsdGeom.Scope) or kind in ("group", "assembly"):
+        work.groups.add(placement.path)
+    if kind == "component":
+        work.components.add(placement.path)
+    if prim.IsInstance() or kind == "component" or placement.path.endswith("]"):
+        work.models.add(placement.path)
+    label = _label(prim)
+    if label:
+        work.labels[placement.path] = label
+    if not prim.IsA(UsdGeom.Gprim):
+        return
+    purpose = UsdGeom.Imageable(prim).ComputePurpose()
+    collides = purpose == UsdGeom.Tokens.guide and _is_collider(prim)
+    if purpose in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render) or collides:
+        work.parts += [_placed(piece, placement, collides) for piece in _pieces(work, prim)]
+
+
+def _label(prim: Any) -> str:
+    """The semantic label of a prim (`UsdSemantics` or Isaac's older `semantic:` attributes), or empty."""
+    for attribute in prim.GetAuthoredAttributes():
+        name = attribute.GetName()
+        if name.startswith("semantics:labels:") or (name.startswith("semantic:") and name.endswith("semanticData")):
+            value = attribute.Get()
+            return str(value if isinstance(value, str) else (list(value or [""]) or [""])[0])
+    return ""
+
+
+def _is_collider(prim: Any) -> bool:
+    return "PhysicsCollisionAPI" in prim.GetAppliedSchemas() or bool(_COLLIDER_NAME.search(prim.GetName()))
+
+
+def _source_path(prim: Any) -> str:
+    """Path of the prim that holds the data: the prototype's for an instance."""
+    return str(prim.GetPrimInPrototype().GetPath() if prim.IsInstanceProxy() else prim.GetPath())
+
+
+def _pieces(work: _Extractor, prim: Any) -> list[_Piece]:
+    """The pieces of a prim, made once for all its instances that look alike."""
+    material = bound_material(prim)
+    look = _source_path(material.GetPrim()) if material else ""
+    colour = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
+    if not look and colour:
+        look = _source_path(colour.GetAttr().GetPrim())
+    key = (_source_path(prim), look)
+    if key not in work.pieces:
+        mesh = read_mesh(prim, work.notes)
+        work.pieces[key] = [] if mesh is None else _cut_pieces(work, prim, mesh)
+    return work.pieces[key]
+
+
+def _cut_pieces(work: _Extractor, prim: Any, mesh: Mesh) -> list[_Piece]:
+    pieces = []
+    triangles = mesh.triangle_points()
+    for binder, chosen in material_subsets(prim, mesh):
+        surface = _surface(work, binder)
+        tints = corner_values(prim, mesh, "displayColor") if surface is None else None
+        surface = Surface() if surface is None else surface
+        uvs = uv_values(prim, mesh, surface.uv_set) if surface.texture else None
+        if surface.texture and uvs is None:
+            work.notes.append(f"{prim.GetPath()}: textured but without texture coordinates, shown in one colour")
+        piece = _Piece(triangles[chosen], _transformed(uvs, surface, chosen), _of(tints, chosen), surface)
+        pieces.append(_both_sides(piece) if mesh.is_two_sided else piece)
+    return pieces
+
+
+def _surface(work: _Extractor, binder: Any) -> Surface | None:
+    material = bound_material(binder)
+    if material is None:
+        return None
+    path = _source_path(material.GetPrim())
+    if path not in work.surfaces:
+        work.surfaces[path] = read_surface(material, work.notes)
+    return work.surfaces[path]
+
+
+def _of(values: Floats | None, chosen: NDArray[np.bool_]) -> Floats | None:
+    return None if values is None else values[chosen]
+
+
+def _transformed(uvs: Floats | None, surface: Surface, chosen: NDArray[np.bool_]) -> Floats | None:
+    found = _of(uvs, chosen)
+    if found is None or surface.uv_affine is None:
+        return found
+    rows = np.array(surface.uv_affine).reshape(2, 3)
+    return np.asarray(found @ rows[:, :2].T + rows[:, 2])
+
+
+def _both_sides(piece: _Piece) -> _Piece:
+    """Adds the back of every triangle: the renderer shows only what faces it."""
+
+    def doubled(values: Floats | None) -> Floats | None:
+        return None if values is None else np.concatenate([values, values[:, ::-1]])
+
+    both = np.concatenate([piece.triangles, piece.triangles[:, ::-1]])
+    return replace(piece, triangles=both, uvs=doubled(piece.uvs), tints=doubled(piece.tints))
+
+
+def _placed(piece: _Piece, placement: Placement, collides: bool) -> Part:
+    rotation, shift = placement.to_world[:3, :3], placement.to_world[:3, 3]
+    triangles, uvs, tints = piece.triangles @ rotation.T + shift, piece.uvs, piece.tints
+    if not np.isfinite(triangles).all():
+        raise ValueError("points or transform are not finite")
+    if np.linalg.det(rotation) < 0:  # a mirrored copy turns its faces inside out
+        triangles = triangles[:, ::-1]
+        uvs = None if uvs is None else uvs[:, ::-1]
+        tints = None if tints is None else tints[:, ::-1]
+    return Part(placement.path, triangles, uvs, tints, piece.surface, collides)
+
+
+def _digest(stage: Any, parts: list[Part]) -> str:
+    """Digest of the contents of layers and textures, whatever their places on disk."""
+    layers = [read_asset(layer.realPath) or b"" for layer in stage.GetUsedLayers() if not layer.anonymous]
+    textures = [read_asset(path) or b"" for path in sorted({part.surface.texture for part in parts} - {""})]
+    digests = sorted(hashlib.sha256(data).hexdigest() for data in layers + textures)
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()

@@ -1,0 +1,253 @@
+"""What a material looks like: a base colour or a texture, read from preview surfaces, MaterialX or MDL.
+
+Reads shading networks only; never decodes a texture, and never fails a mesh for its material.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import cos, radians, sin
+from typing import Any
+
+from pxr import Sdf, UsdShade
+
+from factory.scenes.importer.assets import asset_path, read_asset, sibling
+
+__all__ = ["GRAY", "Surface", "bound_material", "read_surface"]
+
+Colour = tuple[float, float, float]
+Affine = tuple[float, float, float, float, float, float]
+
+GRAY: Colour = (0.18, 0.18, 0.18)
+"""Linear colour of what says nothing of its own; the preview surface's default."""
+_WHITE: Colour = (1.0, 1.0, 1.0)
+_BLACK: Colour = (0.0, 0.0, 0.0)
+_SURFACES = ("UsdPreviewSurface", "ND_UsdPreviewSurface_surfaceshader", "ND_standard_surface_surfaceshader")
+_MAX_HOPS = 16
+_PASS_THROUGH = ("in", "in1", "diffuseColor", "base", "bg")
+_MDL_COLOURS = (
+    "diffuse_color_constant",
+    "diffuseColor",
+    "base_color",
+    "baseColor",
+    "diffuse_reflection_color",
+    "diffuse_color",
+    "albedo",
+    "color",
+    "diffuse_tint",
+    "glass_color",
+)
+_BASE_NAME = re.compile(r"diffuse|albedo|base_?color", re.IGNORECASE)
+_OTHER_NAME = re.compile(r"normal|_n\.|rough|metal|orm\b|_orm|_ao|occl|spec|mask|height|emis|opacity", re.IGNORECASE)
+_MDL_TEXTURE = re.compile(r'(\w*)\s*:\s*texture_2d\(\s*"([^"]+)"')
+_NUMBER = r"([\d.eE+-]+)f?"
+_MDL_COLOUR = re.compile(
+    rf"\w*(?:color|albedo|tint)\w*\s*:\s*(?:color|float3)\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*,\s*{_NUMBER}", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The look of one material."""
+
+    colour: Colour = GRAY
+    """Linear base colour; with a texture, what multiplies it."""
+    texture: str = ""
+    """Resolved path of the base colour texture, or empty."""
+    fallback: Colour = GRAY
+    """Linear colour when the texture cannot be read."""
+    uv_set: str = "st"
+    uv_affine: Affine | None = None
+    """Rows (a, b, c), (d, e, f) with u' = a u + b v + c and v' = d u + e v + f; `None` changes nothing."""
+    opacity: float = 1.0
+    emits: bool = False
+    """Whether it glows by itself."""
+    emission: Colour = (0.0, 0.0, 0.0)
+    """Linear colour of the glow, where it is one colour."""
+
+
+def bound_material(prim: Any) -> Any | None:
+    """Returns the material bound to a prim or subset, or `None`."""
+    material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    return material if material else None
+
+
+def read_surface(material: Any, notes: list[str]) -> Surface | None:
+    """Returns the look of a material, or `None` when nothing in it can be understood.
+
+    Args:
+        material: a `UsdShade.Material`.
+        notes: receives why nothing was found.
+    """
+    shader = material.ComputeSurfaceSource()[0]
+    if shader and shader.GetIdAttr().Get() in _SURFACES:
+        return _preview(shader)
+    shader = material.ComputeSurfaceSource("mdl")[0]
+    surface = _mdl_inputs(shader) or _mdl_text(shader) if shader else None
+    if surface is None:
+        notes.append(f"{material.GetPath()}: no colour found in its shaders")
+    return surface
+
+
+def _first_input(shader: Any, *names: str) -> Any | None:
+    return next((found for name in names if (found := shader.GetInput(name))), None)
+
+
+def _preview(shader: Any) -> Surface:
+    base = _first_input(shader, "diffuseColor", "base_color")
+    end = _follow(base) if base else None
+    surface = Surface()
+    if isinstance(end, UsdShade.Shader):
+        surface = _textured(end)
+    elif end is not None:
+        surface = Surface(colour=_colour(end))
+    opacity = _value(shader, "opacity")
+    glow = _follow(shader.GetInput("emissiveColor")) if shader.GetInput("emissiveColor") else None
+    is_image = isinstance(glow, UsdShade.Shader)
+    emission = _BLACK if glow is None or is_image else _colour(glow)
+    return replace(
+        surface,
+        opacity=1.0 if opacity is None else _scalar(opacity),
+        emits=is_image or max(emission) > 0.05,
+        emission=emission,
+    )
+
+
+def _value(shader: Any, name: str) -> Any | None:
+    """The constant at the end of an input, or `None` when it is a texture or not there."""
+    found = shader.GetInput(name)
+    end = _follow(found) if found else None
+    return None if isinstance(end, UsdShade.Shader) else end
+
+
+def _scalar(value: Any) -> float:
+    return float(value) if not hasattr(value, "__len__") else float(sum(value) / len(value))
+
+
+def _colour(value: Any) -> Colour:
+    if not hasattr(value, "__len__"):
+        value = (value, value, value)
+    red, green, blue = (max(0.0, float(channel)) for channel in list(value)[:3])
+    return (red, green, blue)
+
+
+def _sources(connectable: Any) -> Any:
+    return UsdShade.ConnectableAPI.GetConnectedSources(connectable)[0]
+
+
+def _follow(end: Any, hops: int = 0) -> Any | None:
+    """Follows an input or output through graphs and maths to its constant or its texture shader."""
+    if not end or hops > _MAX_HOPS:
+        return None
+    sources = _sources(end)
+    if not sources:
+        return end.Get()
+    source = sources[0]
+    prim = source.source.GetPrim()
+    if source.sourceType == UsdShade.AttributeType.Input:
+        return _follow(UsdShade.Input(prim.GetAttribute(f"inputs:{source.sourceName}")), hops + 1)
+    if prim.IsA(UsdShade.NodeGraph):
+        return _follow(UsdShade.NodeGraph(prim).GetOutput(source.sourceName), hops + 1)
+    return _through(UsdShade.Shader(prim), hops)
+
+
+def _through(shader: Any, hops: int) -> Any | None:
+    kind = shader.GetIdAttr().Get() or ""
+    if "UVTexture" in kind or kind.startswith(("ND_image", "ND_tiledimage")):
+        return shader
+    inputs = (shader.GetInput(name) for name in _PASS_THROUGH)
+    ends = (_follow(found, hops + 1) for found in inputs if found)
+    return next((end for end in ends if end is not None), None)
+
+
+def _textured(shader: Any) -> Surface:
+    file = _value(shader, "file")
+    scale, fallback = _value(shader, "scale"), _value(shader, "fallback")
+    uv_set, affine = _uv_of(_first_input(shader, "st", "texcoord"))
+    return Surface(
+        colour=_WHITE if scale is None else _colour(scale),
+        texture="" if file is None else asset_path(file),
+        fallback=GRAY if fallback is None else _colour(fallback),
+        uv_set=uv_set,
+        uv_affine=affine,
+    )
+
+
+def _uv_of(found: Any | None) -> tuple[str, Affine | None]:
+    """The primvar that feeds a texture and the 2-D transform between them."""
+    affine: Affine | None = None
+    for _ in range(_MAX_HOPS):
+        sources = _sources(found) if found else []
+        if not sources:
+            break
+        shader = UsdShade.Shader(sources[0].source.GetPrim())
+        kind = shader.GetIdAttr().Get() or ""
+        if "PrimvarReader" in kind or kind.startswith("ND_geompropvalue"):
+            name = _value(shader, "varname") or _value(shader, "geomprop")
+            return str(name or "st"), affine
+        if kind != "UsdTransform2d":
+            break
+        affine = _affine(shader)
+        found = shader.GetInput("in")
+    return "st", affine
+
+
+def _affine(shader: Any) -> Affine:
+    """Scale, then rotation (degrees, counter-clockwise), then translation."""
+    su, sv = _value(shader, "scale") or (1.0, 1.0)
+    angle = radians(float(_value(shader, "rotation") or 0.0))
+    tu, tv = _value(shader, "translation") or (0.0, 0.0)
+    return (su * cos(angle), -sv * sin(angle), tu, su * sin(angle), sv * cos(angle), tv)
+
+
+def _mdl_inputs(shader: Any) -> Surface | None:
+    """The look that an MDL shader's own inputs state."""
+    textures, colours = {}, {}
+    for found in shader.GetInputs():
+        value, name = found.Get(), str(found.GetBaseName())
+        if isinstance(value, Sdf.AssetPath) and value.path:
+            textures[name] = asset_path(value)
+        elif name in _MDL_COLOURS and hasattr(value, "__len__") and len(value) >= 3:
+            colours[name] = _colour(value)
+    colour = next((colours[name] for name in _MDL_COLOURS if name in colours), None)
+    texture = _base_texture(textures.items())
+    if texture:
+        tint = colours.get("diffuse_tint", _WHITE)
+        return Surface(colour=tint, texture=texture, fallback=colour or GRAY)
+    return None if colour is None else Surface(colour=colour)
+
+
+def _base_texture(named: Any) -> str | None:
+    """The texture that is a base colour by its parameter's name or, failing that, by its file's name."""
+    pairs = list(named)
+    by_name = [path for name, path in pairs if _BASE_NAME.search(name) and not _OTHER_NAME.search(name)]
+    by_file = [path for _, path in pairs if not _OTHER_NAME.search(path.rpartition("/")[2])]
+    return next(iter(by_name + by_file), None)
+
+
+def _mdl_files(shader: Any) -> Iterator[str]:
+    asset = shader.GetSourceAsset("mdl")
+    if not asset:
+        return
+    if asset.resolvedPath:
+        yield str(asset.resolvedPath)
+    for spec in shader.GetPrim().GetPrimStack():
+        yield sibling(spec.layer.realPath or spec.layer.identifier, asset.path)
+
+
+def _mdl_text(shader: Any) -> Surface | None:
+    """The look found in the text of the MDL module that a shader names."""
+    for path in _mdl_files(shader):
+        data = read_asset(path)
+        if data is None:
+            continue
+        text = data.decode(errors="replace")
+        texture = _base_texture(_MDL_TEXTURE.findall(text))
+        if texture:
+            return Surface(colour=_WHITE, texture=sibling(path, texture))
+        colour = _MDL_COLOUR.search(text)
+        if colour:
+            return Surface(colour=_colour([float(number) for number in colour.groups()]))
+    return None

@@ -1,0 +1,142 @@
+"""The geometry and corner values of one prim in its own frame: points, triangles, texture coordinates, colours.
+
+Reads USD attributes; knows nothing of materials, placement or categories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdShade
+
+from factory.scenes.importer.gprims import solid_polygons
+from factory.scenes.importer.polygons import Triangulation, is_closed, triangulate
+
+__all__ = ["Mesh", "corner_values", "material_subsets", "read_mesh"]
+
+_TIME = Usd.TimeCode.EarliestTime()
+_UV_NAMES = ("st", "st0", "st_0", "UVMap", "map1", "uv")
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """One prim's polygons, cut into triangles."""
+
+    points: Floats
+    """(N, 3) in the prim's frame and units."""
+    counts: Ints
+    """(F,) corners of each face."""
+    indices: Ints
+    """(C,) vertex of each face corner."""
+    cut: Triangulation
+    is_two_sided: bool
+    """Whether it is authored as visible from both sides and is no closed surface."""
+
+    def triangle_points(self) -> Floats:
+        """Returns (T, 3, 3) the corners of the triangles."""
+        return self.points[self.indices[self.cut.corners]]
+
+
+def read_mesh(prim: Any, notes: list[str]) -> Mesh | None:
+    """Returns the geometry of a mesh or basic solid, or `None` when the prim has none.
+
+    Args:
+        prim: any prim.
+        notes: receives what had to be simplified.
+
+    Raises:
+        ValueError: its topology contradicts itself.
+    """
+    if prim.IsA(UsdGeom.Mesh):
+        return _polygon_mesh(prim, notes)
+    if not prim.IsA(UsdGeom.Gprim):
+        return None
+    solid = solid_polygons(prim)
+    if solid is None:
+        notes.append(f"{prim.GetPath()}: {prim.GetTypeName()} is not supported, skipped")
+        return None
+    return Mesh(*solid, triangulate(*solid), is_two_sided=str(prim.GetTypeName()) == "Plane")
+
+
+def _polygon_mesh(prim: Any, notes: list[str]) -> Mesh | None:
+    mesh = UsdGeom.Mesh(prim)
+    attributes = (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+    raw = [attribute.Get(_TIME) for attribute in attributes]
+    if any(values is None or len(values) == 0 for values in raw):
+        notes.append(f"{prim.GetPath()}: mesh without points or faces, skipped")
+        return None
+    points, counts, indices = np.array(raw[0], np.float64), np.array(raw[1], np.int64), np.array(raw[2], np.int64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points of shape {points.shape}")
+    if mesh.GetSubdivisionSchemeAttr().Get() != UsdGeom.Tokens.none and len(counts) < len(indices) / 3:
+        notes.append(f"{prim.GetPath()}: subdivision surface shown by its control cage ({len(counts)} faces)")
+    cut = _without_holes(triangulate(points, counts, indices), mesh.GetHoleIndicesAttr().Get(_TIME))
+    if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+        cut = Triangulation(cut.corners[:, ::-1], cut.faces)
+    two_sided = bool(mesh.GetDoubleSidedAttr().Get()) and not _bounds_volume(points, indices[cut.corners])
+    return Mesh(points, counts, indices, cut, two_sided)
+
+
+def _without_holes(cut: Triangulation, holes: Any) -> Triangulation:
+    if holes is None or len(holes) == 0:
+        return cut
+    keep = ~np.isin(cut.faces, np.array(holes))
+    return Triangulation(cut.corners[keep], cut.faces[keep])
+
+
+def _bounds_volume(points: Floats, triangles: Ints) -> bool:
+    """Whether the triangles bound a volume once equal points count as one; wound outwards."""
+    _, welded = np.unique(points, axis=0, return_inverse=True)
+    if not is_closed(welded.reshape(-1)[triangles]):
+        return False
+    a, b, c = np.moveaxis(points[triangles] - points[0], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
+
+
+def material_subsets(prim: Any, mesh: Mesh) -> Iterator[tuple[Any, NDArray[np.bool_]]]:
+    """Yields the prims that bind materials to a mesh and the triangles (T,) of each; every triangle once."""
+    rest = np.ones(len(mesh.cut.faces), bool)
+    subsets = UsdGeom.Subset.GetGeomSubsets(UsdGeom.Imageable(prim), UsdGeom.Tokens.face, UsdShade.Tokens.materialBind)
+    for subset in subsets:
+        faces = np.array(subset.GetIndicesAttr().Get(_TIME) or [], np.int64)
+        chosen = np.isin(mesh.cut.faces, faces) & rest
+        rest &= ~chosen
+        if chosen.any():
+            yield subset.GetPrim(), chosen
+    if rest.any():
+        yield prim, rest
+
+
+def corner_values(prim: Any, mesh: Mesh, name: str) -> Floats | None:
+    """Returns (T, 3, k) values of a primvar at the triangle corners, or `None` when it is missing or does not fit."""
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+    if not primvar or not primvar.HasValue():
+        return None
+    values = np.array(primvar.ComputeFlattened(_TIME), np.float64)
+    corners = len(mesh.indices)
+    kind = primvar.GetInterpolation()
+    if kind == UsdGeom.Tokens.faceVarying:
+        spread = values
+    elif kind in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
+        spread = values[mesh.indices] if len(values) == len(mesh.points) else values[:0]
+    elif kind == UsdGeom.Tokens.uniform:
+        spread = np.repeat(values, mesh.counts, axis=0) if len(values) == len(mesh.counts) else values[:0]
+    else:
+        spread = np.repeat(values[:1], corners, axis=0)
+    return spread[mesh.cut.corners] if len(spread) == corners and values.ndim == 2 else None
+
+
+def uv_values(prim: Any, mesh: Mesh, uv_set: str) -> Floats | None:
+    """Returns (T, 3, 2) texture coordinates from the named set, or else from the usual ones."""
+    for name in (uv_set, *_UV_NAMES):
+        found = corner_values(prim, mesh, name)
+        if found is not None and found.shape[-1] >= 2:
+            return found[..., :2]
+    return None

@@ -1,0 +1,90 @@
+"""The category rules as data: which names mean which category, and how large such a thing can be.
+
+Reads one YAML table; never looks at a stage.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated
+
+import yaml
+from pydantic import AfterValidator, TypeAdapter, ValidationError
+
+from schemas.base import Model, Name, NonNegative, Positive
+from schemas.errors import UsageError
+
+__all__ = ["BUILTIN_RULES", "CategoryRule", "RuleBook", "load_rules", "split_name"]
+
+BUILTIN_RULES = Path(__file__).with_name("rules.yaml")
+
+
+def _compiles(pattern: str) -> str:
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise ValueError(f"{pattern!r} is no regular expression: {error}") from error
+    return pattern
+
+
+Pattern = Annotated[str, AfterValidator(_compiles)]
+
+
+class CategoryRule(Model):
+    """When a prim is of a category."""
+
+    category: Name
+    include: tuple[Pattern, ...]
+    """Regular expressions of which one must be found in the split name."""
+    exclude: tuple[Pattern, ...] = ()
+    """Regular expressions of which none may be found."""
+    smallest_m: NonNegative = 0.05
+    """Shortest plausible longest side, metres."""
+    largest_m: Positive = 40.0
+    """Longest plausible longest side, metres."""
+
+
+class RuleBook(Model):
+    """The rules in order; the first that fits a name wins."""
+
+    rules: tuple[CategoryRule, ...]
+
+    @cached_property
+    def _patterns(self) -> tuple[tuple[CategoryRule, re.Pattern[str], re.Pattern[str] | None], ...]:
+        return tuple(
+            (rule, re.compile("|".join(rule.include)), re.compile("|".join(rule.exclude)) if rule.exclude else None)
+            for rule in self.rules
+        )
+
+    def match(self, name: str) -> CategoryRule | None:
+        """Returns the rule of a prim name or label, or `None` when it is of no category."""
+        words = split_name(name)
+        for rule, include, exclude in self._patterns:
+            if include.search(words) and not (exclude and exclude.search(words)):
+                return rule
+        return None
+
+
+def split_name(name: str) -> str:
+    """Returns the words of a name: `SM_BarelPlastic_A01` becomes `sm_barel_plastic_a_01`."""
+    spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", name)
+    spaced = re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1_\2", spaced)
+    spaced = re.sub(r"([A-Za-z])(\d)", r"\1_\2", spaced)
+    return "_".join(word for word in re.split(r"[^a-z0-9]+", spaced.lower()) if word)
+
+
+def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
+    """Reads a table of category rules.
+
+    Raises:
+        UsageError: the file is not there or is no such table.
+    """
+    try:
+        table = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return RuleBook(rules=TypeAdapter(tuple[CategoryRule, ...]).validate_python(table))
+    except OSError as error:
+        raise UsageError(f"no category rules at {path} ({error.strerror})") from error
+    except (yaml.YAMLError, ValidationError) as error:
+        raise UsageError(f"{path.name} is no table of category rules: {error}") from error

@@ -1,0 +1,46 @@
+"""Which thing each part belongs to, and its instance id: targets, models, or single prims, in the order of their paths.
+
+Pure bookkeeping over paths; geometry and categories are decided elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from factory.scenes.importer import Part
+from schemas.errors import WorldError
+
+__all__ = ["MAX_INSTANCES", "assign_objects", "number_objects"]
+
+MAX_INSTANCES = 65535
+
+
+def assign_objects(parts: Sequence[Part], things: Iterable[str], models: Iterable[str]) -> tuple[str, ...]:
+    """Returns the path of the object that each part belongs to.
+
+    Args:
+        parts: the parts.
+        things: paths of target candidates; they come first.
+        models: paths of instances and components; the outermost wins.
+    """
+    first, second = frozenset(things), frozenset(models)
+    owners = [_owner(part.path, first) or _owner(part.path, second) or part.path for part in parts]
+    depth = max((path.count("/") for path in owners), default=0)
+    while len(set(owners)) > MAX_INSTANCES:
+        depth -= 1
+        if depth < 1:
+            raise WorldError(f"more than {MAX_INSTANCES} targets; the id image has 16 bits, so split the scene")
+        owners = [path if path in first else "/".join(path.split("/")[: depth + 1]) for path in owners]
+    return tuple(owners)
+
+
+def _owner(path: str, known: frozenset[str]) -> str:
+    """The outermost ancestor-or-self of a path that is known, or empty."""
+    steps = path.split("/")
+    prefixes = ("/".join(steps[:count]) for count in range(2, len(steps) + 1))
+    return next((prefix for prefix in prefixes if prefix in known), "")
+
+
+def number_objects(owners: Iterable[str]) -> dict[str, int]:
+    """Returns the instance ids 1, 2, ... of the objects in the order of their paths."""
+    return {path: number for number, path in enumerate(sorted(set(owners)), 1)}

@@ -1,0 +1,83 @@
+"""A scene seen from above as a picture: walls, connected floor, targets by category, spawn points.
+
+For people; never read back by a program.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from schemas.scene import CompiledScene
+from workers.grid import DISC_RADIUS_M
+
+__all__ = ["draw_topdown", "encode_topdown"]
+
+_FREE, _REACHABLE, _OCCUPIED, _HIDING = (225, 225, 220), (250, 250, 245), (120, 125, 140), (60, 62, 75)
+_SPAWN = (40, 140, 60)
+
+
+def draw_topdown(scene: CompiledScene, pixels_per_cell: int = 4) -> NDArray[np.uint8]:
+    """Returns an RGB picture (rows, columns, 3); north (y) is up.
+
+    Args:
+        scene: the compiled scene.
+        pixels_per_cell: how large one grid cell is drawn.
+    """
+    picture = np.full((*scene.occupancy.shape, 3), _FREE, np.uint8)
+    picture[scene.reachable > 0] = _REACHABLE
+    picture[scene.occupancy == 1] = _OCCUPIED
+    picture[scene.occupancy == 2] = _HIDING
+    large = np.repeat(np.repeat(picture, pixels_per_cell, axis=0), pixels_per_cell, axis=1)
+    image = Image.fromarray(large)
+    pen = ImageDraw.Draw(image)
+    scale = pixels_per_cell / scene.info.grid_resolution_m
+    origin = np.asarray(scene.info.grid_origin_m)
+    _draw_targets(pen, scene, origin, scale)
+    radius = DISC_RADIUS_M * scale / 3
+    for x, y in (scene.spawns - origin) * scale:
+        pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_SPAWN)
+    _draw_legend(image, scene)
+    return np.asarray(image)
+
+
+def category_colour(category: str, categories: list[str]) -> tuple[int, int, int]:
+    """Returns the colour of a category among all of a scene."""
+    hue = categories.index(category) / max(len(categories), 1)
+    red, green, blue = colorsys.hsv_to_rgb(hue, 0.85, 0.9)
+    return round(red * 255), round(green * 255), round(blue * 255)
+
+
+def _categories(scene: CompiledScene) -> list[str]:
+    return sorted({target.category for target in scene.info.targets})
+
+
+def _draw_targets(pen: ImageDraw.ImageDraw, scene: CompiledScene, origin: NDArray[np.float64], scale: float) -> None:
+    categories = _categories(scene)
+    for target in scene.info.targets:
+        middle = (np.asarray(target.centroid_m[:2]) - origin) * scale
+        half = np.asarray(target.size_m[:2]) * scale / 2
+        colour = category_colour(target.category, categories)
+        pen.rectangle((*(middle - half), *(middle + half)), outline=colour, width=2)
+        pen.ellipse((*(middle - 3), *(middle + 3)), fill=colour)
+
+
+def _draw_legend(image: Image.Image, scene: CompiledScene) -> None:
+    """Turns the picture north up, then writes the names on it."""
+    image.paste(image.transpose(Image.Transpose.FLIP_TOP_BOTTOM))
+    pen = ImageDraw.Draw(image)
+    categories = _categories(scene)
+    lines = [(scene.info.name, (0, 0, 0))] + [(name, category_colour(name, categories)) for name in categories]
+    for row, (text, colour) in enumerate(lines):
+        pen.text((6, 4 + 13 * row), text, fill=colour)
+
+
+def encode_topdown(scene: CompiledScene) -> bytes:
+    """Returns the picture as a PNG file."""
+    buffer = io.BytesIO()
+    Image.fromarray(draw_topdown(scene)).save(buffer, "PNG")
+    return buffer.getvalue()
