@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Engine, Row, insert, inspect, select
@@ -17,14 +18,16 @@ from sqlalchemy.engine import Connection
 
 from coordinator.catalog import Catalog
 from coordinator.draw import PlannedJob, expand
+from coordinator.engine import sqlite_url
 from coordinator.states import State
 from coordinator.tables import LEDGER_FORMAT, METADATA, info, jobs
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
 
-__all__ = ["LedgerInfo", "insert_planned", "open_run", "planned_of", "read_info"]
+__all__ = ["LEDGER_FILE", "LedgerInfo", "insert_planned", "ledger_url_of", "open_run", "planned_of", "read_info"]
 
+LEDGER_FILE = "ledger.db"
 _INSERT_ROWS = 5000
 
 
@@ -39,6 +42,11 @@ class LedgerInfo:
     """Scene name -> SHA-256 of the compiled package the run began with."""
     lease_ttl_s: float
     created_at: datetime
+
+
+def ledger_url_of(root: Path, url: str | None = None) -> str:
+    """Returns where the ledger of a dataset directory lies, unless another URL is given."""
+    return url or sqlite_url(root / LEDGER_FILE)
 
 
 def open_run(engine: Engine, plan: Plan, catalog: Catalog, lease_ttl_s: float, now: datetime) -> bool:

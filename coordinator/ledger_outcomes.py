@@ -22,11 +22,12 @@ from coordinator.tables import attempts, episodes, jobs, workers
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
 
-__all__ = ["Announced", "adopt", "announce", "archive", "fail", "is_owned", "lose"]
+__all__ = ["SUCCESS", "Announced", "adopt", "announce", "archive", "fail", "is_owned", "lose"]
 
 Successor = Callable[[PlannedJob], PlannedJob]
 
-_SUCCESS = "success"
+SUCCESS = "success"
+"""Outcome of the one attempt that brought the episode."""
 _LOST = "lost"
 _HURTS = "crash, hang or invalid bundle"
 _CRASH_PAUSE_S = 1.0
@@ -94,7 +95,7 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
     where = (jobs.c.idx == index, jobs.c.superseded.is_(False))
     if move(connection, Event.LOST, where, now, {**FREED, "not_before": 0.0}, detail=detail) is None:
         return False
-    succeeded = (attempts.c.idx == index, attempts.c.outcome == _SUCCESS)
+    succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)
     connection.execute(update(attempts).where(*succeeded).values(outcome=_LOST, settles=False, detail=detail))
     connection.execute(delete(episodes).where(episodes.c.idx == index))
     return True
@@ -112,7 +113,7 @@ def _own(
     row = move(connection, event, (*where, *announced), now, {"lease_until": None, "losses": 0})
     if row is None:
         return False
-    record_attempt(connection, row, _SUCCESS, now, settles=True, steps=summary.num_steps)
+    record_attempt(connection, row, SUCCESS, now, settles=True, steps=summary.num_steps)
     connection.execute(
         insert(episodes),
         {

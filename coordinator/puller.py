@@ -5,10 +5,8 @@ Fails fast and forgets: whatever goes wrong on the way, the worker's next beat a
 
 from __future__ import annotations
 
-import contextlib
 import queue
 import threading
-from collections import Counter
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -28,6 +26,7 @@ from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job
 from schemas.keys import Chunk
+from schemas.scene import Target
 from schemas.terms import FailReason
 from schemas.wire import Fail, Lease
 
@@ -35,8 +34,6 @@ __all__ = ["Checker", "Pullers"]
 
 _VALIDATION_S = 120.0
 """Lease granted once a bundle is here whole: its worker may die now."""
-_STUMBLES = 2
-"""Times that a bundle may kill the validator before it counts as invalid."""
 _DETAIL_CHARS = 2000
 
 log = structlog.get_logger(__name__)
@@ -45,13 +42,13 @@ Fetch = Callable[[str, Lease, Chunk], bytes]
 
 
 class Checker(Protocol):
-    """What judges a bundle; each puller has its own."""
+    """What judges bundles, from several threads at a time."""
 
-    def check(self, path: Path, job: Job) -> EpisodeSummary:
+    def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
         """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
-        """Ends what runs for it."""
+        """Ends what runs for it; a check under way raises `TransientError`."""
 
 
 class Pullers:
@@ -62,7 +59,7 @@ class Pullers:
         archive: Archive,
         writer: Writer,
         fetch: Fetch,
-        make_checker: Callable[[], Checker],
+        checker: Checker,
         terms: Terms,
         settings: CoordinatorSettings,
         clock: Callable[[], datetime],
@@ -71,14 +68,13 @@ class Pullers:
         self._archive = archive
         self._writer = writer
         self._fetch = fetch
-        self._make_checker = make_checker
+        self._checker = checker
         self._terms = terms
         self._settings = settings
         self._clock = clock
         self._on_archived = on_archived
         self._queue: queue.SimpleQueue[Pull | None] = queue.SimpleQueue()
         self._busy: set[int] = set()
-        self._stumbles: Counter[tuple[int, int]] = Counter()
         self._guard = threading.Lock()
         self._stop = threading.Event()
         self._threads = [
@@ -112,20 +108,19 @@ class Pullers:
         self.close()
 
     def _run(self) -> None:
-        with contextlib.closing(self._make_checker()) as checker:
-            while (pull := self._queue.get()) is not None:
-                try:
-                    if not self._stop.is_set():
-                        self._bring(pull, checker)
-                except FactoryError as error:
-                    log.warning("pull_failed", episode=pull.job.episode_id, worker=pull.sid, error=str(error))
-                except Exception:
-                    log.exception("pull_crashed", episode=pull.job.episode_id, worker=pull.sid)
-                finally:
-                    with self._guard:
-                        self._busy.discard(pull.job.index)
+        while (pull := self._queue.get()) is not None:
+            try:
+                if not self._stop.is_set():
+                    self._bring(pull)
+            except FactoryError as error:
+                log.warning("pull_failed", episode=pull.job.episode_id, worker=pull.sid, error=str(error))
+            except Exception:
+                log.exception("pull_crashed", episode=pull.job.episode_id, worker=pull.sid)
+            finally:
+                with self._guard:
+                    self._busy.discard(pull.job.index)
 
-    def _bring(self, pull: Pull, checker: Checker) -> None:
+    def _bring(self, pull: Pull) -> None:
         if not self._keep_lease(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
             return
         if pull.size > MAX_BUNDLE_BYTES:
@@ -138,7 +133,7 @@ class Pullers:
                 self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
                 return
             self._keep_lease(pull, _VALIDATION_S)
-            summary = self._judge(pull, staged.path, checker)
+            summary = self._judge(pull, staged.path)
             if summary is not None:
                 self._publish(pull, staged, summary)
 
@@ -168,18 +163,13 @@ class Pullers:
             length = min(self._settings.chunk_bytes, pull.size - staged.size)
             staged.write(self._fetch(pull.sid, pull.lease, Chunk(staged.size, length)))
 
-    def _judge(self, pull: Pull, path: Path, checker: Checker) -> EpisodeSummary | None:
+    def _judge(self, pull: Pull, path: Path) -> EpisodeSummary | None:
+        target = self._terms.catalog[pull.job.scene].info.target(pull.job.target_id)
         try:
-            return checker.check(path, pull.job)
+            return self._checker.check(path, pull.job, target)
         except InvalidBundle as error:
             self._refuse(pull, str(error))
-        except TransientError as error:
-            key = (pull.lease.job_id, pull.lease.fence)
-            self._stumbles[key] += 1
-            if self._stumbles[key] < _STUMBLES:
-                raise
-            self._refuse(pull, f"the validator died over it {_STUMBLES} times: {error}")
-        return None
+            return None
 
     def _refuse(self, pull: Pull, detail: str) -> None:
         log.warning("bundle_refused", episode=pull.job.episode_id, worker=pull.sid, detail=detail)

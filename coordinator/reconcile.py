@@ -5,7 +5,6 @@ Runs before anything else writes. Deletes nothing that could be an episode.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -44,16 +43,14 @@ class Reconciled:
     """Leases that have got their grace."""
 
 
-def reconcile(
-    archive: Archive, engine: Engine, terms: Terms, make_checker: Callable[[], Checker], now: datetime
-) -> Reconciled:
+def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Checker, now: datetime) -> Reconciled:
     """Brings ledger and archive to agree; the staging directory was emptied when the archive was opened.
 
     Args:
         archive: of the run, held exclusively.
         engine: writes the ledger.
         terms: of the run.
-        make_checker: opens what judges bundles that are to be adopted.
+        checker: judges bundles that are to be adopted.
         now: leases are granted from here on.
     """
     result = Reconciled([], [], [])
@@ -72,7 +69,7 @@ def reconcile(
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     strays = {index: path for index, path in present.items() if index not in owned}
     if strays:
-        _settle_strays(archive, engine, terms, make_checker, now, strays, result)
+        _settle_strays(archive, engine, terms, checker, now, strays, result)
     log.info(
         "reconciled",
         archived=len(owned) - len(result.requeued),
@@ -94,22 +91,18 @@ def _settle_strays(
     archive: Archive,
     engine: Engine,
     terms: Terms,
-    make_checker: Callable[[], Checker],
+    checker: Checker,
     now: datetime,
     strays: dict[int, Path],
     result: Reconciled,
 ) -> None:
-    checker = make_checker()
-    try:
-        for index, path in strays.items():
-            with engine.begin() as connection:
-                refusal = _adopt(connection, index, path, terms, checker, now)
-            if refusal:
-                result.quarantined.append(archive.quarantine(path, refusal))
-            else:
-                result.adopted.append(index)
-    finally:
-        checker.close()
+    for index, path in strays.items():
+        with engine.begin() as connection:
+            refusal = _adopt(connection, index, path, terms, checker, now)
+        if refusal:
+            result.quarantined.append(archive.quarantine(path, refusal))
+        else:
+            result.adopted.append(index)
 
 
 def _adopt(connection: Connection, index: int, path: Path, terms: Terms, checker: Checker, now: datetime) -> str:
@@ -122,7 +115,8 @@ def _adopt(connection: Connection, index: int, path: Path, terms: Terms, checker
     if size != row.size:
         return f"{size} bytes, {row.size} were announced"
     try:
-        summary = checker.check(path, to_job(terms.plan, terms.catalog, planned_of(row), row.attempt))
+        target = terms.catalog[row.scene].info.target(row.target_id)
+        summary = checker.check(path, to_job(terms.plan, terms.catalog, planned_of(row), row.attempt), target)
     except (InvalidBundle, TransientError) as error:
         return str(error)
     if not adopt(connection, row.id, summary, now):

@@ -18,7 +18,7 @@ ALLOWED = {
 DOORS = {
     "pybullet": {"workers/bullet.py"},
     "moderngl": {"workers/render/"},
-    "zenoh": {"workers/link.py", "coordinator/router.py", "coordinator/zenoh_config.py", "factory/client.py"},
+    "zenoh": {"workers/link.py", "coordinator/router.py", "coordinator/zenoh_config.py", "coordinator/ask.py"},
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
     "pyarrow": {"coordinator/dataset_tables.py", "factory/"},

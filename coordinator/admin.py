@@ -1,0 +1,69 @@
+"""Carries out an operator's wish on a dataset directory: through the coordinator that runs there, else in its place.
+
+Never opens a second writer: without the directory's lock it changes nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from datetime import datetime
+from pathlib import Path
+
+from coordinator import ledger_admin
+from coordinator.archive import Archive
+from coordinator.ask import ask_admin
+from coordinator.beacon import sight
+from coordinator.engine import open_reader, open_writer
+from coordinator.ledger import ledger_url_of, read_info
+from coordinator.settings import TlsFiles
+from schemas.errors import TransientError, UsageError
+from schemas.wire import AdminAction, AdminReply, AdminRequest
+
+__all__ = ["administer"]
+
+
+def administer(
+    root: Path, request: AdminRequest, now: datetime, ledger_url: str | None = None, tls: TlsFiles | None = None
+) -> AdminReply:
+    """Carries out an operator's wish; repeating it changes nothing more.
+
+    Args:
+        root: dataset directory.
+        request: the wish.
+        now: of the wish.
+        ledger_url: where the ledger is, when not in the directory.
+        tls: an operator's certificate, when the coordinator asks for one.
+
+    Raises:
+        WorldError: there is no ledger, or a coordinator holds the directory and cannot be asked.
+        UsageError: the ledger is of a newer format, or there is nobody to drain.
+    """
+    url = ledger_url_of(root, ledger_url)
+    _check_readable(url)  # says no before anything is created
+    beacon = sight(root)
+    if beacon is not None:
+        with contextlib.suppress(TransientError):  # a killed coordinator leaves its beacon behind: the lock tells
+            return ask_admin(beacon.endpoints, request, tls)
+    with Archive(root):
+        return _administer_offline(url, request, now)
+
+
+def _check_readable(url: str) -> None:
+    engine = open_reader(url)
+    try:
+        with engine.connect() as connection:
+            read_info(connection)
+    finally:
+        engine.dispose()
+
+
+def _administer_offline(url: str, request: AdminRequest, now: datetime) -> AdminReply:
+    if request.action is AdminAction.DRAIN:
+        raise UsageError("no coordinator runs on the directory, so there is nobody to drain")
+    change = ledger_admin.retry if request.action is AdminAction.RETRY else ledger_admin.cancel
+    engine = open_writer(url)
+    try:
+        with engine.begin() as connection:
+            return change(connection, request.indices, now)
+    finally:
+        engine.dispose()

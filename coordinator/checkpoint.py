@@ -1,0 +1,63 @@
+"""Writes the dataset's tables as the ledger stands: every archived episode, every attempt that brought none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from sqlalchemy import select
+from sqlalchemy.engine import Connection
+
+from coordinator.archive import Archive
+from coordinator.catalog import Catalog
+from coordinator.dataset_meta import DatasetMeta
+from coordinator.dataset_tables import FailedAttempt, write_tables
+from coordinator.ledger_outcomes import SUCCESS
+from coordinator.ledger_records import read_summaries
+from coordinator.tables import attempts, jobs
+from schemas.job import episode_id
+from schemas.plan import Plan
+from schemas.terms import Split, Tier
+
+__all__ = ["read_failures", "write_checkpoint"]
+
+_YIELD_ROWS = 1000
+
+
+def write_checkpoint(
+    archive: Archive, connection: Connection, plan: Plan, catalog: Catalog, now: datetime
+) -> DatasetMeta:
+    """Writes the tables, each replaced as a whole.
+
+    Raises:
+        WorldError: the disk is full or gone; the tables are as they were.
+    """
+    scenes = {name: entry.sha256 for name, entry in catalog.items()}
+    return write_tables(archive, plan, scenes, read_summaries(connection), read_failures(connection), now)
+
+
+def read_failures(connection: Connection) -> Iterator[FailedAttempt]:
+    """Yields the attempts that brought no episode, in the order of episode, attempt and time."""
+    query = (
+        select(attempts, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.category, jobs.c.target_id)
+        .join(jobs, jobs.c.id == attempts.c.job_id)
+        .where(attempts.c.outcome != SUCCESS)
+        .order_by(attempts.c.idx, attempts.c.attempt, attempts.c.id)
+    )
+    for row in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
+        yield FailedAttempt(
+            episode_id=episode_id(row.idx),
+            draw=row.draw,
+            attempt=row.attempt,
+            scene=row.scene,
+            spawn_tier=Tier(row.tier),
+            split=Split(row.split),
+            target_category=row.category,
+            target_id=row.target_id,
+            reason=row.outcome,
+            detail=row.detail,
+            steps=row.steps,
+            seconds=row.seconds,
+            worker=row.sid,
+            at=datetime.fromtimestamp(row.at, UTC),
+        )

@@ -1,0 +1,286 @@
+"""The coordinator of one run: opens archive, ledger, writer, pullers and router in order and closes them in reverse.
+
+Wires the parts and keeps house (expiry, free space, tables); what a verb means or how a job moves is decided elsewhere.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import structlog
+
+from coordinator import ledger_claims
+from coordinator.archive import Archive
+from coordinator.beacon import light, quench
+from coordinator.catalog import Catalog
+from coordinator.checkpoint import write_checkpoint
+from coordinator.engine import open_reader, open_writer
+from coordinator.housekeeper import Housekeeper
+from coordinator.ledger import ledger_url_of, open_run
+from coordinator.progress import read_progress
+from coordinator.protocol import Answer, Request, Terms, parse, serve
+from coordinator.puller import Checker, Pullers
+from coordinator.reconcile import reconcile
+from coordinator.router import Inquiry, Router
+from coordinator.settings import CoordinatorSettings
+from coordinator.validator import Validator
+from coordinator.writer import Writer
+from schemas.errors import TransientError
+from schemas.keys import Verb
+from schemas.plan import Plan
+from schemas.wire import AdminAction, AdminRequest, Progress, Refusal
+
+__all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]
+
+DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
+_READS_WAITING = 16
+_WAIT_S = 0.5
+
+log = structlog.get_logger(__name__)
+
+
+def utc_now() -> datetime:
+    """Returns the time of this machine, in UTC."""
+    return datetime.now(UTC)
+
+
+class Coordinator:
+    """A running coordinator; a context manager whose exit loses nothing.
+
+    Args:
+        root: dataset directory; it is created, or resumed.
+        plan: what to make.
+        catalog: the compiled scenes of the plan.
+        listen: zenoh endpoints; port 0 takes a free one.
+        ledger_url: another database than `ledger.db` in the directory.
+        settings: numbers that change no byte of the dataset.
+        checker: judges bundles and is closed with the coordinator; by default sandboxed children, one a puller.
+        clock: the time; an argument, so that a test can let leases run out.
+
+    Raises:
+        UsageError: the directory holds another plan.
+        WorldError: another coordinator works there, the disk refuses, or an endpoint is taken.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        plan: Plan,
+        catalog: Catalog,
+        listen: Sequence[str] = DEFAULT_LISTEN,
+        ledger_url: str | None = None,
+        settings: CoordinatorSettings | None = None,
+        *,
+        checker: Checker | None = None,
+        clock: Callable[[], datetime] = utc_now,
+    ) -> None:
+        self._settings = settings = settings or CoordinatorSettings()
+        self._clock = clock
+        self._draining = threading.Event()
+        self._changed = threading.Event()
+        self._has_room = True
+        self._terms = Terms(
+            plan=plan,
+            catalog=catalog,
+            version=version("minivla-factory"),
+            lease_ttl_s=settings.lease_ttl_s,
+            retry_after_s=settings.retry_after_s,
+            is_draining=self._draining.is_set,
+            has_room=lambda: self._has_room,
+        )
+        url = ledger_url_of(root, ledger_url)
+        checker = checker or Validator(settings.pullers)
+        with ExitStack() as stack:
+            stack.callback(checker.close)
+            self._archive = stack.enter_context(Archive(root))
+            self._open_ledger(stack, url, checker)
+            self._writer = stack.enter_context(Writer(self._engine))
+            stack.callback(self._write_tables)
+            self._pullers = stack.enter_context(self._open_pullers(checker))
+            stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
+            self._reads = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="ledger-reader"))
+            self._waiting_reads = threading.Semaphore(_READS_WAITING)
+            router = Router(plan.run, listen, catalog, settings, self._take, self._note_gone)
+            self._router = stack.enter_context(router)
+            stack.enter_context(self._open_housekeeper())
+            light(root, plan.run, router.endpoints)
+            stack.callback(quench, root)
+            self._stack = stack.pop_all()
+        log.info("coordinator_started", run=plan.run, endpoints=router.endpoints, directory=str(root))
+
+    @property
+    def endpoints(self) -> tuple[str, ...]:
+        """Where workers connect."""
+        return self._router.endpoints
+
+    @property
+    def run(self) -> str:
+        """Name of the run."""
+        return self._terms.plan.run
+
+    def progress(self) -> Progress:
+        """Returns where the run stands."""
+        with self._reader.connect() as connection:
+            return read_progress(connection, self._clock())
+
+    def is_finished(self) -> bool:
+        """Whether no job can change any more without an operator."""
+        with self._reader.connect() as connection:
+            return not ledger_claims.has_open_jobs(connection)
+
+    def wait(self, timeout_s: float | None = None, stop: threading.Event | None = None) -> bool:
+        """Waits until the run is finished.
+
+        Args:
+            timeout_s: how long at most; `None` waits for ever.
+            stop: ends the wait early when set.
+
+        Returns:
+            Whether it is finished.
+        """
+        stop = stop or threading.Event()
+        left = timeout_s
+        while not self.is_finished():
+            if left is not None and left <= 0:
+                return False
+            if stop.wait(_WAIT_S if left is None else min(_WAIT_S, left)):
+                return self.is_finished()
+            left = None if left is None else left - _WAIT_S
+        return True
+
+    def drain(self) -> None:
+        """Gives out no more jobs and lets workers leave when theirs are done."""
+        self._draining.set()
+
+    def close(self) -> None:
+        """Stops listening, finishes what is queued, writes the tables and releases the directory."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open_ledger(self, stack: ExitStack, url: str, checker: Checker) -> None:
+        terms = self._terms
+        self._engine = open_writer(url)
+        stack.callback(self._engine.dispose)
+        is_new = open_run(self._engine, terms.plan, terms.catalog, terms.lease_ttl_s, self._clock())
+        for name, entry in terms.catalog.items():
+            self._archive.add_scene(entry.path, name, entry.sha256)
+        self._reader = open_reader(url)
+        stack.callback(self._reader.dispose)
+        reconciled = reconcile(self._archive, self._engine, terms, checker, self._clock())
+        if is_new or reconciled.adopted or reconciled.requeued:
+            self._changed.set()
+
+    def _open_pullers(self, checker: Checker) -> Pullers:
+        return Pullers(
+            self._archive,
+            self._writer,
+            lambda sid, lease, chunk: self._router.fetch(sid, lease, chunk),
+            checker,
+            self._terms,
+            self._settings,
+            self._clock,
+            self._changed.set,
+        )
+
+    def _open_housekeeper(self) -> Housekeeper:
+        settings = self._settings
+        return Housekeeper(
+            {
+                "expire": (settings.sweep_s, self._expire),
+                "look_for_room": (1.0, self._look_for_room),
+                "write_tables": (settings.checkpoint_s, self._write_tables),
+            }
+        )
+
+    def _take(self, inquiry: Inquiry) -> None:
+        if inquiry.verb == Verb.PROGRESS:
+            self._take_read(inquiry)
+            return
+        if self._writer.backlog > self._settings.backlog:
+            inquiry.drop()
+            return
+        request = parse(inquiry.verb, inquiry.host, inquiry.payload)
+        if isinstance(request, Refusal):
+            log.info("refused", host=inquiry.host, verb=inquiry.verb, reason=request.error)
+            inquiry.answer(request)
+            return
+        future = self._writer.submit(lambda connection: serve(connection, request, self._terms, self._clock()))
+        future.add_done_callback(partial(self._reply, inquiry, request))
+
+    def _reply(self, inquiry: Inquiry, request: Request, future: Future[Answer]) -> None:
+        """Answers after COMMIT; runs in the writer's thread and must not wait."""
+        error = future.exception()
+        if isinstance(error, TransientError):
+            inquiry.drop()
+        elif error is not None:
+            log.error("request_failed", host=inquiry.host, verb=inquiry.verb, exc_info=error)
+            inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
+        else:
+            answer = future.result()
+            if isinstance(request.message, AdminRequest):
+                self._note_operator(request.message)
+            inquiry.answer(answer.reply)
+            for pull in answer.pulls:
+                self._pullers.offer(pull)
+
+    def _note_operator(self, request: AdminRequest) -> None:
+        log.info("operator", action=request.action, episodes=len(request.indices) or "all")
+        if request.action is AdminAction.DRAIN:
+            self.drain()
+
+    def _take_read(self, inquiry: Inquiry) -> None:
+        if not self._waiting_reads.acquire(blocking=False):
+            inquiry.drop()
+            return
+        future = self._reads.submit(self.progress)
+        future.add_done_callback(partial(self._answer_read, inquiry))
+
+    def _answer_read(self, inquiry: Inquiry, future: Future[Progress]) -> None:
+        self._waiting_reads.release()
+        if future.exception() is None:
+            inquiry.answer(future.result())
+        else:
+            log.error("read_failed", verb=inquiry.verb, exc_info=future.exception())
+            inquiry.drop()
+
+    def _note_gone(self, sid: str) -> None:
+        """A closed link only shortens leases: the worker may be back in a moment."""
+        hint_s = self._settings.lease_ttl_s / 2
+        self._writer.submit(lambda connection: ledger_claims.shorten(connection, sid, self._clock(), hint_s))
+
+    def _expire(self) -> None:
+        expired = self._writer.call(lambda connection: ledger_claims.expire(connection, self._clock()))
+        if expired:
+            log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
+
+    def _look_for_room(self) -> None:
+        free = self._archive.free_bytes()
+        has_room = free >= self._settings.reserve_bytes
+        if has_room != self._has_room:
+            self._has_room = has_room
+            event = "disk_has_room_again" if has_room else "disk_low_nothing_is_given_out"
+            log.warning(
+                event, free_bytes=free, reserve_bytes=self._settings.reserve_bytes, directory=str(self._archive.root)
+            )
+
+    def _write_tables(self) -> None:
+        if self._changed.is_set():
+            self._changed.clear()
+            with self._reader.connect() as connection:
+                write_checkpoint(self._archive, connection, self._terms.plan, self._terms.catalog, self._clock())
