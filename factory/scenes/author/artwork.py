@@ -106,7 +106,7 @@ def _notice(heading: str, colour: str) -> Callable[[Generator], Pixels]:
 
 
 def _sign(text: str, colour: str, size: int) -> Callable[[Generator], Pixels]:
-    def draw_sign(rng: Generator) -> Pixels:
+    def draw_sign(_rng: Generator) -> Pixels:
         image, draw = _canvas(colour)
         draw.rectangle((14, 14, 497, 497), outline="#ffffff", width=10)
         _write(draw, text, 256, size, "#ffffff")
@@ -162,7 +162,7 @@ def _hazard(rng: Generator) -> Pixels:
     return np.where(stripe[..., None], yellow, black).astype(np.uint8)
 
 
-def _keys(rng: Generator) -> Pixels:
+def _keys(_rng: Generator) -> Pixels:
     image, draw = _canvas("#202226")
     for row in range(5):
         for column in range(14):

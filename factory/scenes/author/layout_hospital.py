@@ -34,13 +34,15 @@ def lay_out_hospital(plan: Plan) -> None:
         "ward": Style(LINOLEUM, ward_paints[0], has_windows=False),
         "exam": Style(WARM, ward_paints[1]),
         "waiting": Style(TILES, PLASTER),
-        "reception": Style(TILES, ward_paints[1]),
+        "reception": Style(TILES, ward_paints[1], has_windows=False),
     }
     rooms = build_wings(plan, SIZE, corridor, wings, styles)
     furnish = {"ward": _ward, "exam": _exam, "waiting": _waiting, "reception": _reception}
     for room in rooms:
         furnish[room.kind](plan, room)
     _corridor(plan, Rectangle(0.06, corridor[0] + 0.06, SIZE[0] - 0.06, corridor[1] - 0.06))
+    plan.top_up("SM_FireExtinguisher_02", 6, [room.area for room in rooms])
+    plan.top_up("SM_Whiteboard_A", 6, [room.area for room in rooms])
 
 
 def _cells(plan: Plan, hall: str) -> list[Cell]:
@@ -171,7 +173,7 @@ def _corridor(plan: Plan, area: Rectangle) -> None:
 def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
     """Stands small things along the walls, where they fit."""
     for name in names:
-        plan.against_somewhere(plan.workshop.model(name, plan.pick(12)), room.area, "EW" + room.inner, 0.3)
+        plan.against_somewhere(plan.workshop.model(name, plan.pick(12)), room.area, "EW" + room.inner, 0.5)
 
 
 def _decorate(plan: Plan, room: Room) -> None:

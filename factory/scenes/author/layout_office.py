@@ -10,6 +10,7 @@ import math
 from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
 from factory.scenes.author.materials import Material, textured
 from factory.scenes.author.placement import FACING, Plan, Rectangle, wall_pose
+from factory.scenes.author.room import marking
 
 __all__ = ["lay_out_office"]
 
@@ -18,6 +19,9 @@ CARPET = textured("Carpet", "#6a7078", 1.0, 0.95)
 CARPET_HALL = textured("CarpetCorridor", "#8b8a86", 1.0, 0.95)
 PLANKS = textured("FloorPlanks", "#b08a5c", 1.2, 0.5)
 TILES = textured("TileFloor", "#c9c6bd", 1.6, 0.4)
+FABRIC_RED = textured("FabricRed", "#a32a26", 0.4, 0.95)
+FABRIC_BLUE = textured("FabricBlue", "#2f5597", 0.4, 0.95)
+FABRIC_GREEN = textured("FabricGreen", "#3f7d4a", 0.4, 0.95)
 PAINTS = (
     textured("PlasterAccent", "#7f9bab", 2.0, 0.9),
     Material("WallSage", "#b4bfa6", roughness=0.9),
@@ -57,13 +61,18 @@ def lay_out_office(plan: Plan) -> None:
     for room in rooms:
         furnish[room.kind](plan, room)
     _corridor(plan, Rectangle(0.06, corridor[0] + 0.06, SIZE[0] - 0.06, corridor[1] - 0.06))
+    seated = [room.area for room in rooms if room.kind in ("lounge", "private", "meeting")]
+    plan.top_up("SM_Sofa_A", 4, seated)
+    everywhere = [room.area for room in rooms]
+    plan.top_up("SM_FireExtinguisher_02", 5, everywhere)
+    plan.top_up("SM_Whiteboard_A", 4, everywhere)
 
 
 def _workplace(plan: Plan, x: float, y: float, yaw: float, look: int, room: Rectangle) -> None:
     """A desk with monitor, typing pad and a chair that is tucked in or stands beside the desk."""
     shop, rng = plan.workshop, plan.rng
     desk = shop.model("SM_TableDesk_A", look)
-    if not plan.place(desk, x, y, yaw, room, 0.5):
+    if not plan.place(desk, x, y, yaw, room, 0.02):
         return
     c, s = math.cos(yaw), math.sin(yaw)
     aside = float(rng.uniform(-0.2, 0.2))
@@ -111,8 +120,8 @@ def _open_plan(plan: Plan, room: Room) -> None:
     if rng.random() < 0.5:
         _wall_workplace(plan, area, board_side, 1.0 - near, look)
     plan.against(shop.model("SM_Whiteboard_A", plan.pick(2)), area, board_side, near, 0.2)
-    for corner in rng.permutation(4)[:2]:
-        plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, int(corner), 0.3)
+    for _ in range(2):
+        plan.in_some_corner(shop.model("SM_Plant_A", plan.pick(12)), area)
     _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_Printer", "SM_Cabinet", "SM_FireExtinguisher_02"))
     plan.hang(shop.model("SM_Clock", 0), area, room.inner, float(rng.uniform(0.1, 0.9)))
     _decorate(plan, room, 2)
@@ -127,33 +136,34 @@ def _meeting(plan: Plan, room: Room) -> None:
     table = shop.model("SM_TableMeeting_B", plan.pick(4))
     if plan.place(table, x, y, 0.0, area, 0.6):
         look, kind = plan.pick(5), ("SM_ChairVisitor_C", "SM_ChairOffice_A")[plan.pick(2)]
-        seats = [(-inward, 0.0), (inward, -0.34), (inward, 0.34)]
-        for side, shift in seats:
-            yaw = FACING["S"] if side < 0 else FACING["N"]
+        for shift in (-0.34, 0.34):
             turn, depth = float(rng.uniform(-0.12, 0.12)), 0.42 + float(rng.uniform(0.0, 0.06))
-            plan.place(shop.model(kind, look), x + shift, y + side * depth, yaw + turn, area, 0.0, True)
+            yaw = FACING[room.inner] + turn
+            plan.place(shop.model(kind, look), x + shift, y + inward * depth, yaw, area, 0.0, True)
+        end = 1.0 if rng.random() < 0.5 else -1.0
+        plan.place(shop.model(kind, look), x + end * 0.94, y, FACING["E" if end > 0 else "W"], area, 0.0, True)
     board, screen = ("E", "W") if rng.random() < 0.5 else ("W", "E")
     near = float(rng.uniform(0.3, 0.45))
     near = near if room.outer == "N" else 1.0 - near
     plan.against(shop.model("SM_Whiteboard_A", plan.pick(3)), area, board, near)
     plan.hang(shop.model("SM_Television", plan.pick(2)), area, screen, 0.5)
-    plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, plan.pick(2) + (0 if room.outer == "N" else 2), 0.3)
+    plan.in_some_corner(shop.model("SM_Plant_A", plan.pick(12)), area)
     _along(plan, room, ("SM_TrashCan_A",))
     _decorate(plan, room, 1)
 
 
 def _private(plan: Plan, room: Room) -> None:
-    """One desk facing the door, a visitor chair by the wall, a sofa, a plant, a case of books."""
+    """One desk at a side wall, a sofa opposite, a visitor chair by the window, a plant, a case of books."""
     area, rng, shop = room.area, plan.rng, plan.workshop
-    x, y = area.centre
-    inward = 1 if room.outer == "N" else -1
-    _workplace(plan, x + float(rng.uniform(-0.3, 0.3)), y + inward * 0.55, FACING[room.inner], plan.pick(12), area)
-    sofa_side, other = ("E", "W") if rng.random() < 0.5 else ("W", "E")
-    along = 0.25 if room.outer == "N" else 0.75
+    sofa_side, desk_side = ("E", "W") if rng.random() < 0.5 else ("W", "E")
+    along = float(rng.uniform(0.55, 0.65))
+    along = along if room.outer == "N" else 1.0 - along
+    _wall_workplace(plan, area, desk_side, along, plan.pick(12))
     plan.against(shop.model("SM_Sofa_A", plan.pick(6)), area, sofa_side, along, 0.3)
-    plan.against(shop.model("SM_ChairVisitor_C", plan.pick(5)), area, other, float(rng.uniform(0.35, 0.6)), 0.3, 0.08)
-    plan.against_somewhere(shop.model("SM_Cabinet", 2), area, room.outer, 0.2)
-    plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, plan.pick(4))
+    chair = shop.model("SM_ChairVisitor_C", plan.pick(5))
+    plan.against(chair, area, room.outer, float(rng.uniform(0.4, 0.6)), 0.3, 0.08)
+    plan.against_somewhere(shop.model("SM_Cabinet", 2), area, "EW", 0.3)
+    plan.in_some_corner(shop.model("SM_Plant_A", plan.pick(12)), area)
     _along(plan, room, ("SM_TrashCan_A", "SM_CoatStand"))
     _decorate(plan, room, 1)
 
@@ -163,6 +173,8 @@ def _lounge(plan: Plan, room: Room) -> None:
     area, rng, shop = room.area, plan.rng, plan.workshop
     x, y = area.centre
     look = plan.pick(6)
+    rug = (FABRIC_RED, FABRIC_BLUE, FABRIC_GREEN)[plan.pick(3)]
+    marking(plan, Rectangle(x - 1.1, y - 0.8, x + 1.1, y + 0.8), rug)
     for number, side in enumerate((room.outer, "E", "W")):
         plan.against(shop.model("SM_Sofa_A", look + number), area, side, float(rng.uniform(0.4, 0.6)), 0.5, 0.05)
     corner_x = x + (1 if rng.random() < 0.5 else -1) * float(rng.uniform(1.0, 1.2))
@@ -176,8 +188,8 @@ def _lounge(plan: Plan, room: Room) -> None:
         area,
         0.5,
     )
-    for corner in rng.permutation(4)[:3]:
-        plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, int(corner))
+    for _ in range(3):
+        plan.in_some_corner(shop.model("SM_Plant_A", plan.pick(12)), area)
     _along(plan, room, ("SM_TrashCan_A", "SM_FloorLamp", "SM_FireExtinguisher_02"))
     _decorate(plan, room, 2)
 
@@ -206,7 +218,7 @@ def _kitchen(plan: Plan, room: Room) -> None:
                     True,
                 )
     _along(plan, room, ("SM_TrashCan_A", "SM_TrashCan_A", "SM_FireExtinguisher_02", "SM_WaterCooler"))
-    plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, plan.pick(4))
+    plan.in_some_corner(shop.model("SM_Plant_A", plan.pick(12)), area)
     _decorate(plan, room, 1)
 
 
@@ -231,7 +243,7 @@ def _corridor(plan: Plan, area: Rectangle) -> None:
 def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
     """Stands small things along the walls, where they fit."""
     for name in names:
-        plan.against_somewhere(plan.workshop.model(name, plan.pick(12)), room.area, "EW" + room.outer + room.inner, 0.3)
+        plan.against_somewhere(plan.workshop.model(name, plan.pick(12)), room.area, "EW" + room.inner, 0.55)
 
 
 def _decorate(plan: Plan, room: Room, posters: int) -> None:

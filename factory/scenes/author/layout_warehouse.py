@@ -40,7 +40,7 @@ def lay_out_full_warehouse(plan: Plan) -> None:
     rows = list(_double_rows(hall, aisle))
     _fill_rows(plan, hall, rows, 4.2)
     _wall_shelves(plan, inside, 8)
-    _floor_goods(plan, inside, singles=14, clusters=6)
+    _floor_goods(plan, inside, singles=18, clusters=6)
 
 
 def lay_out_multiple_shelves(plan: Plan) -> None:
@@ -50,14 +50,15 @@ def lay_out_multiple_shelves(plan: Plan) -> None:
     inside = hall.grown(-0.08)
     aisle = float(plan.rng.uniform(2.1, 2.4))
     first = ("rack", "shelf") if plan.rng.random() < 0.5 else ("shelf", "rack")
-    rows, y = [], 2.9
+    rows: list[Row] = []
+    y = 2.9
     while y < hall.y1 - 2.6:
         kind = first[len(rows) % 2]
         rows.append(Row(kind, y, FACING["N"] if plan.rng.random() < 0.5 else FACING["S"]))
         y += 0.8 + aisle
-    _fill_rows(plan, hall, rows, 3.4)
+    _fill_rows(plan, hall, rows, 2.5)
     _wall_shelves(plan, inside, 3)
-    _floor_goods(plan, inside, singles=10, clusters=3)
+    _floor_goods(plan, inside, singles=14, clusters=4)
 
 
 def _double_rows(hall: Rectangle, aisle: float) -> Iterator[Row]:
@@ -108,7 +109,7 @@ def _fill_rows(plan: Plan, hall: Rectangle, rows: list[Row], margin: float) -> N
             count = int((end - start) // pitch)
             x0 = start if start > cross else end - count * pitch
             for slot in range(count):
-                if rng.random() < 0.94:
+                if rng.random() < 0.90:
                     x = x0 + (slot + 0.5) * pitch
                     look = frame + 3 * plan.pick(3) if row.kind == "rack" else shelf_look + 4 * plan.pick(2)
                     name = "SM_RackPile_04" if row.kind == "rack" else "SM_ShelfSteel_A"

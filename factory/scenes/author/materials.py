@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from factory.scenes.author.geometry import Mesh
 
-__all__ = ["Material", "Piece", "PAINTS", "glowing", "linear_rgb", "painted", "textured"]
+__all__ = ["PAINTS", "Material", "Piece", "glowing", "linear_rgb", "painted", "textured"]
 
 
 @dataclass(frozen=True)

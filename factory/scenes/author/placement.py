@@ -6,6 +6,7 @@ Keeps door zones and furniture footprints apart, as axis-aligned rectangles in m
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -198,6 +199,31 @@ class Plan:
         y = room.y1 - reach if corner & 2 else room.y0 + reach
         return self.place(model, x, y, 0.0, None, clearance)
 
+    def in_some_corner(self, model: Model, room: Rectangle, clearance: float = 0.55) -> Placement | None:
+        """Places a model in the first of the four corners, in random order, that is free."""
+        for corner in self.rng.permutation(4):
+            found = self.in_corner(model, room, int(corner), clearance)
+            if found:
+                return found
+        return None
+
+    def top_up(self, name: str, minimum: int, areas: Sequence[Rectangle], sides: str = "EW") -> None:
+        """Adds models against walls, ever closer to other furniture, until `minimum` of them stand.
+
+        Args:
+            name: catalogue name; every addition draws its own variant.
+            minimum: how many the scene must have.
+            areas: rooms to try, each in random order.
+            sides: walls to use.
+        """
+        standing = sum(placement.model.name.startswith(name) for placement in self.placements)
+        for clearance in (0.3, 0.1, 0.02):
+            for room in self.rng.permutation(len(areas)):
+                if standing >= minimum:
+                    return
+                model = self.workshop.model(name, self.pick(12))
+                standing += self.against_somewhere(model, areas[room], sides, clearance) is not None
+
 
 def footprint(model: Model, x: float, y: float, yaw: float) -> Rectangle:
     """The axis-aligned rectangle a turned model covers, metres."""
@@ -212,7 +238,7 @@ def wall_pose(model: Model, room: Rectangle, side: str, along: float, gap: float
     """Position and yaw that put a model's back to a wall, at `along` 0..1 of what is left of the wall."""
     half = float(max(model.high[0], -model.low[0]))
     back = float(model.high[1]) + gap
-    if gap > 0.0 and half < SMALL_HALF_WIDTH_M:
+    if gap > 0.0 and half < SMALL_HALF_WIDTH_M and model.low[2] < 0.1:  # what hangs, hangs on the wall
         back = max(back, SMALL_STANDOFF_M)
     if side in "NS":
         x = room.x0 + half + along * max(room.width - 2 * half, 0.0)

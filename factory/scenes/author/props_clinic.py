@@ -5,14 +5,13 @@ Builders in metres, origin on the floor, head end at +y. Never decides where any
 
 from __future__ import annotations
 
-
 import math
 
 import numpy as np
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import block, cushion, cylinder, fitted_block, loft, moved, rod, tube
-from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
+from factory.scenes.author.materials import Piece, glowing, painted, textured
 
 __all__ = ["bed", "curtain", "drip_stand", "head_panel", "nightstand", "trolley", "wash_unit", "wheelchair"]
 
@@ -54,7 +53,7 @@ def bed(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
-def nightstand(variant: int, rng: Generator) -> list[Piece]:
+def nightstand(_variant: int, rng: Generator) -> list[Piece]:
     """A bedside unit with two drawers, a cup and a lamp."""
     body = block((-0.22, -0.2, 0.08), (0.22, 0.2, 0.72))
     fronts = [block((-0.2, -0.215, z), (0.2, -0.2, z + 0.26)) for z in (0.12, 0.42)]
@@ -65,7 +64,7 @@ def nightstand(variant: int, rng: Generator) -> list[Piece]:
             Piece(painted(("SkyBlue", "Orange")[int(rng.integers(2))]), cup)]  # fmt: skip
 
 
-def drip_stand(variant: int, rng: Generator) -> list[Piece]:
+def drip_stand(_variant: int, _rng: Generator) -> list[Piece]:
     """A drip pole on five castors with a bag."""
     pole = rod((0.0, 0.0, 0.1), (0.0, 0.0, 1.95), 0.014)
     feet = [
@@ -82,7 +81,7 @@ def drip_stand(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
-def curtain(variant: int, rng: Generator) -> list[Piece]:
+def curtain(variant: int, _rng: Generator) -> list[Piece]:
     """A privacy curtain drawn together into folds, hanging from 2.2 m to just above the floor, 0.5 m long in y."""
     paint = painted(("Teal", "SkyBlue", "Beige")[variant % 3], 0.95)
     folds = [(0.05 if step % 2 else 0.015, 0.05 * step - 0.25) for step in range(11)]
@@ -91,7 +90,7 @@ def curtain(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(paint, loft(rings))]
 
 
-def head_panel(variant: int, rng: Generator) -> list[Piece]:
+def head_panel(_variant: int, _rng: Generator) -> list[Piece]:
     """The service panel above a bed head: rail, sockets and a reading light."""
     board = block((-0.75, 0.0, 1.25), (0.75, 0.06, 1.5))
     light = block((-0.4, -0.04, 1.55), (0.4, 0.06, 1.62))
@@ -104,7 +103,7 @@ def head_panel(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
-def trolley(variant: int, rng: Generator) -> list[Piece]:
+def trolley(variant: int, _rng: Generator) -> list[Piece]:
     """A medicine trolley with coloured drawers on castors."""
     body = block((-0.3, -0.22, 0.14), (0.3, 0.22, 0.92))
     paint = painted(("Red", "Blue", "Teal")[variant % 3])
@@ -120,7 +119,7 @@ def trolley(variant: int, rng: Generator) -> list[Piece]:
             Piece(STEEL, top), Piece(painted("Beige"), jar)]  # fmt: skip
 
 
-def wheelchair(variant: int, rng: Generator) -> list[Piece]:
+def wheelchair(variant: int, _rng: Generator) -> list[Piece]:
     """A wheelchair: two large wheels, castors, seat and back of dark cloth."""
     cloth = painted(("Navy", "Black")[variant % 2], 0.9)
     turns = [step * 2 * math.pi / 14 for step in range(15)]
@@ -150,7 +149,7 @@ def wheelchair(variant: int, rng: Generator) -> list[Piece]:
     return pieces
 
 
-def wash_unit(variant: int, rng: Generator) -> list[Piece]:
+def wash_unit(_variant: int, _rng: Generator) -> list[Piece]:
     """A hand basin on a cupboard with tap, mirror, tiles and a soap dispenser."""
     cupboard = block((-0.3, -0.2, 0.12), (0.3, 0.22, 0.78))
     doors = [block((x - 0.14, -0.215, 0.16), (x + 0.14, -0.2, 0.74)) for x in (-0.145, 0.145)]

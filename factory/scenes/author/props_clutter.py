@@ -53,18 +53,18 @@ def cabinet(variant: int, rng: Generator) -> list[Piece]:
             *(Piece(GREY, m) for m in doors),
             *(Piece(BLACK, m) for m in grips),
         ]
-    body = [block((x - 0.02, -0.16, 0.0), (x + 0.02, 0.16, 1.85)) for x in (-0.43, 0.43)]
-    body.append(block((-0.43, 0.14, 0.0), (0.43, 0.16, 1.85)))
-    body += [block((-0.43, -0.16, 0.05 + row * 0.355), (0.43, 0.15, 0.08 + row * 0.355)) for row in range(6)]
+    boards = [block((x - 0.02, -0.16, 0.0), (x + 0.02, 0.16, 1.85)) for x in (-0.43, 0.43)]
+    boards.append(block((-0.43, 0.14, 0.0), (0.43, 0.16, 1.85)))
+    boards += [block((-0.43, -0.16, 0.05 + row * 0.355), (0.43, 0.15, 0.08 + row * 0.355)) for row in range(6)]
     books = [_book_row(0.08 + row * 0.355, float(rng.uniform(0.05, 0.35))) for row in range(5)]
-    return [*(Piece(OAK, mesh) for mesh in body), *(Piece(SPINES, mesh) for mesh in books)]
+    return [*(Piece(OAK, mesh) for mesh in boards), *(Piece(SPINES, mesh) for mesh in books)]
 
 
 def _book_row(z: float, gap: float) -> Mesh:
     return fitted_block((-0.41, -0.12, z), (0.41 - gap, 0.13, z + 0.27))
 
 
-def kitchen_counter(variant: int, rng: Generator) -> list[Piece]:
+def kitchen_counter(variant: int, _rng: Generator) -> list[Piece]:
     """A 2.4 m kitchen run with doors, worktop, tap, coffee machine and wall units above 1.4 m."""
     front = (painted("SkyBlue", 0.4), WHITE, painted("Teal", 0.4))[variant % 3]
     pieces = [Piece(painted("Charcoal"), block((-1.2, -0.26, 0.0), (1.2, 0.3, 0.10)))]
@@ -86,7 +86,7 @@ def kitchen_counter(variant: int, rng: Generator) -> list[Piece]:
     return pieces
 
 
-def fridge(variant: int, rng: Generator) -> list[Piece]:
+def fridge(_variant: int, _rng: Generator) -> list[Piece]:
     """A tall two-door fridge."""
     body = cushion((-0.30, -0.30, 0.02), (0.30, 0.32, 1.82), 0.02)
     doors = [cushion((-0.29, -0.335, z0), (0.29, -0.30, z1), 0.01) for z0, z1 in ((0.06, 1.05), (1.08, 1.80))]
@@ -94,7 +94,7 @@ def fridge(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(GREY, body), *(Piece(STEEL, m) for m in doors), *(Piece(BLACK, m) for m in grips)]
 
 
-def coat_stand(variant: int, rng: Generator) -> list[Piece]:
+def coat_stand(_variant: int, rng: Generator) -> list[Piece]:
     """A pole with hooks and a coat or two."""
     pole = lathe([(0.17, 0.0), (0.17, 0.02), (0.025, 0.05), (0.022, 1.75)], sides=12)
     hooks = [
@@ -106,14 +106,14 @@ def coat_stand(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(BLACK, pole), *(Piece(BLACK, hook) for hook in hooks), Piece(paint, coat)]
 
 
-def floor_lamp(variant: int, rng: Generator) -> list[Piece]:
+def floor_lamp(_variant: int, _rng: Generator) -> list[Piece]:
     """A standing lamp with a lit shade."""
     foot = lathe([(0.15, 0.0), (0.15, 0.02), (0.015, 0.04), (0.012, 1.4)], sides=12)
     shade = lathe([(0.20, 1.35), (0.14, 1.65)], sides=16)
     return [Piece(BLACK, foot), Piece(glowing("LampShade", "#ffe9bd", glow=0.8), shade)]
 
 
-def drinks_cooler(variant: int, rng: Generator) -> list[Piece]:
+def drinks_cooler(_variant: int, _rng: Generator) -> list[Piece]:
     """A water dispenser with its blue bottle."""
     body = cushion((-0.15, -0.15, 0.0), (0.15, 0.15, 0.98), 0.02)
     niche = block((-0.10, -0.155, 0.62), (0.10, -0.14, 0.85))
@@ -121,7 +121,7 @@ def drinks_cooler(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(WHITE, body), Piece(BLACK, niche), Piece(painted("SkyBlue", 0.2), bottle)]
 
 
-def printer(variant: int, rng: Generator) -> list[Piece]:
+def printer(_variant: int, _rng: Generator) -> list[Piece]:
     """A floor-standing copier with paper trays."""
     body = block((-0.28, -0.28, 0.04), (0.28, 0.28, 0.92))
     trays = [block((-0.26, -0.295, 0.08 + row * 0.17), (0.26, -0.28, 0.23 + row * 0.17)) for row in range(3)]
@@ -136,7 +136,7 @@ def printer(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
-def reception(variant: int, rng: Generator) -> list[Piece]:
+def reception(variant: int, _rng: Generator) -> list[Piece]:
     """A reception counter 2.6 m wide with a raised front and a coloured stripe."""
     stripe = (painted("Teal", 0.4), painted("Blue", 0.4), painted("Orange", 0.4))[variant % 3]
     front = block((-1.3, -0.35, 0.0), (1.3, -0.27, 1.10))
@@ -170,7 +170,7 @@ def pallet_pile(variant: int, rng: Generator) -> list[Piece]:
     return pieces
 
 
-def pallet_truck(variant: int, rng: Generator) -> list[Piece]:
+def pallet_truck(variant: int, _rng: Generator) -> list[Piece]:
     """A hand pallet truck: two forks, a pump head and a handle."""
     paint = painted(("Red", "Orange", "Yellow")[variant % 3], 0.4)
     forks = [cushion((x - 0.08, -1.1, 0.07), (x + 0.08, 0.1, 0.13), 0.015) for x in (-0.19, 0.19)]
@@ -182,7 +182,7 @@ def pallet_truck(variant: int, rng: Generator) -> list[Piece]:
     return [*(Piece(paint, m) for m in (*forks, head)), *(Piece(BLACK, m) for m in (shaft, handle, *wheels))]
 
 
-def cone(variant: int, rng: Generator) -> list[Piece]:
+def cone(_variant: int, _rng: Generator) -> list[Piece]:
     """An orange traffic cone with a white band."""
     body = cylinder(0.13, 0.03, 0.55, sides=14, top=0.025)
     band = cylinder(0.098, 0.22, 0.34, sides=14, top=0.069)
@@ -193,7 +193,7 @@ def cone(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
-def protection_post(variant: int, rng: Generator) -> list[Piece]:
+def protection_post(_variant: int, _rng: Generator) -> list[Piece]:
     """A yellow impact post with black bands, as they guard rack ends."""
     bands = [cylinder(0.062, z, z + 0.12, sides=12) for z in (0.25, 0.55)]
     return [
@@ -202,7 +202,7 @@ def protection_post(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
-def workbench(variant: int, rng: Generator) -> list[Piece]:
+def workbench(_variant: int, _rng: Generator) -> list[Piece]:
     """A packing bench with rolls and a box; called a bench so that no rule takes it for a target."""
     top = block((-0.9, -0.4, 0.86), (0.9, 0.4, 0.92))
     legs = [block((x - 0.04, y - 0.04, 0.0), (x + 0.04, y + 0.04, 0.86)) for x in (-0.82, 0.82) for y in (-0.33, 0.33)]

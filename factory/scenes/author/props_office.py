@@ -10,7 +10,18 @@ import math
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import (
-    Mesh, Vector, block, card, cushion, cylinder, fitted_block, lathe, moved, quad, rod, tube,
+    Mesh,
+    Vector,
+    block,
+    card,
+    cushion,
+    cylinder,
+    fitted_block,
+    lathe,
+    moved,
+    quad,
+    rod,
+    tube,
 )  # fmt: skip
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 
@@ -61,7 +72,7 @@ def desk(variant: int, rng: Generator) -> list[Piece]:
     return [*pieces, Piece(cup, mug), Piece(WHITE, card(paper))]
 
 
-def meeting_table(variant: int, rng: Generator) -> list[Piece]:
+def meeting_table(variant: int, _rng: Generator) -> list[Piece]:
     """A boat-shaped conference table 1.9 m long on two pedestals."""
     wood = WOODS[(variant + 1) % 4]
     half_x, half_y = 0.95, 0.48
@@ -72,7 +83,7 @@ def meeting_table(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(wood, top), Piece(CHARCOAL, hub), *(Piece(CHARCOAL, mesh) for mesh in (*legs, *feet))]
 
 
-def round_table(variant: int, rng: Generator) -> list[Piece]:
+def round_table(variant: int, _rng: Generator) -> list[Piece]:
     """A round bistro table on a single column."""
     radius = (0.45, 0.50, 0.40)[variant % 3]
     top = lathe([(radius - 0.01, 0.71), (radius, 0.72), (radius, 0.735), (radius - 0.01, 0.745)], sides=20)
@@ -95,7 +106,7 @@ def coffee_table(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(wood, top), Piece(cover, magazine), *(Piece(BLACK, leg) for leg in legs)]
 
 
-def monitor(variant: int, rng: Generator) -> list[Piece]:
+def monitor(variant: int, _rng: Generator) -> list[Piece]:
     """A lit flat screen on a stand, its foot at z = 0 (the desk top); the screen faces -y."""
     case = (BLACK, WHITE, CHARCOAL)[variant % 3]
     half, height, lift = ((0.28, 0.34, 0.12), (0.31, 0.36, 0.14), (0.25, 0.31, 0.11))[variant % 3]
@@ -118,8 +129,10 @@ def monitor(variant: int, rng: Generator) -> list[Piece]:
 
 def _broad_leaf(angle: float, tilt: float, length: float, width: float, at: Vector) -> Mesh:
     """A pointed leaf bent once, visible from both sides; `tilt` is its rise above the horizontal, radians."""
-    outline: list[Vector] = [(0.0, 0.0, 0.0), (length * 0.35, -width, 0.02), (length * 0.75, -width * 0.7, 0.0),
-                             (length, 0.0, -0.05), (length * 0.75, width * 0.7, 0.0), (length * 0.35, width, 0.02)]  # fmt: skip
+    half = [(0.35, 1.0, 0.02), (0.75, 0.7, 0.0)]
+    right: list[Vector] = [(length * along, -width * out, rise) for along, out, rise in half]
+    left: list[Vector] = [(length * along, width * out, rise) for along, out, rise in reversed(half)]
+    outline: list[Vector] = [(0.0, 0.0, 0.0), *right, (length, 0.0, -0.05), *left]
     return moved(moved(card(outline), pitch=-tilt), at, yaw=angle)
 
 
@@ -178,7 +191,7 @@ def _frond(angle: float, rise: float, length: float, at: Vector) -> list[Mesh]:
     ]
 
 
-def trash_can(variant: int, rng: Generator) -> list[Piece]:
+def trash_can(variant: int, _rng: Generator) -> list[Piece]:
     """An open paper bin, a pedal bin with lid, a swing-top bin, or a mesh-grey office bin."""
     kind = variant % 4
     if kind == 0:
@@ -194,8 +207,8 @@ def trash_can(variant: int, rng: Generator) -> list[Piece]:
         return [Piece(painted("Steel", 0.3, 1.0), can), Piece(BLACK, lid), Piece(BLACK, pedal)]
     if kind == 2:
         body = block((-0.17, -0.14, 0.0), (0.17, 0.14, 0.52))
-        hood = moved(cushion((-0.18, -0.15, 0.52), (0.18, 0.15, 0.66), 0.05), (0.0, 0.0, 0.0))
-        flap = quad([(-0.12, -0.151, 0.56), (0.12, -0.151, 0.56), (0.12, -0.151, 0.63), (-0.12, -0.151, 0.63)])
+        hood = cushion((-0.175, -0.145, 0.51), (0.175, 0.145, 0.64), 0.02)
+        flap = quad([(-0.12, -0.1455, 0.55), (0.12, -0.1455, 0.55), (0.12, -0.1455, 0.615), (-0.12, -0.1455, 0.615)])
         paint = painted(("Green", "Blue", "Red")[variant // 4 % 3])
         return [
             Piece(paint, body),
@@ -212,7 +225,7 @@ def trash_can(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
-def keys_pad(variant: int, rng: Generator) -> list[Piece]:
+def keys_pad(_variant: int, _rng: Generator) -> list[Piece]:
     """A computer's typing pad and mouse, lying on a desk top at z = 0."""
     keys = Material("Keys", "#2c2f34", "Keys")
     pad = fitted_block((-0.22, -0.07, 0.0), (0.22, 0.07, 0.022))

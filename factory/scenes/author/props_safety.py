@@ -30,7 +30,7 @@ BRIGHT = painted("White", 0.3)
 SCRIBBLES = Material("Scribbles", "#f4f5f4", "Scribbles", roughness=0.2)
 
 
-def fire_extinguisher(variant: int, rng: Generator) -> list[Piece]:
+def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
     """A red bottle with valve, gauge, lever and hose: on a floor stand, wall-hung, or a wheeled large one."""
     kind = variant % 3
     radius, height = ((0.085, 0.44), (0.075, 0.40), (0.10, 0.56))[kind]
@@ -107,7 +107,7 @@ def _sign() -> Material:
     return Material("SignFire", "#c3211d", "SignFire", roughness=0.4)
 
 
-def whiteboard(variant: int, rng: Generator) -> list[Piece]:
+def whiteboard(variant: int, _rng: Generator) -> list[Piece]:
     """A board with frame, pen tray and scribbles: wall-hung in two sizes, or mobile on castors."""
     kind = variant % 3
     half, low, high = ((0.80, 0.85, 1.85), (0.60, 0.75, 1.75), (0.65, 0.70, 1.75))[kind]

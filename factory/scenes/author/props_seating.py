@@ -73,7 +73,7 @@ def _arm_rests(material: Material, half_width: float) -> list[Piece]:
     return pieces
 
 
-def task_chair(variant: int, rng: Generator) -> list[Piece]:
+def task_chair(variant: int, _rng: Generator) -> list[Piece]:
     """A swivel chair on five castors with a bowed fabric back."""
     fabric = _fabric(variant)
     back = [moved(cushion((-0.22, 0.0, 0.0), (0.22, 0.06, 0.24), 0.02), (0.0, 0.20, 0.58), roll=-0.02)]
@@ -85,7 +85,7 @@ def task_chair(variant: int, rng: Generator) -> list[Piece]:
     return [*_star_base(BLACK), Piece(BLACK, spine), *solid, *arms]
 
 
-def executive_chair(variant: int, rng: Generator) -> list[Piece]:
+def executive_chair(variant: int, _rng: Generator) -> list[Piece]:
     """A high-backed, thickly padded swivel chair with a chromed base."""
     leather = (painted("Black", 0.35), painted("Brown", 0.35), painted("DarkRed", 0.35))[variant % 3]
     seat = cushion((-0.27, -0.26, 0.43), (0.27, 0.24, 0.55), 0.05)
@@ -95,7 +95,7 @@ def executive_chair(variant: int, rng: Generator) -> list[Piece]:
     return [*_star_base(CHROME, 0.3), *solid, *_arm_rests(CHROME, 0.26)]
 
 
-def cantilever_chair(variant: int, rng: Generator) -> list[Piece]:
+def cantilever_chair(variant: int, _rng: Generator) -> list[Piece]:
     """A visitor chair on a bent steel tube, seat and back in fabric."""
     fabric = _fabric(variant + 2)
     pieces: list[Piece] = []
@@ -109,7 +109,7 @@ def cantilever_chair(variant: int, rng: Generator) -> list[Piece]:
     return [*pieces, Piece(fabric, seat), Piece(fabric, back)]
 
 
-def wooden_chair(variant: int, rng: Generator) -> list[Piece]:
+def wooden_chair(variant: int, _rng: Generator) -> list[Piece]:
     """A four-legged chair of solid wood with a slatted back."""
     wood = (OAK, WALNUT, PALE)[variant % 3]
     meshes = [cushion((-0.21, -0.21, 0.43), (0.21, 0.21, 0.47), 0.012)]
@@ -123,7 +123,7 @@ def wooden_chair(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(wood, mesh) for mesh in meshes]
 
 
-def waiting_chair(variant: int, rng: Generator) -> list[Piece]:
+def waiting_chair(variant: int, _rng: Generator) -> list[Piece]:
     """A moulded plastic shell on four splayed steel legs."""
     shell = SHELLS[variant % len(SHELLS)]
     seat = cushion((-0.22, -0.22, 0.43), (0.22, 0.20, 0.465), 0.012)
@@ -135,7 +135,7 @@ def waiting_chair(variant: int, rng: Generator) -> list[Piece]:
     return [*(Piece(shell, m) for m in (seat, lip, *back)), *(Piece(STEEL, m) for m in (*legs, *rails))]
 
 
-def stool(variant: int, rng: Generator) -> list[Piece]:
+def stool(variant: int, _rng: Generator) -> list[Piece]:
     """A low round stool on castors, as clinics have them, or on four wooden legs."""
     if variant % 2 == 0:
         seat = cylinder(0.18, 0.46, 0.53, sides=16)

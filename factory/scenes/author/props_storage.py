@@ -5,6 +5,8 @@ A rack is one 2.7 m bay. Never names a load after a category and never decides w
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import Mesh, Vector, block, cylinder, fitted_block, lathe, moved, rod
@@ -21,6 +23,20 @@ TOTES = tuple(painted(paint, 0.5) for paint in ("Blue", "Grey", "Green", "Red", 
 FRAMES = tuple(
     (painted(a, 0.5), painted(b, 0.5)) for a, b in (("Blue", "Orange"), ("Green", "Orange"), ("Grey", "Yellow"))
 )
+
+# fmt: off
+TIGHT_HEAD = (
+    (0.25, 0.0), (0.285, 0.05), (0.29, 0.28), (0.275, 0.30), (0.275, 0.33), (0.29, 0.35), (0.29, 0.62),
+    (0.275, 0.64), (0.275, 0.67), (0.285, 0.69), (0.28, 0.86), (0.24, 0.92), (0.21, 0.92), (0.205, 0.90),
+)
+RINGED = (
+    (0.285, 0.0), (0.295, 0.015), (0.285, 0.03), (0.285, 0.28), (0.30, 0.30), (0.285, 0.32), (0.285, 0.57),
+    (0.30, 0.59), (0.285, 0.61), (0.285, 0.86), (0.295, 0.875), (0.285, 0.89), (0.27, 0.89), (0.27, 0.875),
+)
+KEG = (
+    (0.19, 0.0), (0.22, 0.04), (0.22, 0.46), (0.20, 0.50), (0.20, 0.53), (0.225, 0.53), (0.225, 0.57), (0.02, 0.59),
+)
+# fmt: on
 
 
 def pallet(x: float, y: float, z: float, half_x: float = 0.58, half_y: float = 0.5) -> list[Piece]:
@@ -82,7 +98,7 @@ def rack(variant: int, rng: Generator) -> list[Piece]:
         for y in (-0.51, 0.51):
             steel.append(block((x - 0.045, y - 0.04, 0.0), (x + 0.045, y + 0.04, top)))
         zigzag = [0.15 + step * (top - 0.3) / 4 for step in range(5)]
-        for step, (z0, z1) in enumerate(zip(zigzag, zigzag[1:], strict=False)):
+        for step, (z0, z1) in enumerate(pairwise(zigzag)):
             side = 0.48 if step % 2 else -0.48
             steel.append(rod((x, -side, z0), (x, side, z1), 0.018, 4))
     pieces = [Piece(upright, mesh) for mesh in steel]
@@ -145,18 +161,17 @@ def _shelf_goods(half_x: float, half_y: float, z: float, room: float, kind: int,
     return pieces
 
 
-def barrel(variant: int, rng: Generator) -> list[Piece]:
+def barrel(variant: int, _rng: Generator) -> list[Piece]:
     """A plastic tight-head barrel, a ringed steel drum, or a small keg; one dominant colour."""
     kind = variant % 3
+    profile: tuple[tuple[float, float], ...]
     if kind == 0:
         paint = painted(("Blue", "Black", "White")[variant // 3 % 3], 0.4)
-        profile = [(0.25, 0.0), (0.285, 0.05), (0.29, 0.28), (0.275, 0.30), (0.275, 0.33), (0.29, 0.35), (0.29, 0.62), (0.275, 0.64),
-                   (0.275, 0.67), (0.285, 0.69), (0.28, 0.86), (0.24, 0.92), (0.21, 0.92), (0.205, 0.90)]  # fmt: skip
+        profile = TIGHT_HEAD
         height = 0.90
     elif kind == 1:
         paint = painted(("Red", "Green", "Orange")[variant // 3 % 3], 0.35)
-        profile = [(0.285, 0.0), (0.295, 0.015), (0.285, 0.03), (0.285, 0.28), (0.30, 0.30), (0.285, 0.32), (0.285, 0.57), (0.30, 0.59),
-                   (0.285, 0.61), (0.285, 0.86), (0.295, 0.875), (0.285, 0.89), (0.27, 0.89), (0.27, 0.875)]  # fmt: skip
+        profile = RINGED
         height = 0.875
     else:
         paint = painted(("Blue", "Yellow", "Green")[variant // 3 % 3], 0.4)
@@ -202,7 +217,7 @@ def _crate_shell() -> list[Mesh]:
     return [*meshes, *(block((x - 0.032, y - 0.032, 0.0), (x + 0.032, y + 0.032, 0.285)) for x, y in posts)]
 
 
-def pallet_crate(variant: int, rng: Generator) -> list[Piece]:
+def pallet_crate(variant: int, _rng: Generator) -> list[Piece]:
     """A nailed wooden crate with slats and corner battens, three sizes."""
     half_x, half_y, height = ((0.38, 0.30, 0.55), (0.45, 0.38, 0.75), (0.32, 0.32, 0.45))[variant % 3]
     wood, batten = ((ROUGH, painted("Brown", 0.9)), (textured("WoodOak", "#c39a66", 0.7), ROUGH))[variant // 3 % 2]

@@ -28,14 +28,14 @@ def _picture(art: Material, frame: Material, low: tuple[float, float], high: tup
     ]
 
 
-def poster(variant: int, rng: Generator) -> list[Piece]:
+def poster(variant: int, _rng: Generator) -> list[Piece]:
     """A framed picture or a notice at eye height."""
     frame = (BLACK, WHITE, STEEL)[variant % 3]
     wide = (0.45, 0.35, 0.30)[variant % 3]
     return _picture(POSTERS[variant % 3], frame, (-wide, 1.15), (wide, 1.15 + 2.0 * wide))
 
 
-def safety_notice(variant: int, rng: Generator) -> list[Piece]:
+def safety_notice(variant: int, _rng: Generator) -> list[Piece]:
     """A green safety placard or a red fire sign."""
     names = (("NoticeSafety", "#1e7d4f"), ("SignFire", "#c3211d"), ("SignAisle", "#234a86"))
     name, colour = names[variant % 3]
@@ -43,21 +43,21 @@ def safety_notice(variant: int, rng: Generator) -> list[Piece]:
     return _picture(Material(name, colour, name, roughness=0.4), WHITE, (-half, 1.35), (half, 1.35 + 1.5 * half))
 
 
-def hanging_sign(variant: int, rng: Generator) -> list[Piece]:
+def hanging_sign(variant: int, _rng: Generator) -> list[Piece]:
     """A lit sign hung flat above a door at 2.2-2.5 m."""
     name, colour = (("SignExit", "#1b8a4a"), ("SignWard", "#2a6fb0"))[variant % 2]
     half = (0.24, 0.30)[variant % 2]
     return _picture(glowing(name, colour, name, 0.5), BLACK, (-half, 2.16), (half, 2.40))
 
 
-def wall_screen(variant: int, rng: Generator) -> list[Piece]:
+def wall_screen(variant: int, _rng: Generator) -> list[Piece]:
     """A large flat television on the wall."""
     name, colour = (("ScreenChart", "#e6e9ec"), ("ScreenDesktop", "#6aa3dc"))[variant % 2]
     art = glowing(name, colour, name, 0.85)
     return _picture(art, BLACK, (-0.65, 1.05), (0.65, 1.80))
 
 
-def clock(variant: int, rng: Generator) -> list[Piece]:
+def clock(_variant: int, _rng: Generator) -> list[Piece]:
     """A round wall clock."""
     rim = moved(cylinder(0.16, 0.0, 0.035, sides=20), (0.0, 0.0, 2.1), roll=1.5708)
     face = moved(cylinder(0.145, 0.0, 0.038, sides=20), (0.0, 0.0, 2.1), roll=1.5708)
@@ -68,7 +68,7 @@ def clock(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(BLACK, rim), Piece(WHITE, face), *(Piece(BLACK, hand) for hand in hands)]
 
 
-def window(variant: int, rng: Generator) -> list[Piece]:
+def window(variant: int, _rng: Generator) -> list[Piece]:
     """A bright two-pane window with frame and sill: 1.6 m wide, or a warehouse strip above 3.6 m."""
     view = glowing("WindowView", "#cfe2f2", "WindowView", 0.9)
     half, low, high = ((0.8, 0.85, 2.2), (0.55, 0.85, 2.2), (1.5, 3.8, 5.0))[variant % 3]
@@ -80,7 +80,7 @@ def window(variant: int, rng: Generator) -> list[Piece]:
     return [Piece(view, panes), *(Piece(frame, bar) for bar in bars), Piece(WHITE, sill)]
 
 
-def roller_door(variant: int, rng: Generator) -> list[Piece]:
+def roller_door(_variant: int, _rng: Generator) -> list[Piece]:
     """A closed loading gate 3 m wide with hazard-striped jambs and rubber bumpers."""
     curtain = block((-1.5, -0.05, 0.0), (1.5, 0.0, 3.2))
     stripes = textured("Hazard", "#d8ac20", 0.6, 0.7)

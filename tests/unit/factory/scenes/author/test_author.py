@@ -1,0 +1,157 @@
+"""The authored scenes: same seed same scene, every category stands, units, names, references, closed shells."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene, lay_out_scene
+from factory.scenes.author.catalogue import CATALOGUE, Workshop
+from factory.scenes.author.geometry import bounds, triangle_count
+from factory.scenes.author.placement import Plan
+from schemas.errors import UsageError
+from schemas.terms import BUILTIN_CATEGORIES
+
+pxr_usd = pytest.importorskip("pxr.Usd")
+pxr_geom = pytest.importorskip("pxr.UsdGeom")
+
+NAME_RULES = {
+    "fire_extinguisher": r"^SM_FireExtinguisher",
+    "whiteboard": r"^SM_Whiteboard",
+    "trash_can": r"^SM_TrashCan",
+    "monitor": r"^SM_Monitor",
+    "chair": r"^SM_(Chair|Stool)",
+    "sofa": r"^SM_Sofa",
+    "table": r"^SM_Table",
+    "plant": r"^SM_Plant",
+    "barrel": r"^SM_Barel",
+    "crate": r"^SM_Crate",
+    "rack": r"^SM_Rack",
+    "shelf": r"^SM_Shelf",
+}
+TARGET_WORDS = re.compile(
+    r"(?i)(?<!wheel)chair|stool|sofa|couch|table|desk|monitor|plant|trash|extinguisher|shel[fv]|rack|barr?el|crate"
+)
+
+
+def count_categories(plan: Plan) -> Counter[str]:
+    return Counter(
+        category
+        for placement in plan.placements
+        for category, rule in NAME_RULES.items()
+        if re.match(rule, placement.name)
+    )
+
+
+@pytest.fixture(scope="module")
+def office(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return author_scene("office", 3, tmp_path_factory.mktemp("office"))
+
+
+def read_meshes(path: Path) -> dict[str, np.ndarray]:
+    stage = pxr_usd.Stage.Open(str(path))
+    cache = pxr_geom.XformCache()
+    meshes = {}
+    for prim in pxr_usd.PrimRange(stage.GetPseudoRoot(), pxr_usd.TraverseInstanceProxies(pxr_usd.PrimDefaultPredicate)):
+        if prim.IsA(pxr_geom.Mesh):
+            points = np.array(pxr_geom.Mesh(prim).GetPointsAttr().Get())
+            world = np.array(cache.GetLocalToWorldTransform(prim))
+            meshes[str(prim.GetPath())] = points @ world[:3, :3] + world[3, :3]
+    return meshes
+
+
+@pytest.mark.parametrize("name", BUILTIN_SCENES)
+@pytest.mark.parametrize("seed", range(3))
+def test_every_category_of_the_paper_stands_at_least_four_times(name: str, seed: int) -> None:
+    counts = count_categories(lay_out_scene(BUILTIN_SCENES[name], seed))
+    wanted = {*BUILTIN_CATEGORIES[name].seen, *BUILTIN_CATEGORIES[name].held_out}
+    assert set(counts) == wanted
+    assert min(counts.values()) >= 4
+
+
+@pytest.mark.parametrize("name", BUILTIN_SCENES)
+def test_scene_stays_below_its_triangle_budget(name: str) -> None:
+    plan = lay_out_scene(BUILTIN_SCENES[name], 0)
+    pieces = [piece for structure in plan.structures for piece in structure.pieces]
+    pieces += [piece for placement in plan.placements for piece in placement.model.pieces]
+    assert sum(triangle_count(piece.mesh) for piece in pieces) < 62_000
+
+
+def test_seeds_give_different_layouts() -> None:
+    first, second = (lay_out_scene(BUILTIN_SCENES["hospital"], seed) for seed in (0, 1))
+    assert [(p.name, p.x, p.y) for p in first.placements] != [(p.name, p.x, p.y) for p in second.placements]
+
+
+def test_no_furniture_stands_in_a_door() -> None:
+    plan = lay_out_scene(BUILTIN_SCENES["office"], 0)
+    assert plan.kept_clear
+    for placement in plan.placements:
+        on_floor = placement.z == 0.0 and placement.model.low[2] < 0.5
+        in_door = any(z.x0 < placement.x < z.x1 and z.y0 < placement.y < z.y1 for z in plan.kept_clear)
+        assert not (on_floor and in_door), placement.name
+
+
+def test_same_seed_writes_the_same_geometry_and_pixels(tmp_path: Path) -> None:
+    paths = [author_scene("warehouse_multiple_shelves", 7, tmp_path / run) for run in ("a", "b")]
+    first, second = (read_meshes(path) for path in paths)
+    assert first.keys() == second.keys()
+    assert all(np.array_equal(first[key], second[key]) for key in first)
+    textures = sorted((tmp_path / "a" / "textures").iterdir())
+    assert textures
+    assert all(file.read_bytes() == (tmp_path / "b" / "textures" / file.name).read_bytes() for file in textures)
+
+
+def test_authoring_twice_into_one_directory_replaces_the_scene(tmp_path: Path) -> None:
+    author_scene("warehouse_multiple_shelves", 1, tmp_path)
+    again = read_meshes(author_scene("warehouse_multiple_shelves", 7, tmp_path))
+    fresh = read_meshes(author_scene("warehouse_multiple_shelves", 7, tmp_path / "fresh"))
+    assert again.keys() == fresh.keys()
+
+
+def test_office_is_authored_in_centimetres_and_z_up(office: Path) -> None:
+    stage = pxr_usd.Stage.Open(str(office))
+    assert pxr_geom.GetStageMetersPerUnit(stage) == 0.01
+    assert pxr_geom.GetStageUpAxis(stage) == "Z"
+    points = np.concatenate(list(read_meshes(office).values()))
+    assert 2390 < np.ptp(points[:, 0]) < 2430
+    assert 1590 < np.ptp(points[:, 1]) < 1630
+    assert {BUILTIN_SCENES[name].metres_per_unit for name in BUILTIN_SCENES if name != "office"} == {1.0}
+
+
+def test_props_are_referenced_instanced_and_payloaded_and_all_resolve(office: Path) -> None:
+    stage = pxr_usd.Stage.Open(str(office))
+    props = stage.GetPrimAtPath("/World/Props").GetChildren()
+    assert {(prop.IsInstanceable(), prop.HasAuthoredPayloads()) for prop in props} == {
+        (True, False),
+        (False, True),
+        (False, False),
+    }
+    meshes = read_meshes(office)
+    assert all(any(key.startswith(f"{prop.GetPath()}/") for key in meshes) for prop in props)
+
+
+def test_clutter_names_match_no_category_word() -> None:
+    clutter = [name for name in CATALOGUE if not any(re.match(rule, name) for rule in NAME_RULES.values())]
+    assert clutter
+    assert not [name for name in clutter if TARGET_WORDS.search(name)]
+
+
+def test_every_model_stands_on_or_above_the_floor() -> None:
+    shop = Workshop(0)
+    for name, entry in CATALOGUE.items():
+        for variant in range(entry.variants):
+            low, _ = bounds([piece.mesh for piece in shop.model(name, variant).pieces])
+            assert low[2] > -0.01, f"{name} variant {variant} reaches {low[2]:.3f} m"
+
+
+def test_unknown_scene_names_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"'garage'.*office, hospital, full_warehouse, warehouse_multiple_shelves"):
+        author_scene("garage", 0, tmp_path)
+
+
+def test_author_version_is_set() -> None:
+    assert AUTHOR_VERSION
