@@ -15,7 +15,8 @@ from factory.catalog import find_package
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from workers.attempt import Failure, run_attempt
-from workers.stage import RendererKind, Stage
+from workers.render.choose import RendererKind
+from workers.stage import Stage
 
 __all__ = ["Replay", "replay_episode"]
 

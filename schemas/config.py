@@ -90,7 +90,7 @@ class SpawnConfig(Model):
     margin_m: NonNegative = 0.05
     """Free space demanded around the footprint, metres."""
     approach_clearance_m: NonNegative = 0.10
-    """Free space on both sides of the straight line to the success circle, for experts that drive straight."""
+    """Free space beside the body on the straight line to the success circle, for experts that drive straight."""
 
 
 class ExpertConfig(Model):

@@ -28,7 +28,8 @@ class TrackMeasure(NamedTuple):
 def yaw_of(poses: NDArray[np.float32]) -> NDArray[np.float64]:
     """Returns the (T,) headings in radians of (T, 7) poses x, y, z, qw, qx, qy, qz."""
     w, x, y, z = poses[:, 3:].astype(np.float64).T
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    yaw: NDArray[np.float64] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return yaw
 
 
 def measure_track(poses: NDArray[np.float32], centroid_m: tuple[float, float, float]) -> TrackMeasure:

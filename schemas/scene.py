@@ -148,7 +148,7 @@ class CompiledScene:
     collider_triangles: NDArray[np.int32]
     """(K, 3) indices into `collider_vertices`."""
     occupancy: NDArray[np.uint8]
-    """(H, W) 0 free, 1 occupied in the robot's height band, 2 so and tall enough to hide what stands behind; row is y."""
+    """(H, W) 0 free, 1 occupied in the robot's height band, 2 also hiding what stands behind; rows are y."""
     reachable: NDArray[np.uint8]
     """(H, W) 1 on the connected floor on which the robot's body fits."""
     spawns: NDArray[np.float32]

@@ -9,14 +9,18 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Tier
-from workers.grid import Grid
+from workers.grid import straight_end
 from workers.pose import Pose
 from workers.stage import LoadedScene
 from workers.world import World
+
+ARRIVAL_RADIUS_M = 0.97
+"""Where the robot comes to rest within the success circle, metres from the centroid."""
 
 __all__ = ["draw_poses", "is_spawn_firm"]
 
@@ -60,8 +64,11 @@ def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
 def _draw_on_grid(
     job: Job, target: Target, place: LoadedScene, rng: np.random.Generator
 ) -> tuple[float, float, float] | None:
+    surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
+    if surveyed is not None and len(surveyed) == 0:
+        return None
     for _ in range(job.spawn.grid_draws):
-        x, y, yaw = _draw_far(job, target, place, rng) if job.tier is Tier.FAR else _draw_around(job, target, rng)
+        x, y, yaw = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
         if place.grid.is_pose_free(x, y, yaw, job.spawn.margin_m) and _can_start(job, target, place, x, y, yaw):
             return x, y, yaw
     return None
@@ -76,20 +83,24 @@ def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> tuple[fl
     return float(x), float(y), math.remainder(bearing + math.pi + noise, 2 * math.pi)
 
 
-def _draw_far(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> tuple[float, float, float]:
+def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> tuple[float, float, float]:
+    x, y = points[int(rng.integers(len(points)))]
+    return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
+
+
+def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    if job.expert is ExpertName.PLANNER:
+        return place.scene.spawns
     column = place.scene.info.targets.index(target)
-    allowed = np.arange(len(place.scene.spawns))
-    if job.expert is not ExpertName.PLANNER:
-        allowed = np.flatnonzero(place.scene.spawn_sees[:, column])
-    yaw = float(rng.uniform(-math.pi, math.pi))
-    if len(allowed) == 0:
-        return math.inf, math.inf, yaw
-    x, y = place.scene.spawns[allowed[int(rng.integers(len(allowed)))]]
-    return float(x), float(y), yaw
+    return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
 
 
-def _can_start(job: Job, target: Target, grid: Grid, x: float, y: float, yaw: float) -> bool:
-    if job.expert is ExpertName.PLANNER or job.tier is Tier.FAR:
-        return grid.is_connected(x, y, yaw)
-    end = grid.straight_end((x, y), target.centroid_m[:2], job.task.success_radius_m)
-    return grid.is_connected(x, y, yaw) and grid.is_line_free((x, y), end, job.spawn.approach_clearance_m)
+def _can_start(job: Job, target: Target, place: LoadedScene, x: float, y: float, yaw: float) -> bool:
+    if not place.is_connected(x, y, yaw):
+        return False
+    if job.tier is Tier.FAR:
+        return True  # the survey knows which of its points have a straight way
+    if not place.grid.has_sight((x, y), target):
+        return False
+    end = straight_end((x, y), target.centroid_m[:2], ARRIVAL_RADIUS_M)
+    return job.expert is ExpertName.PLANNER or place.grid.is_line_free((x, y), end, job.spawn.approach_clearance_m)

@@ -9,19 +9,18 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
 from workers.fingerprint import make_fingerprint
-from workers.grid import Grid
+from workers.grid import Grid, body_centre
 from workers.render import Renderer
-from workers.render.choose import open_renderer
+from workers.render.choose import RendererKind, open_renderer
 from workers.world import ColliderMesh
 
-__all__ = ["LoadedScene", "RendererKind", "Stage"]
+__all__ = ["LoadedScene", "Stage", "prepare_scene"]
 
-RendererKind = Literal["auto", "gl", "tiny"]
 _KEPT_SCENES = 4
 
 
@@ -32,6 +31,10 @@ class LoadedScene:
     scene: CompiledScene
     grid: Grid
     collider: ColliderMesh
+
+    def is_connected(self, x: float, y: float, yaw: float) -> bool:
+        """Whether the body centre of a base_link pose stands on the connected floor."""
+        return bool(self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0))
 
 
 class Stage:

@@ -1,0 +1,137 @@
+"""`factory jobs`: single jobs with their attempts and reasons; retry of failed ones; cancelling."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coordinator.ledger_records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
+from coordinator.states import State
+from factory.cli.episodes import episode_index
+from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json, print_table
+from factory.ledger import read_ledger
+from schemas.errors import UsageError
+from schemas.job import episode_id
+from schemas.terms import Split, Tier
+from schemas.wire import AdminAction, AdminReply, AdminRequest
+
+__all__ = ["command"]
+
+
+@click.group("jobs")
+def command() -> None:
+    """List, show, retry and cancel single jobs."""
+
+
+@command.command("list")
+@dataset_argument
+@click.option("--state", type=click.Choice([str(state) for state in State]))
+@click.option("--scene")
+@click.option("--tier", type=click.Choice([str(tier) for tier in Tier]))
+@click.option("--split", type=click.Choice([str(split) for split in Split]))
+@click.option("--limit", type=click.IntRange(1), default=100, show_default=True)
+@json_option
+def list_(
+    root: Path, state: str | None, scene: str | None, tier: str | None, split: str | None, limit: int, as_json: bool
+) -> None:
+    """List the jobs of the run in DIR, the current draw of each episode."""
+    wanted = JobFilter(
+        state=State(state) if state else None,
+        scene=scene,
+        tier=Tier(tier) if tier else None,
+        split=Split(split) if split else None,
+    )
+    with read_ledger(root) as connection:
+        jobs, total = list_jobs(connection, wanted, limit), count_jobs(connection, wanted)
+    if as_json:
+        print_json({"total": total, "jobs": [_plain(job) for job in jobs]})
+        return
+    rows = [
+        (episode_id(j.index), j.state, j.scene, j.tier, j.split, j.target_id, j.attempt, j.draw, j.reason) for j in jobs
+    ]
+    print_table("", ("episode", "state", "scene", "tier", "split", "target", "attempt", "draw", "reason"), rows)
+    if total > len(jobs):
+        click.echo(f"{len(jobs)} of {total}; more with --limit", err=True)
+
+
+@command.command("show")
+@dataset_argument
+@click.argument("episode")
+@json_option
+def show(root: Path, episode: str, as_json: bool) -> None:
+    """Show all draws, attempts and events of one EPISODE (`ep_000001` or a number)."""
+    index = episode_index(episode)
+    with read_ledger(root) as connection:
+        draws = list_jobs(connection, JobFilter(index=index))
+        attempts, events = list(read_attempts(connection, index)), list(read_events(connection, index))
+    if not draws:
+        raise UsageError(f"the plan of {root} has no {episode_id(index)}")
+    if as_json:
+        parts = {"draws": draws, "attempts": attempts, "events": events}
+        print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
+        return
+    last = draws[-1]
+    click.echo(f"{episode_id(index)}: {last.state}; {last.scene}, {last.split}, {last.tier}: {last.instruction}")
+    rows = [(d.draw, d.state, d.category, d.target_id, d.misses, d.crashes, d.reason) for d in draws]
+    print_table("draws", ("draw", "state", "category", "target", "misses", "crashes", "reason"), rows)
+    print_table(
+        "attempts",
+        ("attempt", "draw", "outcome", "steps", "seconds", "worker", "detail"),
+        [(a.attempt, a.draw, a.outcome, a.steps, a.seconds, a.worker, a.detail) for a in attempts],
+    )
+    print_table(
+        "events",
+        ("at", "draw", "attempt", "event", "state", "worker", "detail"),
+        [(f"{e.at:%H:%M:%S}", e.draw, e.attempt, e.event, e.state, e.worker, e.detail) for e in events],
+    )
+
+
+@command.command("retry")
+@dataset_argument
+@click.argument("episodes", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="Every failed job.")
+@json_option
+def retry(root: Path, episodes: tuple[str, ...], everything: bool, as_json: bool) -> int:
+    """Put failed or cancelled EPISODES back into the queue with fresh budgets."""
+    return _administer(root, AdminAction.RETRY, episodes, everything, as_json)
+
+
+@command.command("cancel")
+@dataset_argument
+@click.argument("episodes", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="Every job that has not ended.")
+@json_option
+def cancel(root: Path, episodes: tuple[str, ...], everything: bool, as_json: bool) -> int:
+    """Give up EPISODES that have not ended; workers that hold one stop with their next beat."""
+    return _administer(root, AdminAction.CANCEL, episodes, everything, as_json)
+
+
+def _administer(root: Path, action: AdminAction, names: tuple[str, ...], everything: bool, as_json: bool) -> int:
+    from factory.operate import administer
+
+    if bool(names) == everything:
+        raise UsageError(f"which jobs to {action}? name episodes, or give --all")
+    reply = administer(root, AdminRequest(action=action, indices=tuple(episode_index(name) for name in names)))
+    if as_json:
+        print_json(reply.model_dump(mode="json"))
+    else:
+        _print_reply(reply, action)
+    return 1 if reply.refused else 0
+
+
+def _print_reply(reply: AdminReply, action: AdminAction) -> None:
+    shown = ", ".join(episode_id(index) for index in reply.changed[:20])
+    more = f" and {len(reply.changed) - 20} more" if len(reply.changed) > 20 else ""
+    click.echo(f"{action}: {len(reply.changed)} jobs {shown}{more}")
+    for index, reason in reply.refused.items():
+        click.echo(f"  {episode_id(index)}: {reason}", err=True)
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    fields = asdict(record)
+    return {key: value.isoformat() if isinstance(value, datetime) else value for key, value in fields.items()}

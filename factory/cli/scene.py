@@ -1,0 +1,119 @@
+"""`factory scene`: list, build, import and draw scenes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import click
+
+from factory.cli.options import verbose_option
+from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.logs import configure_logs
+from factory.settings import scene_cache
+from schemas.scene import CompiledScene, decode_scene
+
+__all__ = ["command"]
+
+
+@click.group("scene")
+def command() -> None:
+    """Built-in scenes and your own."""
+
+
+@command.command("list")
+@json_option
+def list_(as_json: bool) -> None:
+    """List the built-in scenes."""
+    from factory.scenes.author import BUILTIN_SCENES
+    from schemas.terms import BUILTIN_CATEGORIES
+
+    rows = [
+        (name, scene.summary, ", ".join(BUILTIN_CATEGORIES[name].seen), ", ".join(BUILTIN_CATEGORIES[name].held_out))
+        for name, scene in BUILTIN_SCENES.items()
+    ]
+    if as_json:
+        print_json([dict(zip(("name", "summary", "seen", "held_out"), row, strict=True)) for row in rows])
+    else:
+        print_table("", ("scene", "summary", "seen", "held out"), rows)
+
+
+@command.command("build")
+@click.argument("name")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Layout seed.")
+@click.option("--cache", type=click.Path(path_type=Path), help="Folder for the package; default: the user's cache.")
+@json_option
+@verbose_option
+def build(name: str, seed: int, cache: Path | None, as_json: bool, verbose: bool) -> None:
+    """Author and compile the built-in scene NAME; does nothing when it is in the cache."""
+    from factory.scenes.build import build_scene
+
+    configure_logs(verbose)
+    with stderr.status(f"building {name}, seed {seed}"):
+        path = build_scene(name, seed, cache or scene_cache())
+    _print_scene(path, as_json)
+
+
+@command.command("import")
+@click.argument("usd", type=click.Path(path_type=Path))
+@click.option("--name", help="Name of the scene; default: the file's.")
+@click.option("--cache", type=click.Path(path_type=Path), help="Folder for the package; default: the user's cache.")
+@json_option
+@verbose_option
+def import_(usd: Path, name: str | None, cache: Path | None, as_json: bool, verbose: bool) -> None:
+    """Compile your own stage (usd, usda, usdc, usdz)."""
+    from factory.scenes.build import import_scene
+
+    configure_logs(verbose)
+    with stderr.status(f"importing {usd}"):
+        path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache())
+    _print_scene(path, as_json)
+
+
+@command.command("render")
+@click.argument("scene")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Layout seed of a built-in scene.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the pictures; default ./SCENE.")
+@click.option("--views", type=click.IntRange(1, 64), default=8, show_default=True, help="Views from the robot's eye.")
+@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+def render(scene: str, seed: int, out: Path | None, views: int, renderer: str) -> None:
+    """Draw the map of SCENE (a built-in name or a compiled package) and views from the robot's eye."""
+    from factory.scenes.build import build_scene
+    from factory.scenes.pictures import draw_scene
+
+    configure_logs()
+    package = Path(scene) if Path(scene).is_file() else build_scene(scene, seed, scene_cache())
+    compiled = _open(package)
+    folder = out or Path(compiled.info.name)
+    for path in draw_scene(compiled, folder, views, renderer):  # type: ignore[arg-type]
+        click.echo(str(path))
+
+
+def _open(path: Path) -> CompiledScene:
+    with path.open("rb") as file:
+        return decode_scene(file)
+
+
+def _print_scene(path: Path, as_json: bool) -> None:
+    scene = _open(path)
+    info = scene.info
+    facts = {
+        "package": str(path),
+        "bytes": path.stat().st_size,
+        "triangles": len(scene.positions) // 3,
+        "collider_triangles": len(scene.collider_triangles),
+        "textures": info.texture_count,
+        "free_area_m2": round(info.free_area_m2, 1),
+        "spawns": len(scene.spawns),
+        "targets": dict(sorted(Counter(target.category for target in info.targets).items())),
+        "notes": list(info.notes),
+    }
+    if as_json:
+        print_json(facts)
+        return
+    for key, value in facts.items():
+        if key == "notes":
+            for note in info.notes:
+                click.echo(f"note: {note}", err=True)
+        else:
+            click.echo(f"{key}: {value}")

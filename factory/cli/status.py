@@ -1,0 +1,92 @@
+"""`factory status`: where a run stands, from the ledger in a directory or from a running coordinator."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from factory.cli.output import json_option, print_json, say_duration, stdout
+from factory.ledger import progress_of
+from schemas.errors import UsageError
+from schemas.wire import Progress
+
+__all__ = ["command"]
+
+_COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
+
+
+@click.command("status")
+@click.argument("root", metavar="[DIR]", required=False, type=click.Path(path_type=Path))
+@click.option("--connect", metavar="ENDPOINT", help="Ask a running coordinator, e.g. tcp/127.0.0.1:7447.")
+@click.option("--ledger", metavar="URL", help="The ledger, when it is not DIR/ledger.db.")
+@click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
+@json_option
+def command(root: Path | None, connect: str | None, ledger: str | None, watch: bool, as_json: bool) -> None:
+    """Show the progress of the run in DIR, by scene, tier and split, with rate, ETA and workers."""
+    source = _source(root, connect, ledger)
+    if as_json:
+        print_json(source().model_dump(mode="json"))
+    elif watch:
+        _watch(source)
+    else:
+        stdout.print(draw_progress(source()))
+
+
+def _source(root: Path | None, connect: str | None, ledger: str | None) -> Callable[[], Progress]:
+    if connect is not None:
+        from factory.client import ask_progress
+
+        return lambda: ask_progress(connect)
+    if root is None:
+        raise UsageError("whose status? give a dataset DIR, or --connect ENDPOINT")
+    return lambda: progress_of(root, ledger)
+
+
+def _watch(source: Callable[[], Progress]) -> None:
+    progress = source()
+    with Live(draw_progress(progress), console=stdout, auto_refresh=False) as live:
+        while not progress.finished:
+            time.sleep(1.0)
+            progress = source()
+            live.update(draw_progress(progress), refresh=True)
+
+
+def draw_progress(progress: Progress) -> Group:
+    """Returns the status page of a run."""
+    done = progress.jobs.get("archived", 0)
+    rate = "-" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
+    head = f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {say_duration(progress.eta_s)}"
+    failures = {name: count for name, count in progress.attempts.items() if name != "success"}
+    tries = ", ".join(f"{count} {name}" for name, count in failures.items()) or "none"
+    foot = f"failed attempts: {tries}; redrawn: {progress.redrawn}"
+    parts = [Text(head, style="bold")]
+    groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
+    return Group(*parts, *(_group_table(name, rows) for name, rows in groups.items()), _workers(progress), Text(foot))
+
+
+def _group_table(name: str, rows: dict[str, dict[str, int]]) -> Table:
+    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(name, min_width=28)
+    for column in _COLUMNS:
+        table.add_column(column, justify="right")
+    for key, counts in rows.items():
+        table.add_row(key, *(str(counts.get(column, 0)) for column in _COLUMNS))
+    return table
+
+
+def _workers(progress: Progress) -> Table:
+    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("worker", min_width=28)
+    for column in ("slots", "leased", "archived", "state"):
+        table.add_column(column, justify="right")
+    for worker in progress.workers:
+        state = "alive" if worker.alive else f"silent since {worker.last_beat:%H:%M:%S}"
+        table.add_row(worker.sid, str(worker.slots), str(worker.leased), str(worker.archived), state)
+    return table
