@@ -23,10 +23,7 @@ __all__ = ["DATASET_FORMAT", "META_FILE", "DatasetMeta", "git_commit", "read_dat
 DATASET_FORMAT = 1
 """Version of the dataset's directory. A reader opens its own version and older ones; a newer one it refuses by name."""
 META_FILE = "dataset_meta.json"
-_COMPATIBILITY = (
-    "Readers open this format version and older ones and refuse newer ones by name; "
-    "within a version, columns and fields are only added."
-)
+_COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
 
 

@@ -1,0 +1,167 @@
+"""One archived episode, opened when something of it is wanted and decoded frame by frame. Reads only."""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coordinator.summary import EpisodeSummary
+from schemas.bundle import BundleReader
+from schemas.episode import EpisodeMeta
+from schemas.errors import ArchiveCorrupt, InvalidBundle
+
+__all__ = ["Episode", "Frame"]
+
+
+class Frame(NamedTuple):
+    """What the robot saw before one action."""
+
+    rgb: NDArray[np.uint8]
+    """(640, 640, 3) sRGB, top row first."""
+    depth: NDArray[np.float32]
+    """(640, 640) metres along the optical axis; 0 where nothing was hit."""
+    ids: NDArray[np.uint16]
+    """(640, 640) instance ids; `Episode.meta.instances` says of what; 0 is nothing."""
+
+
+class Episode:
+    """An episode of T steps: T frames, T actions, T poses; frame t and pose t are from before action t.
+
+    Cheap to make and to pickle; the file is opened at the first access and again in every process that uses it.
+
+    Raises:
+        ArchiveCorrupt: at access, when the file is missing or damaged; the message names it.
+    """
+
+    def __init__(self, path: Path, summary: EpisodeSummary) -> None:
+        self.path = path
+        self.summary = summary
+        """Its row of the metadata."""
+        self._opened: _Opened | None = None
+
+    @property
+    def id(self) -> str:
+        """`ep_000001` and so on."""
+        return self.summary.episode_id
+
+    @property
+    def instruction(self) -> str:
+        """What the robot was told."""
+        return self.summary.instruction
+
+    @property
+    def meta(self) -> EpisodeMeta:
+        """All that is recorded of the episode beside its arrays."""
+        return self._bundle().meta
+
+    @property
+    def actions(self) -> NDArray[np.float32]:
+        """(T, 2) commanded twists: v in m/s, w in rad/s."""
+        return self._bundle().arrays.actions_continuous
+
+    @property
+    def tokens(self) -> NDArray[np.int16]:
+        """(T, 2) the actions on the 7 x 7 grid, 0..6."""
+        return self._bundle().arrays.actions_tokens
+
+    @property
+    def poses(self) -> NDArray[np.float32]:
+        """(T, 7) x, y, z in metres and the quaternion w, x, y, z of base_link in the world frame."""
+        return self._bundle().arrays.poses
+
+    def rgb(self, t: int) -> NDArray[np.uint8]:
+        """Returns frame t as (640, 640, 3) sRGB; negative t count from the end."""
+        with self._reading() as bundle:
+            return bundle.rgb(self._step(t))
+
+    def depth(self, t: int) -> NDArray[np.float32]:
+        """Returns frame t as (640, 640) metres along the optical axis; negative t count from the end."""
+        with self._reading() as bundle:
+            return bundle.depth(self._step(t))
+
+    def ids(self, t: int) -> NDArray[np.uint16]:
+        """Returns frame t as (640, 640) instance ids; negative t count from the end."""
+        with self._reading() as bundle:
+            return bundle.ids(self._step(t))
+
+    def frame(self, t: int) -> Frame:
+        """Returns frame t whole; negative t count from the end."""
+        return Frame(self.rgb(t), self.depth(t), self.ids(t))
+
+    def frames(self) -> Iterator[Frame]:
+        """Yields every frame in order, one in memory at a time."""
+        return (self.frame(t) for t in range(len(self)))
+
+    def __len__(self) -> int:
+        return self.summary.num_steps
+
+    def __repr__(self) -> str:
+        return f"Episode({self.id}, {len(self)} steps, {self.instruction!r})"
+
+    def _step(self, t: int) -> int:
+        if not -len(self) <= t < len(self):
+            raise IndexError(f"{self.id} has steps 0 to {len(self) - 1}, asked for {t}")
+        return t % len(self)
+
+    def _bundle(self) -> BundleReader:
+        if self._opened is None or self._opened.pid != os.getpid():  # a fork shares the file's position
+            self._opened = _Opened(self.path)
+            if self._opened.bundle.length != len(self):
+                found = f"{self._opened.bundle.length} steps, the metadata says {len(self)}"
+                raise ArchiveCorrupt(f"{self.path} has {found}: run `factory verify --deep`")
+        return self._opened.bundle
+
+    @contextmanager
+    def _reading(self) -> Iterator[BundleReader]:
+        try:
+            yield self._bundle()
+        except InvalidBundle as error:
+            raise _corrupt(self.path, error) from error
+
+    def close(self) -> None:
+        """Closes the file; a later access opens it again."""
+        if self._opened is not None:
+            self._opened.close()
+            self._opened = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "summary": self.summary, "_opened": None}
+
+
+class _Opened:
+    """A bundle, its file and the process that opened it; the file is closed when this is forgotten."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            file: BinaryIO = path.open("rb")
+        except FileNotFoundError as error:
+            raise ArchiveCorrupt(f"{path} is missing: run `factory verify`") from error
+        except OSError as error:
+            raise ArchiveCorrupt(f"{path} cannot be read: {error.strerror}") from error
+        self.close = weakref.finalize(self, file.close)
+        self.pid = os.getpid()
+        try:
+            self.bundle = BundleReader(file)
+        except InvalidBundle as error:
+            self.close()
+            raise _corrupt(path, error) from error
+
+
+def _corrupt(path: Path, error: InvalidBundle) -> ArchiveCorrupt:
+    return ArchiveCorrupt(f"{path} is damaged ({'; '.join(error.findings)}): run `factory verify --deep`")
