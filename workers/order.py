@@ -1,0 +1,86 @@
+"""What supervisor and simulation say to each other over a pipe, one JSON line at a time. Opens no pipe."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from schemas.base import Model, NonNegative, Sha256
+from schemas.job import Job
+from schemas.terms import FailReason
+
+__all__ = ["MAX_DETAIL", "Order", "Report", "ReportKind", "failure", "read_report", "to_line"]
+
+MAX_DETAIL = 2000
+"""Characters of a failure's detail that are passed on."""
+
+
+class Order(Model):
+    """One attempt to simulate."""
+
+    job: Job
+    scene_path: Path
+    """The compiled scene, already fetched and checked."""
+    bundle_path: Path
+    """Where the finished bundle shall lie; nothing lies there before it is whole."""
+    sid: str
+    """Session id of the worker, for the provenance."""
+
+
+class ReportKind(StrEnum):
+    """What a report is about."""
+
+    READY = "ready"  # the renderer is open; orders may come
+    PROGRESS = "progress"  # the simulation has stepped
+    SUCCESS = "success"  # the bundle lies where it was ordered
+    FAILURE = "failure"  # the attempt brought no bundle
+
+
+class Report(Model):
+    """What a simulation has to say."""
+
+    kind: ReportKind
+    step: Annotated[int, Field(ge=0)] = 0
+    """Steps of the attempt so far."""
+    reason: FailReason | None = None
+    detail: Annotated[str, Field(max_length=MAX_DETAIL)] = ""
+    sha256: Sha256 | None = None
+    """Of the bundle."""
+    size: Annotated[int, Field(ge=1)] | None = None
+    """Of the bundle, bytes."""
+    renderer: str = ""
+    """What draws, when ready."""
+    seconds: NonNegative = 0.0
+    """Wall time of the attempt."""
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        if self.kind is ReportKind.FAILURE and self.reason is None:
+            raise ValueError("a failure needs a reason")
+        if self.kind is ReportKind.SUCCESS and (self.sha256 is None or self.size is None):
+            raise ValueError("a success needs sha256 and size of its bundle")
+        return self
+
+
+def failure(reason: FailReason, detail: str, step: int = 0, seconds: float = 0.0) -> Report:
+    """Returns the report of an attempt without a bundle; a long detail loses its middle."""
+    if len(detail) > MAX_DETAIL:
+        half = MAX_DETAIL // 2 - 3
+        detail = f"{detail[:half]} ... {detail[-half:]}"
+    return Report(kind=ReportKind.FAILURE, reason=reason, detail=detail, step=step, seconds=seconds)
+
+
+def to_line(message: Order | Report) -> bytes:
+    """Returns the message as one line."""
+    return message.model_dump_json().encode() + b"\n"
+
+
+def read_report(line: bytes) -> Report | None:
+    """Returns the report on a line; `None` for anything else, such as the chatter of a library."""
+    try:
+        return Report.model_validate_json(line)
+    except ValidationError:
+        return None

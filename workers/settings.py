@@ -1,0 +1,73 @@
+"""What a worker may be told: where to connect, what to run, and how much of the disk to use. Holds values only."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import platformdirs
+
+__all__ = ["RendererKind", "WorkerSettings", "WorkerTls"]
+
+RendererKind = Literal["auto", "gl", "tiny"]
+
+_SPARE_BUNDLES = 8
+
+
+def _cache(name: str) -> Path:
+    chosen = os.environ.get("MINIVLA_CACHE")
+    return (Path(chosen) if chosen else platformdirs.user_cache_path("minivla-factory")) / name
+
+
+@dataclass(frozen=True)
+class WorkerTls:
+    """Where the host's certificate lies; its common name must be the host."""
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+
+@dataclass(frozen=True)
+class WorkerSettings:
+    """Everything that may differ between two workers without changing a byte of the dataset."""
+
+    connect: tuple[str, ...]
+    """Endpoints of coordinators or gateways of one run, e.g. `tcp/10.0.0.1:7447`; one of them is enough."""
+    cores: int = 1
+    """Simulations at a time."""
+    renderer: RendererKind = "auto"
+    run: str | None = None
+    """Name of the run to work for; `None` takes the one that answers."""
+    host: str | None = None
+    """Name of this machine towards the coordinator; `None` takes the system's."""
+    spool_dir: Path = field(default_factory=lambda: _cache("spool"))
+    """Finished bundles wait here until the coordinator has them."""
+    scene_dir: Path = field(default_factory=lambda: _cache("fetched"))
+    """Compiled scenes by digest; may be shared by all workers of the host."""
+    hang_s: float = 60.0
+    """Silence after which a simulation counts as hung, loading its scene included."""
+    wait_s: float = 30.0
+    """How long to look for a coordinator at the start; afterwards a worker waits for ever."""
+    max_bundles: int | None = None
+    """Bundles that may wait; `None` takes two a core and eight more. A full spool stops the simulations."""
+    max_spool_bytes: int = 16 << 30
+    min_free_bytes: int = 512 << 20
+    """Free space on the spool's disk below which nothing is simulated."""
+    max_scene_bytes: int = 4 << 30
+    tls: WorkerTls | None = None
+    command: tuple[str, ...] = ()
+    """How to start a simulation; empty takes our own."""
+
+    @property
+    def simulation_command(self) -> tuple[str, ...]:
+        """The command line of a simulation process."""
+        return self.command or (sys.executable, "-m", "workers.simulate", "--renderer", self.renderer)
+
+    @property
+    def spool_limit(self) -> int:
+        """Bundles that may wait."""
+        return self.max_bundles if self.max_bundles is not None else 2 * self.cores + _SPARE_BUNDLES

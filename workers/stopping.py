@@ -1,0 +1,43 @@
+"""Signals and closed pipes turned into events; for the entry points of long-running commands."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+__all__ = ["stop_at_eof", "stop_on_signals"]
+
+_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
+    """Gives two events for the length of the block: set by the first SIGTERM or Ctrl-C, and by the second."""
+    stop, at_once = threading.Event(), threading.Event()
+
+    def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        event = at_once if stop.is_set() else stop
+        # from a thread: this handler may have interrupted the very lock that set() needs
+        threading.Thread(target=event.set, daemon=True).start()
+
+    former = {number: signal.signal(number, note) for number in _SIGNALS}
+    try:
+        yield stop, at_once
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+def stop_at_eof(descriptor: int, stop: threading.Event) -> None:
+    """Sets `stop` once the pipe `descriptor` is closed at its other end, whoever has died there."""
+
+    def watch() -> None:
+        while os.read(descriptor, 4096):
+            pass
+        stop.set()
+
+    threading.Thread(target=watch, name="until-eof", daemon=True).start()

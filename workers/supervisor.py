@@ -1,0 +1,182 @@
+"""The worker of a host: finds the run, keeps a slot a core and one heartbeat going, and leaves in good order.
+
+Simulates nothing itself and never forks once the link is open: simulations are processes of their own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import socket
+import threading
+import time
+from enum import Enum
+
+import structlog
+
+from schemas.errors import WorldError
+from schemas.wire import HelloReply, Refusal
+from workers.backoff import Backoff
+from workers.heartbeat import Heartbeat, make_hello
+from workers.host import Host, Phase, make_sid, tidy_host
+from workers.link import Link
+from workers.scene_cache import SceneCache
+from workers.settings import WorkerSettings
+from workers.slot import Slot
+from workers.spool import Spool
+
+__all__ = ["Ending", "Supervisor", "run_worker"]
+
+_POLL_S = 0.2
+_DRAIN_S = 3.5
+_JOIN_S = 2.0
+
+log = structlog.get_logger(__name__)
+
+
+class Ending(Enum):
+    """Why a worker has no more to do for a run."""
+
+    FINISHED = "finished"  # every job of the run has reached its end, or the coordinator sends workers away
+    STOPPED = "stopped"  # it was told to stop
+    MOVED = "moved"  # the run is gone and another answers in its place
+
+
+def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threading.Event | None = None) -> int:
+    """Works until the run is finished or `stop` is set; then gives back what is under way, within five seconds.
+
+    Args:
+        settings: of this worker.
+        stop: leave in good order: give jobs back, let waiting bundles be fetched for a moment.
+        at_once: do not even wait for that.
+
+    Returns:
+        The exit status, 0.
+
+    Raises:
+        WorldError: no coordinator was found in `wait_s`, it refuses this worker, or simulations do not start.
+    """
+    at_once = at_once or threading.Event()
+    name = tidy_host(settings.host or socket.gethostname())
+    sid = make_sid(name)
+    with Link(settings.connect, name, settings.tls) as link:
+        while True:
+            terms = _meet(link, settings, name, sid, stop)
+            if terms is None:
+                return 0
+            link.join(terms.run)
+            ending = _work_for(terms, link, settings, name, sid, stop, at_once)
+            log.info("worker_left", run=terms.run, why=ending.value)
+            if ending is not Ending.MOVED:
+                return 0
+            sid = make_sid(name)
+
+
+def _work_for(
+    terms: HelloReply,
+    link: Link,
+    settings: WorkerSettings,
+    name: str,
+    sid: str,
+    stop: threading.Event,
+    at_once: threading.Event,
+) -> Ending:
+    # a folder per run, named by digest: the name came over the network
+    folder = settings.spool_dir / hashlib.sha256(terms.run.encode()).hexdigest()[:16]
+    with Spool(folder, settings.spool_limit, settings.max_spool_bytes, settings.min_free_bytes) as spool:
+        host = Host(
+            settings=settings,
+            name=name,
+            sid=sid,
+            run=terms.run,
+            lease_ttl_s=terms.lease_ttl_s,
+            link=link,
+            spool=spool,
+            scenes=SceneCache(settings.scene_dir, settings.max_scene_bytes),
+            rng=random.Random(sid),  # noqa: S311 - jitter
+        )
+        return Supervisor(host, stop, at_once).run()
+
+
+class Supervisor:
+    """Slots and heartbeat of one worker for one run."""
+
+    def __init__(self, host: Host, stop: threading.Event, at_once: threading.Event) -> None:
+        self._host = host
+        self._phase: Phase = host.phase
+        self._stop, self._at_once = stop, at_once
+        slots = [Slot(host) for _ in range(host.settings.cores)]
+        self._slots = [threading.Thread(target=slot.run, name=f"slot-{n}") for n, slot in enumerate(slots)]
+        self._heart = threading.Thread(target=Heartbeat(host).run, name="heartbeat")
+
+    def run(self) -> Ending:
+        """Works until there is no more to do or to wait for.
+
+        Raises:
+            WorldError: this machine cannot work, e.g. because simulations do not start.
+        """
+        host = self._host
+        host.link.serve(host.sid, lambda asked: host.spool.read(asked.job_id, asked.fence, *asked.chunk))
+        log.info("worker_started", run=host.run, sid=host.sid, cores=host.settings.cores, spooled=len(host.spool))
+        threads = [*self._slots, self._heart]
+        for thread in threads:
+            thread.start()
+        try:
+            while not self._is_over():
+                self._heed_stop()
+        finally:
+            self._phase.stop(0.0)
+            host.link.close()  # ends every question under way
+            for thread in threads:
+                thread.join(_JOIN_S)
+        if self._phase.error is not None:
+            raise self._phase.error
+        if self._phase.moved.is_set():
+            return Ending.MOVED
+        return Ending.STOPPED if self._stop.is_set() else Ending.FINISHED
+
+    def _heed_stop(self) -> None:
+        # never a bare wait(): the signal may be handled on another thread and this one would sleep on
+        if not self._phase.stopping.is_set() and self._stop.wait(_POLL_S):
+            log.info("draining", by="signal", spooled=len(self._host.spool))
+            self._phase.stop(_DRAIN_S)
+        elif self._phase.stopping.is_set():
+            self._at_once.wait(_POLL_S / 4)
+
+    def _is_over(self) -> bool:
+        if self._at_once.is_set():
+            return True
+        if any(slot.is_alive() for slot in self._slots) and self._phase.left_s > 0:
+            return False
+        return len(self._host.spool) == 0 or self._phase.left_s == 0.0
+
+
+def _meet(link: Link, settings: WorkerSettings, name: str, sid: str, stop: threading.Event) -> HelloReply | None:
+    """Looks for the run until it answers, `wait_s` is over or the worker is stopped (`None`)."""
+    hello, pause, begun = make_hello(sid, name, settings.cores), Backoff(0.2, 2.0), time.monotonic()
+    is_open = False
+    while not stop.is_set():
+        is_open = is_open or link.open()
+        if is_open:
+            terms = _choose(link.greet(hello), settings)
+            if terms is not None:
+                return terms
+        if time.monotonic() - begun > settings.wait_s:
+            where = ", ".join(settings.connect)
+            raise WorldError(
+                f"no coordinator at {where} within {settings.wait_s:g} s: start one with `factory coordinator start`, "
+                "give its endpoint with --connect, or wait longer with --wait"
+            )
+        stop.wait(pause.fail())
+    return None
+
+
+def _choose(replies: tuple[HelloReply | Refusal, ...], settings: WorkerSettings) -> HelloReply | None:
+    terms = [reply for reply in replies if isinstance(reply, HelloReply) and settings.run in {None, reply.run}]
+    if len(terms) > 1:
+        runs = ", ".join(sorted(reply.run for reply in terms))
+        raise WorldError(f"{len(terms)} runs answer ({runs}): choose one with --run")
+    refusals = [reply.error for reply in replies if isinstance(reply, Refusal)]
+    if not terms and refusals:
+        raise WorldError(f"the coordinator refuses this worker: {refusals[0]}")
+    return terms[0] if terms else None
