@@ -162,14 +162,22 @@ class BulletClient:
         return self._add_static(height_m, collision=shape)
 
     def add_collider(self, mesh: MeshLists) -> int:
-        """Adds a static concave mesh in world coordinates, metres, and returns its body id."""
-        shape = _p.createCollisionShape(
-            _p.GEOM_MESH,
-            vertices=mesh.vertices,
-            indices=mesh.indices,
-            flags=_p.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=self._id,
-        )
+        """Adds a static concave mesh in world coordinates, metres, and returns its body id.
+
+        Raises:
+            WorldError: Bullet refuses the mesh.
+        """
+        try:
+            shape = _p.createCollisionShape(
+                _p.GEOM_MESH,
+                vertices=mesh.vertices,
+                indices=mesh.indices,
+                flags=_p.GEOM_FORCE_CONCAVE_TRIMESH,
+                physicsClientId=self._id,
+            )
+        except _p.error as error:
+            size = f"{len(mesh.vertices)} vertices, {len(mesh.indices) // 3} triangles"
+            raise WorldError(f"PyBullet refuses a collider of {size}; rebuild the scene: {error}") from error
         return self._add_static(0.0, collision=shape)
 
     def add_urdf(self, urdf: str) -> int:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -128,15 +129,23 @@ class _Rig:
 
     def __init__(self, robot: RobotConfig, control_hz: int, collider: ColliderMesh, floor_height: float) -> None:
         self._robot = robot
-        self.client = BulletClient()
-        self.client.set_engine(1.0 / control_hz, robot.physics_substeps, robot.solver_iterations)
+        with ExitStack() as undo:
+            self.client = undo.enter_context(BulletClient())
+            self.client.set_engine(1.0 / control_hz, robot.physics_substeps, robot.solver_iterations)
+            self._add_surroundings(collider, floor_height)
+            self._add_robot()
+            undo.pop_all()
+
+    def _add_surroundings(self, collider: ColliderMesh, floor_height: float) -> None:
         self._floor = self.client.add_plane(floor_height)
         self.client.set_surface(self._floor, -1, friction=1.0)
         self.client.set_collision_group(self._floor, -1, _FLOOR, _ROLLER | _BODY)
         for piece in collider.pieces:
             obstacle = self.client.add_collider(piece)
             self.client.set_collision_group(obstacle, -1, _OBSTACLE, _BODY)
-        self._body = self.client.add_urdf(robot_urdf(robot))
+
+    def _add_robot(self) -> None:
+        self._body = self.client.add_urdf(robot_urdf(self._robot))
         links = self.client.links(self._body)
         self._wheels = (links[LEFT_WHEEL], links[RIGHT_WHEEL])
         self._prepare_surfaces({BASE_LINK: -1, **links})

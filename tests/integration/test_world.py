@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from schemas.config import RobotConfig
+from schemas.errors import WorldError
 from schemas.scene import CompiledScene
 from tests.builders.scene import Box, box_room, build_scene, room_walls
-from workers.bullet import MESH_TRIANGLES, mesh_lists
+from workers.bullet import MESH_TRIANGLES, MeshLists, mesh_lists
 from workers.slew import Twist, slew
 from workers.world import ColliderMesh, World
 
@@ -173,3 +174,10 @@ def test_large_meshes_are_cut_into_pieces_that_hold_the_same_triangles() -> None
     corners = [np.array(piece.vertices)[piece.indices] for piece in pieces]
     assert [len(piece) // 3 for piece in corners] == [MESH_TRIANGLES, 7]
     assert np.array_equal(np.concatenate(corners), vertices[triangles.ravel()])
+
+
+def test_a_refused_collider_is_told_with_its_size() -> None:
+    scene = box_room()
+    stray = ColliderMesh((MeshLists([[0.0, 0.0, 0.0]] * 131_073, [0, 1, 2]),))
+    with pytest.raises(WorldError, match="131073 vertices, 1 triangles"):
+        World(scene, stray, ROBOT, HZ)
