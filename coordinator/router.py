@@ -175,9 +175,9 @@ def _listen(wanted: Sequence[str], settings: CoordinatorSettings) -> tuple[tuple
         except zenoh.ZError as error:
             # between choosing a free port and listening on it somebody else may take it
             if endpoints == tuple(wanted) or trial + 1 == _PORT_TRIES:
-                named = ", ".join(endpoints)
+                named, reason = ", ".join(endpoints), str(error).split(" at /")[0]  # without zenoh's source paths
                 raise WorldError(
-                    f"cannot listen on {named}: {error}; is another coordinator running there? Stop it, or give "
+                    f"cannot listen on {named}: {reason}; is another coordinator running there? Stop it, or give "
                     "another endpoint with --listen"
                 ) from error
     raise AssertionError("unreachable")

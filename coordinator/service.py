@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from datetime import UTC, datetime
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -24,25 +22,23 @@ from coordinator.beacon import light, quench
 from coordinator.catalog import Catalog
 from coordinator.checkpoint import write_checkpoint
 from coordinator.engine import open_reader, open_writer
+from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import ledger_url_of, open_run
 from coordinator.progress import read_progress
-from coordinator.protocol import Answer, Request, Terms, parse, serve
+from coordinator.protocol import Terms
 from coordinator.puller import Checker, Pullers
 from coordinator.reconcile import reconcile
-from coordinator.router import Inquiry, Router
+from coordinator.router import Router
 from coordinator.settings import CoordinatorSettings
 from coordinator.validator import Validator
 from coordinator.writer import Writer
-from schemas.errors import TransientError
-from schemas.keys import Verb
 from schemas.plan import Plan
-from schemas.wire import AdminAction, AdminRequest, Progress, Refusal
+from schemas.wire import Progress
 
 __all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
-_READS_WAITING = 16
 _WAIT_S = 0.5
 
 log = structlog.get_logger(__name__)
@@ -107,9 +103,9 @@ class Coordinator:
             stack.callback(self._write_tables)
             self._pullers = stack.enter_context(self._open_pullers(checker))
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
-            self._reads = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="ledger-reader"))
-            self._waiting_reads = threading.Semaphore(_READS_WAITING)
-            router = Router(plan.run, listen, catalog, settings, self._take, self._note_gone)
+            self._look_for_room()
+            front = stack.enter_context(self._open_front())
+            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
             light(root, plan.run, router.endpoints)
@@ -198,6 +194,17 @@ class Coordinator:
             self._changed.set,
         )
 
+    def _open_front(self) -> Front:
+        return Front(
+            self._writer,
+            self._terms,
+            self._clock,
+            read_progress=self.progress,
+            on_bundle=self._pullers.offer,
+            on_drain=self.drain,
+            backlog=self._settings.backlog,
+        )
+
     def _open_housekeeper(self) -> Housekeeper:
         settings = self._settings
         return Housekeeper(
@@ -207,62 +214,6 @@ class Coordinator:
                 "write_tables": (settings.checkpoint_s, self._write_tables),
             }
         )
-
-    def _take(self, inquiry: Inquiry) -> None:
-        if inquiry.verb == Verb.PROGRESS:
-            self._take_read(inquiry)
-            return
-        if self._writer.backlog > self._settings.backlog:
-            inquiry.drop()
-            return
-        request = parse(inquiry.verb, inquiry.host, inquiry.payload)
-        if isinstance(request, Refusal):
-            log.info("refused", host=inquiry.host, verb=inquiry.verb, reason=request.error)
-            inquiry.answer(request)
-            return
-        future = self._writer.submit(lambda connection: serve(connection, request, self._terms, self._clock()))
-        future.add_done_callback(partial(self._reply, inquiry, request))
-
-    def _reply(self, inquiry: Inquiry, request: Request, future: Future[Answer]) -> None:
-        """Answers after COMMIT; runs in the writer's thread and must not wait."""
-        error = future.exception()
-        if isinstance(error, TransientError):
-            inquiry.drop()
-        elif error is not None:
-            log.error("request_failed", host=inquiry.host, verb=inquiry.verb, exc_info=error)
-            inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
-        else:
-            answer = future.result()
-            if isinstance(request.message, AdminRequest):
-                self._note_operator(request.message)
-            inquiry.answer(answer.reply)
-            for pull in answer.pulls:
-                self._pullers.offer(pull)
-
-    def _note_operator(self, request: AdminRequest) -> None:
-        log.info("operator", action=request.action, episodes=len(request.indices) or "all")
-        if request.action is AdminAction.DRAIN:
-            self.drain()
-
-    def _take_read(self, inquiry: Inquiry) -> None:
-        if not self._waiting_reads.acquire(blocking=False):
-            inquiry.drop()
-            return
-        future = self._reads.submit(self.progress)
-        future.add_done_callback(partial(self._answer_read, inquiry))
-
-    def _answer_read(self, inquiry: Inquiry, future: Future[Progress]) -> None:
-        self._waiting_reads.release()
-        if future.exception() is None:
-            inquiry.answer(future.result())
-        else:
-            log.error("read_failed", verb=inquiry.verb, exc_info=future.exception())
-            inquiry.drop()
-
-    def _note_gone(self, sid: str) -> None:
-        """A closed link only shortens leases: the worker may be back in a moment."""
-        hint_s = self._settings.lease_ttl_s / 2
-        self._writer.submit(lambda connection: ledger_claims.shorten(connection, sid, self._clock(), hint_s))
 
     def _expire(self) -> None:
         expired = self._writer.call(lambda connection: ledger_claims.expire(connection, self._clock()))

@@ -1,0 +1,161 @@
+"""The smallest run with a ledger: one room, a handful of chairs, an in-memory database and a clock that tests turn."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Engine, Row, select
+from sqlalchemy.engine import Connection
+
+from coordinator import ledger_claims, ledger_outcomes
+from coordinator.catalog import Catalog, SceneEntry
+from coordinator.draw import redraw
+from coordinator.engine import open_writer
+from coordinator.ledger import open_run
+from coordinator.ledger_claims import lease_of
+from coordinator.summary import EpisodeSummary, summary_of
+from coordinator.tables import jobs
+from schemas.episode import EpisodeMeta
+from schemas.plan import Budget, Plan, ScenePlan
+from schemas.scene import Instance, SceneInfo, Target
+from schemas.terms import FailReason, Split, Tier
+from schemas.wire import Done, Fail, Lease
+from tests.builders.bundle import GOAL_M, TARGET_ID, job_for, parts_for, short_task
+
+__all__ = ["TTL_S", "Desk", "room_catalog", "room_plan", "summary_for"]
+
+TTL_S = 10.0
+SHA256 = "c" * 64
+
+
+def room_plan(episodes: int = 3, **budget: int) -> Plan:
+    """A plan whose every job the smallest bundle fulfils."""
+    return Plan(
+        name="room",
+        scenes=(ScenePlan(name="room", episodes=episodes, usd="room.usda", seen=("chair",)),),
+        tiers={Tier.NEAR: 1.0},
+        splits={Split.TRAIN_ID: 1.0},
+        budget=Budget(**budget),
+        task=short_task(),
+    )
+
+
+def room_catalog(folder: Path | None = None, seed: int = 0) -> Catalog:
+    """One scene with three chairs at one place; with a folder its package is a file of a megabyte and a half."""
+    targets = tuple(
+        Target(
+            target_id=f"chair_{number:03d}",
+            category="chair",
+            instance_id=TARGET_ID,
+            prim_path="/World/chair_1",
+            centroid_m=GOAL_M,
+            size_m=(0.5, 0.5, 1.0),
+            colour="red",
+            straight_tiers=tuple(Tier),
+            connected_tiers=tuple(Tier),
+        )
+        for number in (1, 2, 3)
+    )
+    info = SceneInfo(
+        name="room",
+        source="test",
+        source_sha256="0" * 64,
+        metres_per_unit=1.0,
+        bounds_m=((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),
+        grid_origin_m=(0.0, 0.0),
+        targets=targets,
+        instances=(Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),),
+    )
+    data = bytes([seed]) + bytes(range(256)) * 6000
+    path = (folder or Path("nowhere")) / "room.scene"
+    if folder is not None:
+        path.write_bytes(data)
+    return {"room": SceneEntry(info, hashlib.sha256(data).hexdigest(), len(data), path)}
+
+
+def summary_for(row: Row[Any]) -> EpisodeSummary:
+    """The row of an archived episode that fits a submitted job."""
+    job = job_for(row.idx, draw=row.draw, attempt=row.attempt)
+    meta = _smallest_meta().model_copy(update={"job": job, "episode_id": job.episode_id})
+    return summary_of(meta, row.sha256 or SHA256, row.size or 1000)
+
+
+@functools.cache
+def _smallest_meta() -> EpisodeMeta:
+    return parts_for().meta
+
+
+class Desk:
+    """A ledger with a clock, spoken to as the protocol does: each call is one transaction."""
+
+    def __init__(self, plan: Plan | None = None, url: str = "sqlite://") -> None:
+        self.plan = plan or room_plan()
+        self.catalog = room_catalog()
+        self.now = datetime(2026, 1, 2, tzinfo=UTC)
+        self.engine: Engine = open_writer(url)
+        self._tokens = itertools.count(1)
+        open_run(self.engine, self.plan, self.catalog, TTL_S, self.now)
+
+    @contextmanager
+    def open(self) -> Iterator[Connection]:
+        with self.engine.begin() as connection:
+            yield connection
+
+    def tick(self, seconds: float) -> int:
+        """Turns the clock on and sweeps; returns how many leases expired."""
+        self.now += timedelta(seconds=seconds)
+        with self.open() as connection:
+            return ledger_claims.expire(connection, self.now)
+
+    def new_token(self) -> str:
+        return f"{next(self._tokens):032x}"
+
+    def claim(self, sid: str = "host-1", token: str | None = None) -> Row[Any] | None:
+        with self.open() as connection:
+            token = token or self.new_token()
+            held = ledger_claims.held_under(connection, token)
+            return held or ledger_claims.claim(connection, sid, token, self.now, TTL_S)
+
+    def lease(self, sid: str = "host-1") -> Lease:
+        """Claims and returns the lease; there must be a job."""
+        row = self.claim(sid)
+        assert row is not None
+        return lease_of(row)
+
+    def done(self, lease: Lease, sid: str = "host-1", sha256: str = SHA256) -> bool:
+        report = Done(sid=sid, lease=lease, sha256=sha256, size=1000)
+        with self.open() as connection:
+            return ledger_outcomes.announce(connection, report, self.now, TTL_S).accepted
+
+    def fail(self, lease: Lease, reason: FailReason, sid: str = "host-1") -> bool:
+        report = Fail(sid=sid, lease=lease, reason=reason, detail="measured", steps=7, seconds=1.5)
+        with self.open() as connection:
+            return ledger_outcomes.fail(
+                connection,
+                report,
+                self.now,
+                self.plan.budget,
+                lambda planned: redraw(self.plan, self.catalog, planned),
+            )
+
+    def archive(self, lease: Lease) -> bool:
+        """What a puller does last, however late it is."""
+        with self.open() as connection:
+            row = connection.execute(select(jobs).where(jobs.c.id == lease.job_id)).one()
+            return ledger_outcomes.archive(connection, lease, summary_for(row), self.now)
+
+    def rows(self, index: int | None = None) -> list[Any]:
+        query = select(jobs).order_by(jobs.c.idx, jobs.c.draw)
+        with self.open() as connection:
+            return list(connection.execute(query if index is None else query.where(jobs.c.idx == index)).all())
+
+    def row(self, job_id: int) -> Any:
+        (found,) = [row for row in self.rows() if row.id == job_id]
+        return found

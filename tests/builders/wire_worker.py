@@ -1,0 +1,157 @@
+"""A worker that only speaks the wire: it claims, spools what a test gives it, and serves chunks. Simulates nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Self, TypeVar
+
+import zenoh
+
+from coordinator.zenoh_config import client_config
+from schemas.base import Model
+from schemas.job import Job
+from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
+from schemas.terms import FailReason
+from schemas.wire import (
+    Ack,
+    Beat,
+    BeatReply,
+    Claim,
+    ClaimReply,
+    Done,
+    Fail,
+    Hello,
+    HelloReply,
+    Lease,
+    LeaseProgress,
+    Refusal,
+)
+from tests.builders.bundle import parts_for
+
+__all__ = ["WireWorker", "bundle_for", "until"]
+
+M = TypeVar("M", bound=Model)
+
+
+def bundle_for(job: Job) -> bytes:
+    """The smallest valid bundle of a job."""
+    return parts_for(job).write()
+
+
+def until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
+    """Waits for something that happens in another thread."""
+    end = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+class WireWorker:
+    """A client session with a spool in memory; a context manager."""
+
+    def __init__(self, endpoints: Sequence[str], run: str, host: str = "host") -> None:
+        self.run, self.host = run, host
+        self.sid = f"{host}-{secrets.token_hex(3)}"
+        self.spool: dict[tuple[int, int], tuple[Done, bytes]] = {}
+        self.served: list[int] = []
+        """Offsets that were asked for."""
+        self.is_frozen = False
+        self._session = zenoh.open(client_config(endpoints, 2.0, None))
+        self._session.declare_queryable(bundle_key(run, self.sid), self._serve)
+        self._token = self._session.liveliness().declare_token(alive_key(run, self.sid))
+
+    def ask(self, verb: Verb | str, message: Model | bytes, answer: type[M]) -> M | Refusal | None:
+        """Returns the reply; `None` when the outcome is unknown."""
+        payload = message if isinstance(message, bytes) else message.model_dump_json()
+        key = verb_key(self.run, self.host, verb)  # type: ignore[arg-type]
+        replies = self._session.get(
+            key,
+            zenoh.handlers.FifoChannel(4),
+            payload=payload,
+            timeout=5.0,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                data = reply.ok.payload.to_bytes()
+                kind: type[M] | type[Refusal] = Refusal if data.startswith(b'{"error"') else answer
+                return kind.model_validate_json(data)
+        return None
+
+    def hello(self, version: str) -> HelloReply | Refusal | None:
+        return self.ask(Verb.HELLO, Hello(sid=self.sid, host=self.host, slots=2, version=version), HelloReply)
+
+    def claim(self, token: str | None = None) -> ClaimReply:
+        reply = self.ask(Verb.CLAIM, Claim(sid=self.sid, token=token or secrets.token_hex(16)), ClaimReply)
+        assert isinstance(reply, ClaimReply)
+        return reply
+
+    def job(self) -> tuple[Job, Lease]:
+        """Claims until there is a job."""
+        replies: list[ClaimReply] = []
+
+        def has_one() -> bool:
+            replies.append(self.claim())
+            return replies[-1].job is not None
+
+        until(has_one)
+        job, lease = replies[-1].job, replies[-1].lease
+        assert job is not None
+        assert lease is not None
+        return job, lease
+
+    def deliver(self, lease: Lease, bundle: bytes, sha256: str | None = None) -> bool:
+        """Spools a bundle and announces it."""
+        digest = sha256 or hashlib.sha256(bundle).hexdigest()
+        done = Done(sid=self.sid, lease=lease, sha256=digest, size=len(bundle))
+        self.spool[lease.job_id, lease.fence] = done, bundle
+        reply = self.ask(Verb.DONE, done, Ack)
+        return isinstance(reply, Ack) and reply.accepted
+
+    def fail(self, lease: Lease, reason: FailReason) -> bool:
+        reply = self.ask(Verb.FAIL, Fail(sid=self.sid, lease=lease, reason=reason, detail="as asked"), Ack)
+        return isinstance(reply, Ack) and reply.accepted
+
+    def beat(self, live: Sequence[Lease] = ()) -> BeatReply:
+        """One heartbeat; drops what it is told to drop."""
+        beat = Beat(
+            sid=self.sid,
+            live=tuple(LeaseProgress(lease=lease, step=5) for lease in live),
+            spool=tuple(done.lease for done, _ in self.spool.values()),
+        )
+        reply = self.ask(Verb.BEAT, beat, BeatReply)
+        assert isinstance(reply, BeatReply)
+        for lease in reply.drop:
+            self.spool.pop((lease.job_id, lease.fence), None)
+        return reply
+
+    def fetch(self, selector: str) -> bytes | None:
+        for reply in self._session.get(selector, zenoh.handlers.FifoChannel(4), timeout=5.0):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+        return None
+
+    def close(self) -> None:
+        self._session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _serve(self, query: zenoh.Query) -> None:
+        with query:
+            names = ("job", "fence", "off", "n")
+            job_id, fence, chunk = parse_bundle_chunk({name: query.parameters.get(name) or "" for name in names})
+            if self.is_frozen or (job_id, fence) not in self.spool:
+                return
+            self.served.append(chunk.offset)
+            _, bundle = self.spool[job_id, fence]
+            query.reply(bundle_key(self.run, self.sid), bundle[chunk.offset : chunk.offset + chunk.length])

@@ -1,0 +1,277 @@
+"""The lease protocol end to end: a real coordinator on loopback with a real archive, a worker that speaks the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from coordinator.admin import administer
+from coordinator.ask import ask_progress
+from coordinator.beacon import sight
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from schemas.errors import UsageError, WorldError
+from schemas.keys import Chunk, Verb, scene_selector
+from schemas.terms import FailReason
+from schemas.wire import (
+    AdminAction,
+    AdminReply,
+    AdminRequest,
+    Beat,
+    BeatReply,
+    Claim,
+    ClaimReply,
+    HelloReply,
+    Refusal,
+)
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+
+ANY_PORT = ("tcp/127.0.0.1:0",)
+VERSION = version("minivla-factory")
+
+
+def settings(**changes: object) -> CoordinatorSettings:
+    values = {"reserve_bytes": 0, "retry_after_s": 0.1, "pullers": 1, "pull_timeout_s": 1.0}
+    return CoordinatorSettings.model_validate(values | changes)
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Coordinator]:
+    with Coordinator(tmp_path / "out", room_plan(2), room_catalog(tmp_path), ANY_PORT, settings=settings()) as running:
+        yield running
+
+
+@pytest.fixture
+def worker(opened: Coordinator) -> Iterator[WireWorker]:
+    with WireWorker(opened.endpoints, opened.run) as speaking:
+        yield speaking
+
+
+def test_a_run_of_two_episodes_ends_archived_and_its_worker_may_drop_and_leave(opened, worker, tmp_path):
+    hello = worker.hello(VERSION)
+    assert isinstance(hello, HelloReply)
+    assert hello.run == opened.run
+    for _ in range(2):
+        job, lease = worker.job()
+        assert worker.deliver(lease, bundle_for(job))
+    until(opened.is_finished)
+    assert len(worker.beat().drop) == 2
+    assert not worker.spool
+    assert worker.claim().finished
+    assert sorted(path.name for path in (tmp_path / "out" / "episodes").iterdir()) == ["ep_000001.zip", "ep_000002.zip"]
+    progress = opened.progress()
+    assert progress.jobs["archived"] == progress.planned == 2
+    assert progress.attempts == {"success": 2}
+    assert progress.eta_s == 0
+    assert [(status.sid, status.archived, status.alive) for status in progress.workers] == [(worker.sid, 2, True)]
+
+
+def test_a_repeated_claim_finds_its_job_again(worker):
+    token = "a" * 32
+    assert worker.claim(token) == worker.claim(token)
+
+
+def test_bundles_are_pulled_in_chunks_of_bounded_size(tmp_path):
+    small = settings(chunk_bytes=64 << 10)
+    with (
+        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ANY_PORT, settings=small) as opened,
+        WireWorker(opened.endpoints, opened.run) as worker,
+    ):
+        job, lease = worker.job()
+        bundle = bundle_for(job)
+        worker.deliver(lease, bundle)
+        until(opened.is_finished)
+        assert worker.served == list(range(0, len(bundle), 64 << 10))
+
+
+def test_a_bundle_of_another_job_is_refused_as_invalid_and_the_attempt_repeated(opened, worker):
+    job, lease = worker.job()
+    worker.deliver(lease, bundle_for(job.model_copy(update={"index": 9})))
+    until(lambda: opened.progress().attempts == {"invalid": 1})
+    assert worker.beat().drop == (lease,)
+    assert opened.progress().jobs["archived"] == 0
+
+
+def test_a_bundle_damaged_on_its_way_is_refused(opened, worker):
+    job, lease = worker.job()
+    worker.deliver(lease, bundle_for(job), sha256="0" * 64)
+    until(lambda: opened.progress().attempts == {"invalid": 1})
+
+
+def test_a_worker_that_does_not_serve_is_asked_again_after_its_next_beat(opened, worker):
+    job, lease = worker.job()
+    worker.is_frozen = True
+    worker.deliver(lease, bundle_for(job))
+    worker.is_frozen = False
+
+    def is_archived() -> bool:
+        worker.beat()
+        return opened.progress().jobs["archived"] == 1
+
+    until(is_archived)
+
+
+def test_a_silent_worker_loses_its_job_to_another_and_its_late_result_is_refused(tmp_path):
+    short = settings(lease_ttl_s=0.3, sweep_s=0.05)
+    with (
+        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ANY_PORT, settings=short) as opened,
+        WireWorker(opened.endpoints, opened.run, "slow") as slow,
+        WireWorker(opened.endpoints, opened.run, "fast") as fast,
+    ):
+        job, stale = slow.job()
+        until(lambda: opened.progress().jobs["pending"] == 1)
+        again, lease = fast.job()
+        assert again == job
+        assert not slow.deliver(stale, bundle_for(job))
+        assert slow.beat().drop == (stale,)
+        assert lease.fence > stale.fence
+
+
+def test_a_world_failure_brings_the_next_attempt_and_a_repeated_report_changes_nothing(worker):
+    job, lease = worker.job()
+    assert worker.fail(lease, FailReason.TIMEOUT)
+    assert worker.fail(lease, FailReason.TIMEOUT)
+    other, _ = worker.job()
+    again, _ = worker.job()
+    assert (other.index, other.attempt) != (job.index, 2)
+    assert (again.index, again.attempt) == (job.index, 2)
+
+
+def test_a_restarted_coordinator_goes_on_where_the_last_one_stopped(tmp_path):
+    catalog, plan, out = room_catalog(tmp_path), room_plan(2), tmp_path / "out"
+    with (
+        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        WireWorker(opened.endpoints, opened.run) as worker,
+    ):
+        job, lease = worker.job()
+        worker.deliver(lease, bundle_for(job))
+        until(lambda: opened.progress().jobs["archived"] == 1)
+        _, unfinished = worker.job()
+    with (
+        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        WireWorker(opened.endpoints, opened.run) as worker,
+    ):
+        assert opened.progress().jobs["archived"] == 1
+        assert worker.beat([unfinished]).lost == ()
+
+
+def test_a_lost_file_is_made_again_under_the_same_attempt(tmp_path):
+    catalog, plan, out = room_catalog(tmp_path), room_plan(1), tmp_path / "out"
+    with (
+        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        WireWorker(opened.endpoints, opened.run) as worker,
+    ):
+        first, lease = worker.job()
+        worker.deliver(lease, bundle_for(first))
+        until(opened.is_finished)
+    (out / "episodes" / "ep_000001.zip").unlink()
+    with (
+        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        WireWorker(opened.endpoints, opened.run) as worker,
+    ):
+        again, lease = worker.job()
+        assert again == first
+        worker.deliver(lease, bundle_for(again))
+        until(opened.is_finished)
+
+
+def test_a_full_disk_gives_out_no_jobs(tmp_path):
+    greedy = settings(reserve_bytes=1 << 60)
+    with (
+        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ANY_PORT, settings=greedy) as opened,
+        WireWorker(opened.endpoints, opened.run) as worker,
+    ):
+        reply = worker.claim()
+        assert reply.job is None
+        assert reply.retry_after_s > 0
+        assert not reply.finished
+
+
+def test_drain_tells_workers_to_leave_and_gives_out_nothing(opened, worker):
+    assert worker.ask(Verb.ADMIN, AdminRequest(action=AdminAction.DRAIN), AdminReply) == AdminReply(changed=())
+    assert worker.beat().drain
+    assert worker.claim().job is None
+
+
+def test_scenes_are_served_in_chunks(opened, worker, tmp_path):
+    (entry,) = room_catalog(tmp_path).values()
+    data = entry.path.read_bytes()
+    tail = worker.fetch(scene_selector(opened.run, entry.sha256, Chunk(entry.size - 10, 100)))
+    assert worker.fetch(scene_selector(opened.run, entry.sha256, Chunk(0, 1 << 20))) == data[: 1 << 20]
+    assert tail == data[-10:]
+    assert worker.fetch(scene_selector(opened.run, "f" * 64, Chunk(0, 10))) is None
+    assert worker.fetch(scene_selector(opened.run, entry.sha256, Chunk(0, 2 << 20))) is None
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload", "reason"),
+    [
+        ("claim", b"not json", "not understood"),
+        ("claim", b'{"sid": "host-1", "token": "short"}', "token"),
+        ("steal", b"{}", "no verb"),
+        ("beat", b"x" * ((1 << 20) + 1), "more than"),
+        ("claim", Claim(sid="other-1", token="b" * 32).model_dump_json().encode(), "not of host"),
+    ],
+)
+def test_a_bad_message_is_refused_with_the_reason(worker, verb, payload, reason):
+    refusal = worker.ask(verb, payload, ClaimReply)
+    assert isinstance(refusal, Refusal)
+    assert reason in refusal.error
+
+
+def test_a_worker_of_another_version_is_refused_by_name(worker):
+    refusal = worker.hello("0.0.1")
+    assert isinstance(refusal, Refusal)
+    assert "0.0.1" in refusal.error
+    assert VERSION in refusal.error
+
+
+def test_a_beat_of_unknown_leases_loses_them_all(worker):
+    _, lease = worker.job()
+    stale = lease.model_copy(update={"fence": lease.fence + 1})
+    assert worker.ask(Verb.BEAT, Beat(sid=worker.sid, spool=(stale, lease)), BeatReply) == BeatReply(drop=(stale,))
+
+
+def test_anyone_can_ask_for_progress_without_knowing_the_run(opened):
+    assert ask_progress(opened.endpoints).run == opened.run
+
+
+def test_an_operator_is_served_by_the_running_coordinator_and_without_one_under_the_lock(tmp_path):
+    out, now = tmp_path / "out", datetime.now(UTC)
+    with Coordinator(out, room_plan(2), room_catalog(tmp_path), ANY_PORT, settings=settings()) as opened:
+        cancelled = administer(out, AdminRequest(action=AdminAction.CANCEL, indices=(1, 7)), now)
+        assert opened.progress().jobs["cancelled"] == 1
+    assert cancelled.changed == (1,)
+    assert list(cancelled.refused) == [7]
+    assert sight(out) is None
+    assert administer(out, AdminRequest(action=AdminAction.RETRY, indices=(1,)), now).changed == (1,)
+    with pytest.raises(UsageError, match="nobody to drain"):
+        administer(out, AdminRequest(action=AdminAction.DRAIN), now)
+
+
+def test_a_taken_endpoint_is_named_with_the_remedy(opened, tmp_path):
+    with pytest.raises(WorldError, match=f"cannot listen on {opened.endpoints[0]}.*--listen"):
+        Coordinator(tmp_path / "other", room_plan(1), room_catalog(tmp_path), opened.endpoints)
+
+
+def test_a_directory_of_another_plan_is_refused_naming_both(tmp_path):
+    catalog, out = room_catalog(tmp_path), tmp_path / "out"
+    with Coordinator(out, room_plan(1), catalog, ANY_PORT):
+        pass
+    with pytest.raises(UsageError, match=f"{room_plan(1).run}.*{room_plan(2).run}.*--out"):
+        Coordinator(out, room_plan(2), catalog, ANY_PORT)
+
+
+def test_a_changed_scene_is_refused(tmp_path):
+    catalog, out = room_catalog(tmp_path), tmp_path / "out"
+    with Coordinator(out, room_plan(1), catalog, ANY_PORT):
+        pass
+    (tmp_path / "other").mkdir()
+    changed = room_catalog(tmp_path / "other", seed=1)
+    with pytest.raises(WorldError, match=r"scene 'room' was .* and is .* now"):
+        Coordinator(out, room_plan(1), changed, ANY_PORT)
