@@ -21,7 +21,7 @@ from schemas.errors import UsageError
 
 __all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_scene"]
 
-AUTHOR_VERSION = "1"
+AUTHOR_VERSION = "2"
 """Changes whenever the same (name, seed) would give another scene; part of the compiled scenes' cache key."""
 
 
@@ -47,7 +47,7 @@ _SCENES = (
     BuiltinScene("hospital", "30 x 20 m hospital floor: wards, waiting hall, reception", 1.0, lay_out_hospital),
     BuiltinScene(
         "full_warehouse",
-        "32 x 24 m warehouse: double pallet-rack rows, floor goods",
+        "32 x 24 m warehouse: pallet-rack rows, cross aisle, floor goods",
         1.0,
         lay_out_full_warehouse,
     ),

@@ -117,8 +117,8 @@ def _sign(text: str, colour: str, size: int) -> Callable[[Generator], Pixels]:
 
 def _scribbles(rng: Generator) -> Pixels:
     image, draw = _canvas("#f4f5f4")
-    for _ in range(4):
-        x, y = _between(rng, 40, 300), _between(rng, 60, 380)
+    for x, y in ((40, 70), (60, 250), (300, 330), (50, 400)):
+        x, y = x + _between(rng, -20, 30), y + _between(rng, -20, 30)
         draw.rectangle((x, y, x + 110, y + 60), outline="#2b59b5", width=4)
         draw.line((x + 110, y + 30, x + 180, y + 50), fill="#333333", width=4)
     for line in range(70, 240, 34):

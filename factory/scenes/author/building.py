@@ -25,11 +25,12 @@ GRIP = painted("Steel", 0.35, 1.0)
 
 @dataclass(frozen=True)
 class Style:
-    """How a kind of room looks: its floor, its wall paint, whether it has windows."""
+    """How a kind of room looks: floor, wall paint, whether it has windows, material of its bumper rail or None."""
 
     floor: Material
     paint: Material
     has_windows: bool = True
+    rail: Material | None = None
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def _build_wing(
     is_south = side == "S"
     outer_y, inner_y = depth if is_south else depth[::-1]
     hall_paint, rooms = styles["corridor"].paint, []
-    previous = PLASTER
+    previous = Style(PLASTER, PLASTER)
     for cell, x0, x1 in spans:
         style = styles[cell.kind]
         area = Rectangle(x0, depth[0], x1, depth[1])
@@ -126,17 +127,19 @@ def _build_wing(
         ceiling(plan, area, height, CEILING)
         door = _draw_door(plan.rng, cell, x0, x1)
         inner_faces = (style.paint, hall_paint) if is_south else (hall_paint, style.paint)
-        wall(plan, True, inner_y, (x0, x1), inner_faces, (door,), height)
+        hall_rail = styles["corridor"].rail
+        rails = (None, hall_rail) if is_south else (hall_rail, None)
+        wall(plan, True, inner_y, (x0, x1), inner_faces, (door,), height, rails)
         wall(plan, True, outer_y, (x0, x1), (style.paint, style.paint), (), height)
-        wall(plan, False, x0, depth, (previous, style.paint), (), height)
-        previous = style.paint
+        wall(plan, False, x0, depth, (previous.paint, style.paint), (), height, (previous.rail, style.rail))
+        previous = style
         inside = area.grown(-WALL_THICKNESS_M / 2)
         room = Room(cell.kind, inside, door, side, "N" if is_south else "S")
         rooms.append(room)
         _hang_leaves(plan, room)
         if style.has_windows:
             _hang_windows(plan, room)
-    wall(plan, False, spans[-1][2], depth, (previous, previous), (), height)
+    wall(plan, False, spans[-1][2], depth, (previous.paint, previous.paint), (), height, (previous.rail, None))
     return rooms
 
 

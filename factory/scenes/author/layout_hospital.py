@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 
 from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
-from factory.scenes.author.materials import Material, textured
+from factory.scenes.author.materials import Material, painted, textured
 from factory.scenes.author.placement import FACING, Plan, Rectangle
+from factory.scenes.author.room import marking
 
 __all__ = ["lay_out_hospital"]
 
@@ -17,6 +18,7 @@ SIZE = (30.0, 20.0)
 LINOLEUM = textured("Linoleum", "#b9c6c4", 1.5, 0.3)
 WARM = textured("LinoleumWarm", "#cdbfa6", 1.5, 0.3)
 TILES = textured("TileFloor", "#c9c6bd", 1.6, 0.3)
+RAIL = textured("WoodPale", "#d9c19a", 0.8, 0.4)
 MINT = Material("WallMint", "#bcd3c6", roughness=0.85)
 SKY = Material("WallSky", "#bfd2dc", roughness=0.85)
 CREAM = Material("WallCream", "#e2d8bf", roughness=0.85)
@@ -30,19 +32,29 @@ def lay_out_hospital(plan: Plan) -> None:
     wings = {side: divide(rng, _cells(plan, hall), SIZE[0]) for side, hall in (("S", "waiting"), ("N", "reception"))}
     ward_paints = [(MINT, SKY, CREAM)[k] for k in rng.permutation(3)]
     styles = {
-        "corridor": Style(LINOLEUM, ward_paints[2]),
-        "ward": Style(LINOLEUM, ward_paints[0], has_windows=False),
+        "corridor": Style(LINOLEUM, ward_paints[2], rail=RAIL),
+        "ward": Style(LINOLEUM, ward_paints[0], has_windows=False, rail=RAIL),
         "exam": Style(WARM, ward_paints[1]),
         "waiting": Style(TILES, PLASTER),
         "reception": Style(TILES, ward_paints[1], has_windows=False),
     }
     rooms = build_wings(plan, SIZE, corridor, wings, styles)
+    _guide_lines(plan, corridor)
     furnish = {"ward": _ward, "exam": _exam, "waiting": _waiting, "reception": _reception}
     for room in rooms:
         furnish[room.kind](plan, room)
-    _corridor(plan, Rectangle(0.06, corridor[0] + 0.06, SIZE[0] - 0.06, corridor[1] - 0.06))
+    _corridor(plan, Rectangle(0.12, corridor[0] + 0.12, SIZE[0] - 0.12, corridor[1] - 0.12))
     plan.top_up("SM_FireExtinguisher_02", 6, [room.area for room in rooms])
     plan.top_up("SM_Whiteboard_A", 6, [room.area for room in rooms])
+
+
+def _guide_lines(plan: Plan, corridor: tuple[float, float]) -> None:
+    """Two coloured lines painted along the corridor floor, as hospitals guide visitors."""
+    first, second = (("Blue", "Green"), ("Red", "Blue"), ("Green", "Orange"))[plan.pick(3)]
+    middle = (corridor[0] + corridor[1]) / 2
+    for paint, shift in ((first, -0.09), (second, 0.09)):
+        y = middle + shift
+        marking(plan, Rectangle(0.3, y - 0.05, SIZE[0] - 0.3, y + 0.05), painted(paint, 0.5))
 
 
 def _cells(plan: Plan, hall: str) -> list[Cell]:
@@ -55,42 +67,61 @@ def _cells(plan: Plan, hall: str) -> list[Cell]:
 
 
 def _ward(plan: Plan, room: Room) -> None:
-    """Two beds with their heads at the outer wall, night stands, visitor chairs, a bin, a board."""
+    """Beds with their heads at the outer wall, one more at a side wall, a wash basin, a bin, a board."""
     area, rng, shop = room.area, plan.rng, plan.workshop
-    yaw, look = FACING[room.outer], plan.pick(6)
-    y_head = area.y1 if room.outer == "N" else area.y0
-    inward = -1.0 if room.outer == "N" else 1.0
-    for bed, share in enumerate((0.24, 0.76)):
-        x = area.x0 + share * area.width
-        if not plan.place(shop.model("SM_Bed", look + bed), x, y_head + inward * 1.12, yaw, area, 0.1):
-            continue
-        plan.add(shop.model("SM_HeadPanel", 0), x, y_head + inward * 0.065, yaw)
-        outside = -1.0 if bed == 0 else 1.0
-        plan.place(shop.model("SM_Nightstand", look), x + outside * -0.78, y_head + inward * 0.3, yaw, area, 0.0)
-        if rng.random() < 0.7:
-            plan.place(shop.model("SM_DripStand", 0), x + outside * 0.72, y_head + inward * 0.6, 0.0, area, 0.0)
-        kind = ("SM_ChairWaiting_E", "SM_ChairVisitor_C", "SM_ChairWood_D")[plan.pick(3)]
-        aside, along = outside * -0.95, float(rng.uniform(1.5, 1.9))
-        turn = yaw + outside * (math.pi / 2) * (1 if room.outer == "N" else -1) + float(rng.uniform(-0.3, 0.3))
-        plan.place(shop.model(kind, plan.pick(5)), x + aside, y_head + inward * along, turn, area, 0.05)
+    look = plan.pick(6)
+    y_head, inward = _head_wall(room)
+    for bed in (0, 1):
+        _bed_place(plan, room, bed, look)
     if rng.random() < 0.8:
         plan.place(shop.model("SM_Curtain", look), area.centre[0], y_head + inward * 0.32, 0.0, area, 0.0)
+    plan.add(shop.model("SM_Window", 1), area.centre[0], y_head, FACING[room.outer])
+    bed_side, board_side = ("E", "W") if rng.random() < 0.5 else ("W", "E")
+    _side_bed(plan, room, bed_side, look)
     if rng.random() < 0.6:
-        plan.against(
-            shop.model("SM_Whiteboard_A", plan.pick(2)),
-            area,
-            "EW"[plan.pick(2)],
-            0.25 if room.outer == "N" else 0.75,
-        )
-    plan.add(shop.model("SM_Window", 1), area.centre[0], y_head, yaw)
+        along = 0.25 if room.outer == "N" else 0.75
+        plan.against(shop.model("SM_Whiteboard_A", plan.pick(2)), area, board_side, along)
     plan.against_somewhere(shop.model("SM_WashUnit", 0), area, "EW", 0.4)
-    names = (
-        "SM_TrashCan_A",
-        "SM_Cabinet",
-        ("SM_ChairWaiting_E", "SM_Stool_F", "SM_WheelChair", "SM_Trolley")[plan.pick(4)],
-    )
-    _along(plan, room, names)
+    extra = ("SM_ChairWaiting_E", "SM_Stool_F", "SM_WheelChair", "SM_Trolley")[plan.pick(4)]
+    _along(plan, room, ("SM_TrashCan_A", "SM_Cabinet", extra))
     _decorate(plan, room)
+
+
+def _head_wall(room: Room) -> tuple[float, float]:
+    """The y of the outer wall's face and the sign of the direction into the room."""
+    return (room.area.y1, -1.0) if room.outer == "N" else (room.area.y0, 1.0)
+
+
+def _bed_place(plan: Plan, room: Room, bed: int, look: int) -> None:
+    """One bed at the outer wall: service panel, night stand, perhaps a drip, a visitor's chair on the inner side."""
+    area, rng, shop = room.area, plan.rng, plan.workshop
+    y_head, inward = _head_wall(room)
+    yaw, outside = FACING[room.outer], -1.0 if bed == 0 else 1.0
+    x = area.x0 + (0.24, 0.76)[bed] * area.width
+    if not plan.place(shop.model("SM_Bed", look + bed), x, y_head + inward * 1.12, yaw, area, 0.1):
+        return
+    plan.add(shop.model("SM_HeadPanel", 0), x, y_head + inward * 0.065, yaw)
+    plan.place(shop.model("SM_Nightstand", look), x - outside * 0.78, y_head + inward * 0.3, yaw, area, 0.0)
+    if rng.random() < 0.7:
+        plan.place(shop.model("SM_DripStand", 0), x + outside * 0.72, y_head + inward * 0.6, 0.0, area, 0.0)
+    kind = ("SM_ChairWaiting_E", "SM_ChairVisitor_C", "SM_ChairWood_D")[plan.pick(3)]
+    turn = yaw - outside * inward * math.pi / 2 + float(rng.uniform(-0.3, 0.3))
+    y = y_head + inward * float(rng.uniform(1.5, 1.9))
+    plan.place(shop.model(kind, plan.pick(5)), x - outside * 0.95, y, turn, area, 0.05)
+
+
+def _side_bed(plan: Plan, room: Room, side: str, look: int) -> None:
+    """A third bed across the room's side wall, with its panel and night stand."""
+    area, shop = room.area, plan.workshop
+    share = float(plan.rng.uniform(0.50, 0.54))
+    bed = plan.against(shop.model("SM_Bed", look + 2), area, side, share if room.outer == "N" else 1 - share, 0.2, 0.1)
+    if bed is None:
+        return
+    into = -1.0 if side == "E" else 1.0
+    wall_x = area.x1 if side == "E" else area.x0
+    plan.add(shop.model("SM_HeadPanel", 0), wall_x + into * 0.065, bed.y, FACING[side])
+    _, inward = _head_wall(room)
+    plan.place(shop.model("SM_Nightstand", look), wall_x + into * 0.3, bed.y + inward * 0.8, FACING[side], area, 0.0)
 
 
 def _exam(plan: Plan, room: Room) -> None:
@@ -118,6 +149,7 @@ def _exam(plan: Plan, room: Room) -> None:
 def _waiting(plan: Plan, room: Room) -> None:
     """Rows of chairs along three walls around an open floor, a board, a television, bins."""
     area, rng, shop = room.area, plan.rng, plan.workshop
+    marking(plan, area.grown(-1.6), WARM)
     look, kind = plan.pick(5), ("SM_ChairWaiting_E", "SM_ChairVisitor_C")[plan.pick(2)]
     for side, seats in ((room.outer, 6), ("E", 4), ("W", 4)):
         pitch = 0.68 / (area.width if side in "NS" else area.depth)
@@ -135,8 +167,7 @@ def _waiting(plan: Plan, room: Room) -> None:
 def _reception(plan: Plan, room: Room) -> None:
     """A reception counter before the outer wall, cabinets behind it, waiting chairs on the sides."""
     area, rng, shop = room.area, plan.rng, plan.workshop
-    inward = -1.0 if room.outer == "N" else 1.0
-    y_wall = area.y1 if room.outer == "N" else area.y0
+    y_wall, inward = _head_wall(room)
     plan.place(
         shop.model("SM_Reception", plan.pick(3)),
         area.centre[0],

@@ -111,6 +111,7 @@ def _open_plan(plan: Plan, room: Room) -> None:
     """Desks in pairs and alone along the walls around an open middle; boards, plants, bins, a copier."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     look = plan.pick(12)
+    marking(plan, Rectangle(*area.centre, *area.centre).grown(1.4), CARPET_HALL)
     spread = float(rng.uniform(0.0, 0.06))
     for along in ((0.10, 0.32, 0.88), (0.12, 0.68, 0.90), (0.10, 0.50, 0.90))[plan.pick(3)]:
         _wall_workplace(plan, area, room.outer, along + spread - 0.03, look)

@@ -21,6 +21,7 @@ YELLOW = painted("Yellow", 0.6)
 HAZARD = textured("Hazard", "#d8ac20", 0.5, 0.7)
 HEIGHT_M = 6.0
 BAY_M = 2.72
+RACK_DEPTH_M = 0.84
 
 
 class Row(NamedTuple):
@@ -32,12 +33,12 @@ class Row(NamedTuple):
 
 
 def lay_out_full_warehouse(plan: Plan) -> None:
-    """A 32 x 24 m hall: double rack rows, aisles 2.6-3.2 m, one cross aisle, goods along the walls."""
+    """A 32 x 24 m hall: rack rows, aisles 2.9-3.2 m, one cross aisle, goods along the walls."""
     hall = Rectangle(0.0, 0.0, 32.0, 24.0)
     _shell(plan, hall, gates=3)
     inside = hall.grown(-0.08)
     aisle = float(plan.rng.uniform(2.9, 3.2))
-    rows = list(_double_rows(hall, aisle))
+    rows = list(_rack_rows(plan, hall, aisle))
     _fill_rows(plan, hall, rows, 4.2)
     _wall_shelves(plan, inside, 8)
     _floor_goods(plan, inside, singles=18, clusters=6)
@@ -61,13 +62,15 @@ def lay_out_multiple_shelves(plan: Plan) -> None:
     _floor_goods(plan, inside, singles=14, clusters=4)
 
 
-def _double_rows(hall: Rectangle, aisle: float) -> Iterator[Row]:
-    """Back-to-back rack rows, as many as the hall is deep."""
-    y = 3.4
-    while y + 1.2 < hall.y1 - 2.6:
+def _rack_rows(plan: Plan, hall: Rectangle, aisle: float) -> Iterator[Row]:
+    """Single and back-to-back rack rows, as many as the hall is deep; singles are reached from both sides."""
+    y = 3.2
+    while y < hall.y1 - 2.8:
         yield Row("rack", y, FACING["N"])
-        yield Row("rack", y + 1.2, FACING["S"])
-        y += 1.2 + 1.1 + aisle
+        if plan.rng.random() < 0.3 and y + RACK_DEPTH_M < hall.y1 - 2.8:
+            y += RACK_DEPTH_M + 0.06
+            yield Row("rack", y, FACING["S"])
+        y += RACK_DEPTH_M + aisle
 
 
 def _shell(plan: Plan, hall: Rectangle, gates: int) -> None:
@@ -121,14 +124,14 @@ def _fill_rows(plan: Plan, hall: Rectangle, rows: list[Row], margin: float) -> N
 def _mark_row(plan: Plan, row: Row, x0: float, x1: float) -> None:
     """A yellow line before the row, hazard patches and impact posts at its ends."""
     toward = -1.0 if row.yaw == FACING["N"] else 1.0
-    edge = row.y + toward * 0.72
+    edge = row.y + toward * 0.58
     marking(plan, Rectangle(x0 - 0.25, edge - 0.04, x1 + 0.25, edge + 0.04), YELLOW)
     for x in (x0 - 0.35, x1 + 0.25):
-        marking(plan, Rectangle(x, row.y - 0.5, x + 0.1, row.y + 0.5), HAZARD)
+        marking(plan, Rectangle(x, row.y - 0.4, x + 0.1, row.y + 0.4), HAZARD)
     post = plan.workshop.model("SM_ImpactPost", 0)
     for x in (x0 - 0.12, x1 + 0.12):
         if row.kind == "rack":
-            plan.place(post, x, row.y + toward * 0.45, 0.0, None, -0.05)
+            plan.place(post, x, row.y + toward * 0.33, 0.0, None, -0.05)
 
 
 def _wall_shelves(plan: Plan, inside: Rectangle, count: int) -> None:

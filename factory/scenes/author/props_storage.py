@@ -71,17 +71,17 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[Piece]:
     kind = float(rng.random())
     if kind < 0.10:
         return []
-    base = pallet(x, 0.0, z)
+    base = pallet(x, 0.0, z, half_y=0.38)
     top, height = z + 0.14, float(rng.uniform(0.55, 0.85)) * (room - 0.2)
     if kind < 0.68:
-        return [*base, *carton_stack(x, 0.0, top, (1.08, 0.94, height), rng)]
+        return [*base, *carton_stack(x, 0.0, top, (1.08, 0.72, height), rng)]
     if kind < 0.84:
-        wrapped = block((x - 0.52, -0.45, top), (x + 0.52, 0.45, top + height))
+        wrapped = block((x - 0.52, -0.36, top), (x + 0.52, 0.36, top + height))
         return [*base, Piece(WRAP, wrapped)]
     tote = TOTES[int(rng.integers(len(TOTES)))]
     size = height / 2
     boxes = [
-        block((x + side - 0.24, -0.42, top + level * size), (x + side + 0.24, 0.42, top + (level + 0.94) * size))
+        block((x + side - 0.24, -0.35, top + level * size), (x + side + 0.24, 0.35, top + (level + 0.94) * size))
         for side in (-0.26, 0.26)
         for level in range(2)
     ]
@@ -89,24 +89,24 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[Piece]:
 
 
 def rack(variant: int, rng: Generator) -> list[Piece]:
-    """A pallet rack bay 2.7 m wide and 1.1 m deep with uprights, braces, beams and loaded levels."""
+    """A pallet rack bay 2.7 m wide and 0.84 m deep with uprights, braces, beams and loaded levels."""
     upright, beam = FRAMES[variant % 3]
     levels = ((0.0, 1.35, 2.60), (0.0, 1.15, 2.20, 3.25), (0.0, 1.55, 2.95))[variant // 3 % 3]
     top = levels[-1] + 0.95
     steel: list[Mesh] = []
     for x in (-1.30, 1.30):
-        for y in (-0.51, 0.51):
+        for y in (-0.38, 0.38):
             steel.append(block((x - 0.045, y - 0.04, 0.0), (x + 0.045, y + 0.04, top)))
         zigzag = [0.15 + step * (top - 0.3) / 4 for step in range(5)]
         for step, (z0, z1) in enumerate(pairwise(zigzag)):
-            side = 0.48 if step % 2 else -0.48
+            side = 0.35 if step % 2 else -0.35
             steel.append(rod((x, -side, z0), (x, side, z1), 0.018, 4))
     pieces = [Piece(upright, mesh) for mesh in steel]
-    for y in (-0.51, 0.51):
+    for y in (-0.38, 0.38):
         for z in levels[1:]:
             pieces.append(Piece(beam, block((-1.255, y - 0.025, z - 0.12), (1.255, y + 0.025, z))))
     for z in levels[1:]:
-        pieces.append(Piece(STEEL, block((-1.255, -0.48, z - 0.03), (1.255, 0.48, z - 0.005))))
+        pieces.append(Piece(STEEL, block((-1.255, -0.355, z - 0.03), (1.255, 0.355, z - 0.005))))
     ceilings = [*(level - 0.15 for level in levels[1:]), top]
     for z, ceiling in zip(levels, ceilings, strict=True):
         for x in (-0.63, 0.63):
@@ -175,16 +175,7 @@ def barrel(variant: int, _rng: Generator) -> list[Piece]:
         height = 0.875
     else:
         paint = painted(("Blue", "Yellow", "Green")[variant // 3 % 3], 0.4)
-        profile = [
-            (0.19, 0.0),
-            (0.22, 0.04),
-            (0.22, 0.46),
-            (0.20, 0.50),
-            (0.20, 0.53),
-            (0.225, 0.53),
-            (0.225, 0.57),
-            (0.02, 0.59),
-        ]
+        profile = KEG
         height = 0.575
     bungs = [cylinder(0.03, height, height + 0.025, (x, 0.0), 8) for x in (-0.12, 0.13)]
     return [

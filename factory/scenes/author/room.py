@@ -33,6 +33,8 @@ DOOR_FRAME = textured("WoodOak", "#c39a66", 0.9)
 LAMP = glowing("LampPanel", "#fffdf4")
 LAMP_RIM = painted("LightGrey", 0.5)
 
+Rails = tuple[Material | None, Material | None]
+
 
 class Door(NamedTuple):
     """An opening in a wall: its centre along the wall (world coordinate), clear width and height, metres."""
@@ -69,6 +71,7 @@ def wall(
     faces: tuple[Material, Material],
     doors: Sequence[Door] = (),
     height: float = 2.8,
+    rails: Rails = (None, None),
 ) -> None:
     """Builds a wall with door openings, lintels, frames and skirting, and keeps the door zones clear.
 
@@ -80,19 +83,20 @@ def wall(
         faces: materials of the side towards lower and towards higher coordinates.
         doors: openings, not overlapping.
         height: metres.
+        rails: materials of a bumper rail at 0.80-0.95 m on either side, or None for none.
     """
     strip, half = _Strip(is_along_x, at), WALL_THICKNESS_M / 2
     pieces: list[Piece] = []
     start = span[0]
     for door in sorted(doors):
         left, right = door.centre - door.width / 2, door.centre + door.width / 2
-        pieces += _solid(strip, (start, left), (0.0, height), faces)
-        pieces += _solid(strip, (left, right), (door.height, height), faces, skirting=False)
+        pieces += _solid(strip, (start, left), (0.0, height), faces, rails)
+        pieces += _solid(strip, (left, right), (door.height, height), faces, None)
         pieces += _door_frame(strip, left, right, door.height)
         zone = (left - 0.1, right + 0.1)
         plan.keep_clear(strip.zone(zone, (-half - DOOR_CLEARANCE_M, half + DOOR_CLEARANCE_M)))
         start = right
-    pieces += _solid(strip, (start, span[1]), (0.0, height), faces)
+    pieces += _solid(strip, (start, span[1]), (0.0, height), faces, rails)
     plan.build("SM_Wall", *pieces)
 
 
@@ -101,9 +105,9 @@ def _solid(
     along: tuple[float, float],
     z: tuple[float, float],
     faces: tuple[Material, Material],
-    skirting: bool = True,
+    rails: Rails | None,
 ) -> list[Piece]:
-    """One unbroken stretch: two half-thick leaves, each with its own face, and skirting on both."""
+    """One unbroken stretch: two half-thick leaves, skirting and rails; lintels, with None, have neither."""
     half = WALL_THICKNESS_M / 2
     if along[1] - along[0] < 1e-3:
         return []
@@ -111,7 +115,13 @@ def _solid(
         Piece(faces[0], strip.box(along, (-half, 0.0), z)),
         Piece(faces[1], strip.box(along, (0.0, half), z)),
     ]
-    if skirting:
+    if rails is not None:
+        sides = ((-half - 0.045, -half), (half, half + 0.045))
+        pieces += [
+            Piece(rail, strip.box((along[0] + 0.09, along[1] - 0.09), side, (0.80, 0.95)))
+            for rail, side in zip(rails, sides, strict=True)
+            if rail is not None and along[1] - along[0] > 0.3
+        ]
         pieces.append(Piece(SKIRTING, strip.box(along, (-half - 0.012, -half), (0.0, 0.09))))
         pieces.append(Piece(SKIRTING, strip.box(along, (half, half + 0.012), (0.0, 0.09))))
     return pieces
