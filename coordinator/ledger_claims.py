@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Row, bindparam, case, select, update
+from sqlalchemy import Row, bindparam, case, or_, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger_moves import FREED, move, record_attempt, under_lease
@@ -51,7 +51,7 @@ _BEAT = (
         jobs.c.id == bindparam("of_job"),
         jobs.c.fence == bindparam("of_fence"),
         jobs.c.token == bindparam("of_token"),
-        jobs.c.state.in_(HELD_STATES),
+        or_(*(jobs.c.state == state for state in HELD_STATES)),  # IN does not go with many rows of parameters
     )
     .values(lease_until=bindparam("until"), step=bindparam("at_step"), sid=bindparam("by"))
 )

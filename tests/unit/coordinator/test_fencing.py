@@ -1,0 +1,165 @@
+"""Promise 2: a stale worker changes nothing. Random programs of workers, pullers and operators on the real SQL."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from typing import Any
+
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from sqlalchemy import select
+
+from coordinator import ledger_admin, ledger_claims, ledger_outcomes
+from coordinator.ledger_claims import HELD_STATES, lease_of
+from coordinator.states import TRANSITIONS, Event, State
+from coordinator.tables import attempts, episodes, events
+from schemas.terms import FailReason
+from schemas.wire import Beat, Lease, LeaseProgress
+from tests.builders.ledger import TTL_S, Desk, room_plan
+
+ANY_GRANT = st.integers(0, 40)
+OTHER_SHA256 = "d" * 64
+
+
+class Ledger(RuleBasedStateMachine):
+    """Workers keep every lease they ever got and use it again whenever they like."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.grants: list[Lease] = []
+        self.newest: dict[int, int] = {}
+        self.seen_events = 0
+
+    @initialize(
+        episodes=st.integers(1, 3), misses=st.integers(1, 2), draws=st.integers(1, 2), crashes=st.integers(1, 2)
+    )
+    def begin(self, episodes: int, misses: int, draws: int, crashes: int) -> None:
+        self.desk = Desk(room_plan(episodes, attempts_per_draw=misses, draws=draws, crashes=crashes))
+
+    def grant(self, number: int) -> Lease | None:
+        return self.grants[number % len(self.grants)] if self.grants else None
+
+    def is_current(self, lease: Lease) -> bool:
+        row = self.desk.row(lease.job_id)
+        return row.state in HELD_STATES and (row.fence, row.token) == (lease.fence, lease.token)
+
+    @rule(worker=st.integers(0, 2))
+    def claim(self, worker: int) -> None:
+        token = self.desk.new_token()
+        row = self.desk.claim(f"host-{worker}", token)
+        if row is not None:
+            assert row.fence > self.newest.get(row.id, 0), "every claim raises the fence"
+            self.newest[row.id] = row.fence
+            self.grants.append(lease_of(row))
+            assert self.desk.claim(f"host-{worker}", token) == row, "a repeated claim finds its job"
+
+    @rule(number=ANY_GRANT, sha256=st.sampled_from(["c" * 64, OTHER_SHA256]))
+    def done(self, number: int, sha256: str) -> None:
+        lease = self.grant(number)
+        if lease is not None:
+            was_current, before = self.is_current(lease), self.desk.rows()
+            accepted = self.desk.done(lease, sha256=sha256)
+            fulfilled = self.desk.row(lease.job_id).state == State.ARCHIVED and lease.fence == self.newest[lease.job_id]
+            assert accepted == (was_current or fulfilled)
+            assert was_current or self.desk.rows() == before
+
+    @rule(number=ANY_GRANT, reason=st.sampled_from(list(FailReason)))
+    def fail(self, number: int, reason: FailReason) -> None:
+        lease = self.grant(number)
+        if lease is not None:
+            was_current, before = self.is_current(lease), self.desk.rows()
+            self.desk.fail(lease, reason)
+            assert was_current or self.desk.rows() == before, "a stale report changes nothing"
+
+    @rule(number=ANY_GRANT)
+    def archive(self, number: int) -> None:
+        lease = self.grant(number)
+        if lease is not None:
+            row, before = self.desk.row(lease.job_id), self.desk.rows()
+            is_due = self.is_current(lease) and row.state == State.SUBMITTED
+            assert self.desk.archive(lease) == is_due
+            assert is_due or self.desk.rows() == before
+
+    @rule(number=ANY_GRANT)
+    def beat(self, number: int) -> None:
+        lease = self.grant(number)
+        if lease is not None:
+            was_current, before = self.is_current(lease), self.desk.rows()
+            beat = Beat(sid="host-0", live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
+            with self.desk.open() as connection:
+                outcome = ledger_claims.beat(connection, beat, self.desk.now, TTL_S)
+            assert (lease in outcome.lost) == (lease in outcome.drop) == (not was_current)
+            assert was_current or self.desk.rows() == before
+
+    @rule(seconds=st.sampled_from([0.1, 1.0, TTL_S / 2, TTL_S + 0.1, 40.0]))
+    def tick(self, seconds: float) -> None:
+        self.desk.tick(seconds)
+
+    @rule(worker=st.integers(0, 2))
+    def vanish(self, worker: int) -> None:
+        with self.desk.open() as connection:
+            ledger_claims.shorten(connection, f"host-{worker}", self.desk.now, TTL_S / 2)
+
+    @rule(index=st.integers(1, 3), action=st.sampled_from([ledger_admin.retry, ledger_admin.cancel]))
+    def administer(self, index: int, action: Any) -> None:
+        with self.desk.open() as connection:
+            action(connection, (index,), self.desk.now)
+
+    @rule(index=st.integers(1, 3))
+    def lose(self, index: int) -> None:
+        with self.desk.open() as connection:
+            owned = ledger_outcomes.is_owned(connection, index)
+            assert ledger_outcomes.lose(connection, index, self.desk.now, "gone") == owned
+
+    @invariant()
+    def leases_and_states_agree(self) -> None:
+        for row in self.desk.rows():
+            held = row.state in HELD_STATES
+            assert held == (row.lease_until is not None)
+            assert not held or (row.token and row.sid)
+            assert row.superseded <= (row.state == State.FAILED)
+
+    @invariant()
+    def every_episode_has_one_current_draw_and_attempts_that_only_rise(self) -> None:
+        rows = self.desk.rows()
+        current = Counter(row.idx for row in rows if not row.superseded)
+        assert set(current.values()) == {1}
+        for before, after in itertools.pairwise(rows):
+            if before.idx == after.idx:
+                assert before.superseded
+                assert after.attempt >= before.attempt
+
+    @invariant()
+    def an_archived_episode_is_recorded_once_and_its_attempt_is_the_first_success(self) -> None:
+        with self.desk.open() as connection:
+            owned = {row.idx: row.attempt for row in connection.execute(select(episodes))}
+            settled = connection.execute(select(attempts).where(attempts.c.settles)).all()
+        archived = {row.idx: row.attempt for row in self.desk.rows() if row.state == State.ARCHIVED}
+        assert owned == archived
+        assert {row.idx: row.attempt for row in settled if row.outcome == "success"} == archived
+        assert max(Counter((row.idx, row.attempt) for row in settled).values(), default=1) == 1
+        for row in settled:
+            assert row.attempt <= archived.get(row.idx, row.attempt), "nothing is tried after a success"
+
+    @invariant()
+    def every_move_is_in_the_table_and_in_the_log(self) -> None:
+        with self.desk.open() as connection:
+            log = connection.execute(select(events).order_by(events.c.id)).all()
+        states: dict[int, State] = {}
+        for line in log:
+            before = states.get(line.job_id, State.PENDING)
+            assert TRANSITIONS[before, Event(line.event)] == line.state
+            states[line.job_id] = State(line.state)
+        assert all(states.get(row.id, State.PENDING) == row.state for row in self.desk.rows())
+
+    def teardown(self) -> None:
+        if hasattr(self, "desk"):
+            self.desk.engine.dispose()
+
+
+TestStaleWorkersChangeNothing = Ledger.TestCase
+TestStaleWorkersChangeNothing.settings = settings(
+    max_examples=60, stateful_step_count=40, deadline=None, suppress_health_check=list(HealthCheck), database=None
+)
