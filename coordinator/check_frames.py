@@ -23,10 +23,10 @@ __all__ = ["FrameSurvey", "survey_frames"]
 
 EMPTY_SLACK_SHARE = 0.001
 """Share of pixels that may have depth without id or id without depth: the two may be rasterised in two passes."""
-FROZEN_MOVE_M = 0.005
-"""Displacement after which an image must differ from the one before: a pixel's edge moves by more at any depth seen."""
-FROZEN_TURN_RAD = 0.005
-"""The same for a turn; about one and a half pixels."""
+FROZEN_DEPTH = (0.005, 0.005)
+"""Metres and radians after which depth must differ: a float32 of any surface in view changes with far less."""
+FROZEN_COLOUR = (0.15, 0.10)
+"""The same for colour, which may stay the same for a while before a plain wall."""
 DEPTH_SLACK_M = 1e-3
 """Depth beyond the camera's clip range: rounding of the projection."""
 MAX_FINDINGS = 20
@@ -69,7 +69,8 @@ class _Survey:
         self._far_m = meta.job.camera.far_m
         self._known = np.zeros(1 << 16, dtype=bool)
         self._known[[0, *(instance.id for instance in meta.instances)]] = True
-        self._stuck = {"rgb_front": _Stuck("rgb_front", poses), "depth_front": _Stuck("depth_front", poses)}
+        self._colour = _Stuck("rgb_front", poses, *FROZEN_COLOUR)
+        self._depth = _Stuck("depth_front", poses, *FROZEN_DEPTH)
         self._digests: list[str] = []
         self._pixels: list[int] = []
         self._findings: list[str] = []
@@ -84,12 +85,12 @@ class _Survey:
         if t < len(recorded) and recorded[t] != digest:
             self.note(f"frame {t}: decodes to digest {digest}, meta.json says {recorded[t]}")
         self._pixels.append(int(np.count_nonzero(ids == self._meta.target_instance_id)))
-        self.note(*self._stuck["rgb_front"].take(t, rgb), *self._stuck["depth_front"].take(t, depth))
+        self.note(*self._colour.take(t, rgb), *self._depth.take(t, depth))
         self.note(*(f"frame {t}: {text}" for text in self._image_findings(depth, ids)))
 
     def _image_findings(self, depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> list[str]:
         found = []
-        if not self._known[ids].all():
+        if not self._known.take(ids).all():
             strange = np.unique(ids[~self._known[ids]])[:5].tolist()
             found.append(f"seg_front shows ids {strange} that the instance table does not have")
         disagree = int(np.count_nonzero((depth > 0) != (ids > 0)))
@@ -112,8 +113,9 @@ class _Survey:
 class _Stuck:
     """Notices an image that stays the same while the robot moves on."""
 
-    def __init__(self, name: str, poses: NDArray[np.float32]) -> None:
+    def __init__(self, name: str, poses: NDArray[np.float32], move_m: float, turn_rad: float) -> None:
         self._name = name
+        self._move_m, self._turn_rad = move_m, turn_rad
         self._xy = poses[:, :2].astype(np.float64)
         self._yaw = yaw_of(poses)
         self._since = 0
@@ -122,12 +124,12 @@ class _Stuck:
 
     def take(self, t: int, image: Image) -> list[str]:
         digest = xxhash.xxh3_64_digest(image.data)
-        if digest != self._last:
+        if digest != self._last or not image.any():  # nothing in view looks the same from everywhere
             self._last, self._since, self._told = digest, t, False
             return []
         moved_m = float(np.hypot(*(self._xy[t] - self._xy[self._since])))
         turned = abs(float((self._yaw[t] - self._yaw[self._since] + np.pi) % (2 * np.pi) - np.pi))
-        if self._told or (moved_m <= FROZEN_MOVE_M and turned <= FROZEN_TURN_RAD):
+        if self._told or (moved_m <= self._move_m and turned <= self._turn_rad):
             return []
         self._told = True
         moved = f"the robot moved {moved_m:.3f} m, {turned:.3f} rad"

@@ -102,12 +102,19 @@ class BundleParts:
 
     def write(self) -> bytes:
         """Returns the bundle."""
+        return self._write()[0]
+
+    def sealed(self) -> EpisodeMeta:
+        """Returns the metadata as written, digests included."""
+        return self._write()[1]
+
+    def _write(self) -> tuple[bytes, EpisodeMeta]:
         file = io.BytesIO()
         writer = BundleWriter(file)
         for frame in self.frames:
             writer.add_frame(*frame)
-        writer.finish(self.arrays, self.meta)
-        return file.getvalue()
+        sealed = writer.finish(self.arrays, self.meta)
+        return file.getvalue(), sealed
 
 
 def parts_for(job: Job | None = None, steps: int = 12) -> BundleParts:

@@ -1,9 +1,10 @@
-"""The smallest plans."""
+"""The smallest plan with a built-in scene."""
 
 from __future__ import annotations
 
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
+from tests.builders.bundle import short_task
 
 __all__ = ["small_plan"]
 
@@ -15,4 +16,5 @@ def small_plan(episodes: int = 3) -> Plan:
         scenes=(ScenePlan(name="office", episodes=episodes),),
         tiers={Tier.NEAR: 1.0},
         splits={Split.TRAIN_ID: 1.0},
+        task=short_task(),
     )

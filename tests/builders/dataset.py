@@ -1,0 +1,99 @@
+"""Builds a small complete dataset through the real archive and the real tables, without any simulation."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from coordinator.archive import Archive
+from coordinator.dataset_tables import FailedAttempt, write_tables
+from coordinator.summary import EpisodeSummary, summary_of
+from schemas.plan import Plan
+from schemas.scene import Instance, Target, encode_scene
+from schemas.terms import Split, Tier
+from tests.builders.bundle import GOAL_M, TARGET_ID, BundleParts, job_for, parts_for
+from tests.builders.plan import small_plan
+from tests.builders.scene import box_room
+
+__all__ = ["NOW", "archive_episode", "chair", "failure", "make_dataset", "office_package"]
+
+NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+
+def chair() -> Target:
+    """Returns the target of the smallest bundle, as its scene has it."""
+    return Target(
+        target_id="chair_001",
+        category="chair",
+        instance_id=TARGET_ID,
+        prim_path="/World/chair_1",
+        centroid_m=GOAL_M,
+        size_m=(0.5, 0.5, 1.0),
+        colour="red",
+    )
+
+
+@functools.cache
+def office_package() -> bytes:
+    """Returns a compiled scene called office that has the chair."""
+    scene = box_room()
+    instances = (Instance(id=TARGET_ID, prim_path="/World/chair_1", category="chair"),)
+    info = scene.info.model_copy(update={"name": "office", "targets": (chair(),), "instances": instances})
+    sees = np.ones((len(scene.spawns), 1), np.uint8)
+    return encode_scene(dataclasses.replace(scene, info=info, spawn_sees=sees))
+
+
+def make_dataset(root: Path, episodes: int = 3, planned: int | None = None) -> Plan:
+    """Writes a dataset of the smallest episodes; complete unless more are planned."""
+    plan = small_plan(planned or episodes)
+    package = office_package()
+    sha256 = hashlib.sha256(package).hexdigest()
+    source = root.with_name(f"{root.name}.scene")
+    source.write_bytes(package)
+    with Archive(root) as archive:
+        archive.add_scene(source, "office", sha256)
+        rows = [
+            archive_episode(archive, episode_of(plan, index, sha256, len(package))) for index in range(1, episodes + 1)
+        ]
+        write_tables(archive, plan, {"office": sha256}, rows, [failure(1)], NOW)
+    return plan
+
+
+def episode_of(plan: Plan, index: int, scene_sha256: str, scene_bytes: int) -> BundleParts:
+    """Returns the parts of an episode of the plan."""
+    job = job_for(index, run=plan.run, plan_digest=plan.digest, scene_sha256=scene_sha256, scene_bytes=scene_bytes)
+    return parts_for(job)
+
+
+def archive_episode(archive: Archive, parts: BundleParts) -> EpisodeSummary:
+    """Publishes an episode without validating it and returns its row."""
+    data, index = parts.write(), parts.meta.job.index
+    with archive.stage(index) as staged:
+        staged.write(data)
+        archive.publish(staged, index)
+    return summary_of(parts.sealed(), hashlib.sha256(data).hexdigest(), len(data))
+
+
+def failure(index: int, attempt: int = 1) -> FailedAttempt:
+    """Returns the row of an attempt that timed out."""
+    return FailedAttempt(
+        episode_id=f"ep_{index:06d}",
+        draw=0,
+        attempt=attempt,
+        scene="office",
+        spawn_tier=Tier.NEAR,
+        split=Split.TRAIN_ID,
+        target_category="chair",
+        target_id="chair_001",
+        reason="timeout",
+        detail="timeout after 1000 steps, 2.10 m from chair_001",
+        steps=1000,
+        seconds=16.5,
+        worker="host-1",
+        at=NOW,
+    )
