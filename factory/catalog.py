@@ -30,7 +30,7 @@ def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _:
     """
     entries: dict[str, SceneEntry] = {}
     for scene in plan.scenes:
-        kept = sorted((root / SCENES).glob(f"{scene.name}-*.scene"))
+        kept = sorted((root / SCENES).glob(f"{scene.name}-*.scene.zip"))
         if not kept:
             tell(scene.name)
         entries[scene.name] = read_entry(kept[0] if kept else _make(scene, cache))
@@ -43,7 +43,7 @@ def find_package(root: Path, name: str, sha256: str) -> SceneEntry:
     Raises:
         ArchiveCorrupt: the dataset does not hold it.
     """
-    for path in sorted((root / SCENES).glob(f"{name}-*.scene")):
+    for path in sorted((root / SCENES).glob(f"{name}-*.scene.zip")):
         entry = read_entry(path)
         if entry.sha256 == sha256:
             return entry

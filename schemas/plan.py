@@ -98,8 +98,8 @@ class Plan(Model):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 42
     """Root of every random choice."""
     scenes: Annotated[tuple[ScenePlan, ...], Field(min_length=1)]
-    tiers: Annotated[dict[Tier, Fraction], Field(default_factory=lambda: dict(PAPER_TIERS))]
-    splits: Annotated[dict[Split, Fraction], Field(default_factory=lambda: dict(PAPER_SPLITS))]
+    tiers: dict[Tier, Fraction] = Field(default_factory=lambda: dict(PAPER_TIERS))
+    splits: dict[Split, Fraction] = Field(default_factory=lambda: dict(PAPER_SPLITS))
     expert: ExpertName = ExpertName.PROPORTIONAL
     colors: Literal["on", "off"] = "on"
     """`off` gives the paper's v1 behaviour: every colour unknown, no colour templates."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def show(root: Path, episode: str, as_json: bool) -> None:
     if not draws:
         raise UsageError(f"the plan of {root} has no {episode_id(index)}")
     if as_json:
-        parts = {"draws": draws, "attempts": attempts, "events": events}
+        parts: dict[str, Sequence[object]] = {"draws": draws, "attempts": attempts, "events": events}
         print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
         return
     last = draws[-1]
@@ -112,11 +113,12 @@ def cancel(root: Path, episodes: tuple[str, ...], everything: bool, as_json: boo
 
 
 def _administer(root: Path, action: AdminAction, names: tuple[str, ...], everything: bool, as_json: bool) -> int:
-    from factory.operate import administer
+    from coordinator.admin import administer  # opens zenoh
 
     if bool(names) == everything:
         raise UsageError(f"which jobs to {action}? name episodes, or give --all")
-    reply = administer(root, AdminRequest(action=action, indices=tuple(episode_index(name) for name in names)))
+    request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
+    reply = administer(root, request, datetime.now(UTC))
     if as_json:
         print_json(reply.model_dump(mode="json"))
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import cast
 
 import click
 from rich.progress import Progress
@@ -13,6 +14,7 @@ from factory.cli.options import dataset_argument
 from factory.cli.output import json_option, print_json, stderr
 from factory.logs import configure_logs
 from factory.replay import Replay, replay_episode
+from workers.render.choose import RendererKind
 
 __all__ = ["command"]
 
@@ -31,7 +33,7 @@ def command(root: Path, episode: str, renderer: str, as_json: bool) -> int:
         outcome = replay_episode(
             root,
             path,
-            renderer,  # type: ignore[arg-type]
+            cast(RendererKind, renderer),
             lambda step, steps: bar.update(task, completed=step, total=steps),
         )
     if as_json:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import cast
 
 import click
 
@@ -12,6 +13,7 @@ from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from schemas.scene import CompiledScene, decode_scene
+from workers.render.choose import RendererKind
 
 __all__ = ["command"]
 
@@ -85,7 +87,7 @@ def render(scene: str, seed: int, out: Path | None, views: int, renderer: str) -
     package = Path(scene) if Path(scene).is_file() else build_scene(scene, seed, scene_cache())
     compiled = _open(package)
     folder = out or Path(compiled.info.name)
-    for path in draw_scene(compiled, folder, views, renderer):  # type: ignore[arg-type]
+    for path in draw_scene(compiled, folder, views, cast(RendererKind, renderer)):
         click.echo(str(path))
 
 

@@ -41,9 +41,9 @@ def command(root: Path | None, connect: str | None, ledger: str | None, watch: b
 
 def _source(root: Path | None, connect: str | None, ledger: str | None) -> Callable[[], Progress]:
     if connect is not None:
-        from factory.client import ask_progress
+        from coordinator.ask import ask_progress
 
-        return lambda: ask_progress(connect)
+        return lambda: ask_progress((connect,))
     if root is None:
         raise UsageError("whose status? give a dataset DIR, or --connect ENDPOINT")
     return lambda: progress_of(root, ledger)

@@ -11,7 +11,7 @@ from schemas.terms import ExpertName
 from workers.experts.base import Expert, Observation
 from workers.experts.proportional import ProportionalExpert, centroid_speed, depth_speed, literal_speed
 
-__all__ = ["EXPERTS", "Expert", "Observation", "make_expert"]
+__all__ = ["EXPERTS", "Expert", "Observation", "make_expert", "require_expert"]
 
 EXPERTS: Mapping[ExpertName, Callable[[Job], Expert]] = MappingProxyType(
     {
@@ -29,8 +29,16 @@ def make_expert(job: Job) -> Expert:
     Raises:
         UsageError: this version has no such expert.
     """
-    factory = EXPERTS.get(job.expert)
-    if factory is None:
+    require_expert(job.expert)
+    return EXPERTS[job.expert](job)
+
+
+def require_expert(name: ExpertName) -> None:
+    """Makes sure that this version has an expert.
+
+    Raises:
+        UsageError: it has not.
+    """
+    if name not in EXPERTS:
         known = ", ".join(EXPERTS)
-        raise UsageError(f"expert {job.expert} is not part of this version; it has {known}")
-    return factory(job)
+        raise UsageError(f"expert {name} is not part of this version; choose one with --expert: {known}")

@@ -1,0 +1,77 @@
+"""`factory coordinator start`: the truth of a run, for workers anywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coordinator.plan_file import load_plan
+from coordinator.service import DEFAULT_LISTEN, Coordinator
+from coordinator.settings import CoordinatorSettings
+from factory.catalog import open_catalog
+from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
+from factory.ledger import plan_of
+from factory.listen import require_loopback
+from factory.logs import configure_logs
+from factory.settings import scene_cache
+from workers.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+_LINGER_S = 5.0
+"""How long a finished run is announced, so that every worker hears it and leaves."""
+
+
+@click.group("coordinator")
+def command() -> None:
+    """Run the coordinator by itself."""
+
+
+@command.command("start")
+@plan_argument(default=None)
+@click.option("--out", "root", required=True, type=click.Path(path_type=Path), help="Dataset directory; resumed.")
+@click.option(
+    "--listen",
+    multiple=True,
+    default=DEFAULT_LISTEN,
+    show_default=True,
+    metavar="ENDPOINT",
+    help="Where workers connect; port 0 takes a free one.",
+)
+@click.option("--ledger", metavar="URL", help="Another database than DIR/ledger.db, as an SQLAlchemy URL.")
+@click.option("--lease", "lease_ttl_s", type=click.FloatRange(1.0), help="Seconds a silent worker keeps its job.")
+@click.option("--stay", is_flag=True, help="Keep answering after the run is finished.")
+@shrink_options
+@verbose_option
+def start(
+    plan_name: str | None,
+    root: Path,
+    listen: tuple[str, ...],
+    ledger: str | None,
+    lease_ttl_s: float | None,
+    stay: bool,
+    verbose: bool,
+    **changes: Any,
+) -> int:
+    """Hand the jobs of PLAN to workers and archive what they bring; ends when the run is finished."""
+    configure_logs(verbose)
+    require_loopback(listen)
+    begun = plan_of(root)
+    wanted = load_plan(plan_name) if plan_name is not None else begun or load_plan("demo")
+    plan = shrunk_plan(wanted, changes)
+    settings = CoordinatorSettings() if lease_ttl_s is None else CoordinatorSettings(lease_ttl_s=lease_ttl_s)
+    with stop_on_signals() as (stop, _):
+        catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        with Coordinator(root, plan, catalog, listen, ledger, settings) as coordinator:
+            click.echo(
+                f"run {coordinator.run} in {root}: {plan.episodes} episodes, listening on loopback only", err=True
+            )
+            for endpoint in coordinator.endpoints:
+                click.echo(f"factory worker --cores 2 --connect {endpoint}")
+            finished = coordinator.wait(stop=stop)
+            if stay or finished:
+                stop.wait(None if stay else _LINGER_S)
+    click.echo("finished" if finished else f"stopped; go on with: factory coordinator start --out {root}", err=True)
+    return 0

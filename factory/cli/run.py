@@ -1,0 +1,105 @@
+"""`factory run`: one machine, all of it; resumes."""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, cast
+
+import click
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+
+from coordinator.plan_file import load_plan
+from coordinator.settings import CoordinatorSettings
+from factory.catalog import open_catalog
+from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
+from factory.cli.output import json_option, print_json, say_duration, stderr
+from factory.cli.summary import print_summary, summarise
+from factory.ledger import plan_of
+from factory.logs import configure_logs
+from factory.run import LocalRun, run_locally
+from factory.settings import scene_cache
+from schemas.plan import Plan
+from schemas.wire import Progress
+from workers.experts import require_expert
+from workers.render.choose import RendererKind
+from workers.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+
+@click.command("run")
+@plan_argument(default=None)
+@click.option("--out", "root", required=True, type=click.Path(path_type=Path), help="Dataset directory; resumed.")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one a core.")
+@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@shrink_options
+@json_option
+@verbose_option
+def command(
+    plan_name: str | None,
+    root: Path,
+    workers: int | None,
+    renderer: str,
+    as_json: bool,
+    verbose: bool,
+    **changes: Any,
+) -> int:
+    """Make the dataset of PLAN (default demo) in --out, or go on with the one that is there.
+
+    PLAN is a built-in name (demo, paper, balanced) or a TOML file. Interrupted by Ctrl-C or a kill, the same command
+    goes on where it was; no episode is made twice.
+    """
+    configure_logs(verbose)
+    plan = _choose_plan(plan_name, root, changes)
+    require_expert(plan.expert)
+    with stop_on_signals() as (stop, _), ExitStack() as stack:
+        bar = stack.enter_context(_RunBar(plan))
+        catalog = open_catalog(plan, root, scene_cache(), bar.tell_scene)
+        kind = cast(RendererKind, renderer)
+        run = LocalRun(plan, catalog, root, workers or os.cpu_count() or 1, kind, verbose)
+        progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
+    if not progress.finished:
+        click.echo(f"interrupted; go on with: factory run --out {root}", err=True)
+        return 130
+    summary = summarise(root, progress)
+    if as_json:
+        print_json(summary)
+    else:
+        print_summary(summary)
+    return 1 if progress.jobs.get("failed", 0) else 0
+
+
+def _choose_plan(name: str | None, root: Path, changes: dict[str, Any]) -> Plan:
+    begun = plan_of(root)
+    wanted = load_plan(name) if name is not None else begun or load_plan("demo")
+    return shrunk_plan(wanted, changes)
+
+
+class _RunBar(Bar):
+    """One line: what is done, how fast, what is left."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[remark]}"),
+            console=stderr,
+        )
+        self._task = self.add_task(plan.name, total=plan.episodes, remark="")
+
+    def tell_scene(self, name: str) -> None:
+        """Says that a scene is being built."""
+        self.update(self._task, remark=f"building {name}")
+
+    def tell(self, progress: Progress) -> None:
+        """Shows where the run stands."""
+        failures = sum(count for outcome, count in progress.attempts.items() if outcome != "success")
+        rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
+        left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
+        remark = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
+        self.update(self._task, completed=progress.jobs.get("archived", 0), remark=remark)

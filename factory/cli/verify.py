@@ -1,0 +1,54 @@
+"""`factory verify`: every hash, shape, bound and kinematic check of a dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.progress import Progress
+
+from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json, stderr
+from factory.logs import configure_logs
+from factory.verify import Report, verify
+
+__all__ = ["command"]
+
+
+@click.command("verify")
+@dataset_argument
+@click.option("--deep", is_flag=True, help="Decode every frame and recompute digests, statistics and motion.")
+@json_option
+def command(root: Path, deep: bool, as_json: bool) -> int:
+    """Check the dataset DIR against its tables, and with --deep against itself; exit 1 on damage."""
+    configure_logs()
+    with Progress(console=stderr, transient=True) as bar:
+        task = bar.add_task("verifying", total=None)
+        report = verify(root, deep, lambda done, total: bar.update(task, completed=done, total=total))
+    if as_json:
+        print_json(_plain(report))
+    else:
+        _print(report)
+    return 0 if report.ok else 1
+
+
+def _plain(report: Report) -> dict[str, Any]:
+    return {
+        "dataset": str(report.root),
+        "deep": report.deep,
+        "ok": report.ok,
+        "complete": report.complete,
+        "episodes": report.episodes,
+        "digest": report.digest,
+        "findings": [{"kind": f.kind, "file": f.file, "text": f.text} for f in report.findings],
+    }
+
+
+def _print(report: Report) -> None:
+    for finding in report.findings:
+        click.echo(f"{finding.kind}: {finding.file}: {finding.text}")
+    how = "every byte" if report.deep else "files and tables; --deep looks inside"
+    verdict = "sound" if report.ok else f"{len(report.findings)} findings"
+    state = "complete" if report.complete else "not complete"
+    click.echo(f"{report.root}: {verdict} ({how}); {report.episodes} episodes, {state}, digest {report.digest}")

@@ -1,0 +1,60 @@
+"""`factory worker`: simulations of this host for a coordinator anywhere."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+import click
+
+from factory.cli.options import verbose_option
+from factory.logs import configure_logs
+from workers.settings import RendererKind, WorkerSettings
+from workers.stopping import stop_at_eof, stop_on_signals
+from workers.supervisor import run_worker
+
+__all__ = ["command"]
+
+
+@click.command("worker")
+@click.option("--cores", type=click.IntRange(1, 1024), default=1, show_default=True, help="Simulations at a time.")
+@click.option(
+    "--connect",
+    multiple=True,
+    default=("tcp/127.0.0.1:7447",),
+    show_default=True,
+    metavar="ENDPOINT",
+    help="A coordinator; several are tried in turn.",
+)
+@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@click.option("--spool", type=click.Path(path_type=Path), help="Where finished bundles wait; default: user's cache.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(0.0),
+    default=30.0,
+    show_default=True,
+    help="Seconds to look for the coordinator at the start.",
+)
+@click.option("--until-eof", is_flag=True, hidden=True, help="Leave when stdin is closed.")
+@verbose_option
+def command(
+    cores: int,
+    connect: tuple[str, ...],
+    renderer: str,
+    spool: Path | None,
+    wait_s: float,
+    until_eof: bool,
+    verbose: bool,
+) -> int:
+    """Simulate jobs for the coordinator until its run is finished; SIGTERM gives back what is under way."""
+    configure_logs(verbose)
+    given: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
+    settings = WorkerSettings(
+        connect=connect, cores=cores, renderer=cast(RendererKind, renderer), wait_s=wait_s, **given
+    )
+    with stop_on_signals() as (stop, at_once):
+        if until_eof:
+            stop_at_eof(sys.stdin.fileno(), stop)
+        return run_worker(settings, stop, at_once)
