@@ -204,7 +204,8 @@ def _corridor(plan: Plan, area: Rectangle) -> None:
 def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
     """Stands small things along the walls, where they fit."""
     for name in names:
-        plan.against_somewhere(plan.workshop.model(name, plan.pick(12)), room.area, "EW" + room.inner, 0.5)
+        variant = plan.pick(2) if name == "SM_Cabinet" else plan.pick(12)  # no books in a ward
+        plan.against_somewhere(plan.workshop.model(name, variant), room.area, "EW" + room.inner, 0.5)
 
 
 def _decorate(plan: Plan, room: Room) -> None:

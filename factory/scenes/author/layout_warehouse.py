@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from factory.scenes.author.materials import Material, painted, textured
-from factory.scenes.author.placement import FACING, Plan, Rectangle
+from factory.scenes.author.placement import FACING, Plan, Rectangle, wall_pose
 from factory.scenes.author.room import ceiling_slab, floor, high_bay_lamps, marking, wall
 
 __all__ = ["lay_out_full_warehouse", "lay_out_multiple_shelves"]
@@ -58,7 +58,7 @@ def lay_out_multiple_shelves(plan: Plan) -> None:
         rows.append(Row(kind, y, FACING["N"] if plan.rng.random() < 0.5 else FACING["S"]))
         y += 0.8 + aisle
     _fill_rows(plan, hall, rows, 2.5)
-    _wall_shelves(plan, inside, 3)
+    _wall_shelves(plan, inside, 5)
     _floor_goods(plan, inside, singles=14, clusters=4)
 
 
@@ -85,11 +85,12 @@ def _shell(plan: Plan, hall: Rectangle, gates: int) -> None:
         wall(plan, False, x, (hall.y0, hall.y1), faces, (), HEIGHT_M)
     inside, shop = hall.grown(-0.06), plan.workshop
     gate_side = "EW"[plan.pick(2)]
+    gate = shop.model("SM_RollerGate", 0)
     for number in range(gates):
-        gate = plan.hang(shop.model("SM_RollerGate", 0), inside, gate_side, (number + 0.5) / gates)
-        front = 0.0 if gate_side == "E" else hall.x0
-        x0, x1 = (hall.x1 - 1.8, hall.x1) if gate_side == "E" else (front, 1.8)
-        plan.keep_clear(Rectangle(x0, gate.y - 1.7, x1, gate.y + 1.7))
+        x, y, yaw = wall_pose(gate, inside, gate_side, (number + 0.5) / gates, 0.0)
+        plan.add(gate, x, y, yaw)
+        x0, x1 = (hall.x1 - 1.8, hall.x1) if gate_side == "E" else (hall.x0, 1.8)
+        plan.keep_clear(Rectangle(x0, y - 1.7, x1, y + 1.7))
     for side in "NS":
         for along in (0.1, 0.3, 0.5, 0.7, 0.9):
             plan.hang(shop.model("SM_Window", 2), inside, side, along)
@@ -112,7 +113,7 @@ def _fill_rows(plan: Plan, hall: Rectangle, rows: list[Row], margin: float) -> N
             count = int((end - start) // pitch)
             x0 = start if start > cross else end - count * pitch
             for slot in range(count):
-                if rng.random() < 0.90:
+                if rng.random() < 0.94:
                     x = x0 + (slot + 0.5) * pitch
                     look = frame + 3 * plan.pick(3) if row.kind == "rack" else shelf_look + 4 * plan.pick(2)
                     name = "SM_RackPile_04" if row.kind == "rack" else "SM_ShelfSteel_A"

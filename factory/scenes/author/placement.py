@@ -187,10 +187,24 @@ class Plan:
                 return found
         return None
 
-    def hang(self, model: Model, room: Rectangle, side: str, along: float) -> Placement:
-        """Hangs a model on a wall without reserving floor."""
-        x, y, yaw = wall_pose(model, room, side, along, 0.0)
-        return self.add(model, x, y, yaw)
+    def hang(self, model: Model, room: Rectangle, side: str, along: float) -> Placement | None:
+        """Hangs a model on a wall, beside what is already there; None when no free stretch is found."""
+        for _ in range(6):
+            x, y, yaw = wall_pose(model, room, side, along, 0.0)
+            if not self._meets_anything(model, x, y, yaw):
+                return self.add(model, x, y, yaw)
+            along = float(self.rng.uniform(0.05, 0.95))
+        return None
+
+    def _meets_anything(self, model: Model, x: float, y: float, yaw: float) -> bool:
+        """Whether the turned model's box, with 5 cm around it, meets any placed model's box."""
+        print_ = footprint(model, x, y, yaw).grown(0.05)
+        return any(
+            other.model.low[2] + other.z < model.high[2]
+            and model.low[2] < other.model.high[2] + other.z
+            and print_.overlaps(footprint(other.model, other.x, other.y, other.yaw))
+            for other in self.placements
+        )
 
     def in_corner(self, model: Model, room: Rectangle, corner: int, clearance: float = 0.1) -> Placement | None:
         """Places a model in corner 0 SW, 1 SE, 2 NW or 3 NE of a room."""
