@@ -35,7 +35,8 @@ class Heartbeat:
     def __init__(self, host: Host) -> None:
         self._host = host
         self._hello = make_hello(host.sid, host.name, host.settings.cores)
-        self._is_known = True
+        self.is_answered = True
+        """Whether the last beat was."""
 
     def run(self) -> None:
         """Beats four times a lease, oftener while the worker waits to leave; whatever breaks it ends the worker."""
@@ -80,8 +81,8 @@ class Heartbeat:
 
     def _note_silence(self) -> None:
         host = self._host
-        if self._is_known:
-            self._is_known = False
+        if self.is_answered:
+            self.is_answered = False
             log.warning("coordinator_away", endpoints=host.link.endpoints)
         if host.link.silence_s > _REOPEN_S and not host.phase.stopping.is_set():
             host.link.open()  # a half-open link, or a router that lets nobody in, heals with a new session
@@ -96,7 +97,7 @@ class Heartbeat:
             host.phase.stop(0.0)
 
     def _note_answer(self) -> None:
-        if not self._is_known:
-            self._is_known = True
+        if not self.is_answered:
+            self.is_answered = True
             log.info("coordinator_back")
             self._host.link.ask(Verb.HELLO, self._hello, HelloReply, self._host.phase.ask_timeout_s)

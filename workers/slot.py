@@ -27,6 +27,7 @@ __all__ = ["Slot"]
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
 _STARTS = 3
+_LAST_TRIES = 3
 
 log = structlog.get_logger(__name__)
 
@@ -209,7 +210,11 @@ class Slot:
         while host.phase.left_s > 0 and not host.leases.is_lost(lease):
             if host.link.ask(Verb.FAIL, fail, Ack, host.phase.ask_timeout_s) is not None:
                 return
-            host.phase.stopping.wait(min(away.fail(), host.phase.left_s))
+            pause_s = away.fail()
+            if host.phase.stopping.is_set() and away.failures >= _LAST_TRIES:
+                return  # nobody there: the lease runs out by itself
+            if host.phase.stopping.wait(pause_s):
+                time.sleep(min(pause_s, host.phase.left_s))
 
     def _rest_after(self, report: Report) -> None:
         """Pauses longer and longer when this machine seems to be at fault, so that it spoils few jobs."""

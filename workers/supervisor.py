@@ -107,7 +107,8 @@ class Supervisor:
         self._stop, self._at_once = stop, at_once
         slots = [Slot(host) for _ in range(host.settings.cores)]
         self._slots = [threading.Thread(target=slot.run, name=f"slot-{n}") for n, slot in enumerate(slots)]
-        self._heart = threading.Thread(target=Heartbeat(host).run, name="heartbeat")
+        self._heartbeat = Heartbeat(host)
+        self._heart = threading.Thread(target=self._heartbeat.run, name="heartbeat")
 
     def run(self) -> Ending:
         """Works until there is no more to do or to wait for.
@@ -146,9 +147,13 @@ class Supervisor:
     def _is_over(self) -> bool:
         if self._at_once.is_set():
             return True
-        if any(slot.is_alive() for slot in self._slots) and self._phase.left_s > 0:
+        if self._phase.left_s == 0.0:
+            return True
+        if any(slot.is_alive() for slot in self._slots):
             return False
-        return len(self._host.spool) == 0 or self._phase.left_s == 0.0
+        if self._phase.stopping.is_set() and not self._heartbeat.is_answered:
+            return True  # nobody there to fetch what waits: it keeps until the next start
+        return len(self._host.spool) == 0
 
 
 def _meet(link: Link, settings: WorkerSettings, name: str, sid: str, stop: threading.Event) -> HelloReply | None:

@@ -1,0 +1,110 @@
+"""Runs a worker for a test: in a thread where the test asks for events, as a process where it sends signals."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from tests.builders import fake_simulation
+from workers.settings import WorkerSettings
+from workers.stopping import stop_on_signals
+from workers.supervisor import run_worker
+
+__all__ = ["WorkerThread", "fake_command", "settings_for", "started_worker"]
+
+
+def fake_command(folder: Path, *more: str) -> tuple[str, ...]:
+    """Returns the command line of the fake simulation; it leaves its markers in `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return (sys.executable, "-S", str(fake_simulation.__file__), str(folder), *more)
+
+
+def settings_for(endpoint: str, folder: Path, **changes: Any) -> WorkerSettings:
+    """Returns the settings of a quick worker that keeps everything under `folder`."""
+    values: dict[str, Any] = {
+        "connect": (endpoint,),
+        "spool_dir": folder / "spool",
+        "scene_dir": folder / "scenes",
+        "host": "test-host",
+        "hang_s": 30.0,
+        "wait_s": 20.0,
+        "min_free_bytes": 0,
+        "command": fake_command(folder / "begun"),
+    }
+    return WorkerSettings(**values | changes)
+
+
+class WorkerThread:
+    """A worker in this process; leaving the block stops it at once and raises what it raised."""
+
+    def __init__(self, settings: WorkerSettings) -> None:
+        self.stop, self.at_once = threading.Event(), threading.Event()
+        self.status: int | None = None
+        self.error: BaseException | None = None
+        self._settings = settings
+        self._thread = threading.Thread(target=self._run)
+
+    def join(self) -> int:
+        """Waits for its end and returns the exit status, or raises what it raised."""
+        self._thread.join(60)
+        assert not self._thread.is_alive(), "the worker does not end"
+        if self.error is not None:
+            raise self.error
+        assert self.status is not None
+        return self.status
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.at_once.set()
+        self.stop.set()
+        self._thread.join(60)
+
+    def _run(self) -> None:
+        try:
+            self.status = run_worker(self._settings, self.stop, self.at_once)
+        except BaseException as error:  # noqa: BLE001 - raised again by join
+            self.error = error
+
+
+@contextmanager
+def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]]:
+    """Starts a worker as a process of its own; what is left of it at the end of the block is killed."""
+    values = json.dumps(
+        {
+            "connect": settings.connect,
+            "cores": settings.cores,
+            "folder": str(settings.spool_dir.parent),
+            "command": settings.command,
+        }
+    )
+    process = subprocess.Popen([sys.executable, "-m", "tests.builders.worker", values])
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def main() -> int:
+    values = json.loads(sys.argv[1])
+    settings = settings_for(
+        values["connect"][0], Path(values["folder"]), cores=values["cores"], command=tuple(values["command"])
+    )
+    with stop_on_signals() as (stop, at_once):
+        return run_worker(settings, stop, at_once)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

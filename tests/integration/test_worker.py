@@ -1,0 +1,279 @@
+"""The worker against a small coordinator over real zenoh, with simulation processes that do as they are told."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from schemas.errors import WorldError
+from schemas.keys import Verb
+from schemas.terms import FailReason
+from schemas.wire import Beat, Claim, Done, Fail, Hello
+from tests.builders.fake_coordinator import FakeCoordinator, free_endpoint, jobs_saying
+from tests.builders.fake_simulation import bundle_for
+from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
+
+
+@contextmanager
+def coordinator(*instructions: str) -> Iterator[FakeCoordinator]:
+    with FakeCoordinator(jobs_saying(*instructions)) as opened:
+        yield opened
+
+
+def wait_until(holds: Callable[[], object], what: str) -> None:
+    deadline = time.monotonic() + 30
+    while not holds():
+        assert time.monotonic() < deadline, f"never came: {what}"
+        time.sleep(0.02)
+
+
+def begun(folder: Path) -> dict[int, int]:
+    """Returns the process that works on each job."""
+    names = [path.name.split(".") for path in (folder / "begun").iterdir()]
+    return {int(job): int(pid) for job, pid in names}
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def test_worker_brings_every_bundle_whole_and_leaves_when_the_run_is_finished(tmp_path):
+    with (
+        coordinator(*["bundle"] * 5) as hub,
+        WorkerThread(settings_for(hub.endpoint, tmp_path, cores=2)) as worker,
+    ):
+        assert worker.join() == 0
+        expected = {number: bundle_for(job.model_dump(mode="json")) for number, job in hub.jobs.items()}
+        assert hub.archived == expected
+    assert not list((tmp_path / "spool").rglob("*.zip"))
+
+
+def test_failure_of_the_world_is_reported_as_the_simulation_gave_it(tmp_path):
+    with coordinator("miss") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+        assert worker.join() == 0
+        (fail,) = hub.ended.values()
+    assert (fail.reason, fail.detail, fail.steps, fail.seconds) == (
+        FailReason.COLLISION,
+        "stalled at 0.3 m",
+        77,
+        1.5,
+    )
+
+
+def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
+    with coordinator("bundle") as hub:
+        hub.swallow[Verb.CLAIM] = 2
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            assert worker.join() == 0
+        claims = hub.of(Claim)
+        assert len({claim.token for claim in claims[:3]}) == 1
+        assert {done.lease.fence for done in hub.of(Done)} == {1}
+        assert len(hub.archived) == 1
+
+
+def test_failure_whose_acknowledgement_was_lost_is_repeated(tmp_path):
+    with FakeCoordinator(jobs_saying("miss"), lease_ttl_s=60) as hub:  # no beat comes between
+        hub.swallow[Verb.FAIL] = 2
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            assert worker.join() == 0
+        assert len({fail.lease for fail in hub.of(Fail)}) == 1
+        assert len(hub.of(Fail)) == 3
+
+
+def test_announcement_whose_reply_was_lost_is_repeated_by_the_heartbeat(tmp_path):
+    with coordinator("bundle") as hub:
+        hub.pulls = False
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            hub.wait_until(lambda: len(hub.of(Done)) >= 3, "three announcements")
+            hub.pulls = True
+            assert worker.join() == 0
+        assert len(hub.archived) == 1
+
+
+def test_killed_simulation_is_a_crash_and_the_next_job_gets_a_fresh_process(tmp_path):
+    with coordinator("die", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+        assert worker.join() == 0
+        fail = hub.ended[1]
+        assert (fail.reason, fail.detail) == (FailReason.CRASH, "killed by SIGKILL")
+        assert set(hub.archived) == {2}
+        assert len(set(begun(tmp_path).values())) == 2
+
+
+def test_crash_report_carries_exit_status_and_last_words(tmp_path):
+    with coordinator("exit") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+        assert worker.join() == 0
+        assert hub.ended[1].detail == "exit status 3; last words: EGL: the driver is gone"
+
+
+def test_simulation_without_progress_is_killed_and_reported_as_hung(tmp_path):
+    with (
+        coordinator("hang", "bundle") as hub,
+        WorkerThread(settings_for(hub.endpoint, tmp_path, hang_s=1.0)) as worker,
+    ):
+        assert worker.join() == 0
+        assert hub.ended[1].reason is FailReason.HANG
+        assert set(hub.archived) == {2}
+        assert not is_alive(begun(tmp_path)[1])
+
+
+def test_progress_reaches_the_coordinator_with_the_beats(tmp_path):
+    with coordinator("slow") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)):
+        hub.wait_until(lambda: any(item.step > 3 for beat in hub.of(Beat) for item in beat.live), "a step")
+
+
+def test_lost_lease_kills_the_attempt_and_nothing_of_it_is_announced(tmp_path):
+    with coordinator("slow", "bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+        wait_until(lambda: (tmp_path / "begun").is_dir() and begun(tmp_path), "the attempt")
+        hub.take_away(1)
+        assert worker.join() == 0
+        assert not is_alive(begun(tmp_path)[1])
+        assert set(hub.archived) == {2}
+        assert {message.lease.job_id for message in (*hub.of(Done), *hub.of(Fail))} == {2}
+
+
+def test_sigterm_gives_running_jobs_back_and_exits_within_five_seconds(tmp_path):
+    with (
+        coordinator("slow", "slow") as hub,
+        started_worker(settings_for(hub.endpoint, tmp_path, cores=2)) as worker,
+    ):
+        wait_until(lambda: len(begun(tmp_path)) == 2, "both attempts")
+        worker.send_signal(signal.SIGTERM)
+        assert worker.wait(5) == 0
+        assert {fail.reason for fail in hub.of(Fail)} == {FailReason.RELEASED}
+        assert {hub.lease_of(1), hub.lease_of(2)} == {None}
+        assert not any(is_alive(pid) for pid in begun(tmp_path).values())
+
+
+def test_sigterm_with_the_coordinator_away_exits_and_keeps_what_is_spooled(tmp_path):
+    with coordinator("bundle", "slow") as hub:
+        hub.pulls = False
+        with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
+            wait_until(lambda: len(begun(tmp_path)) == 2, "the second attempt")
+            hub.close()
+            worker.send_signal(signal.SIGTERM)
+            assert worker.wait(5) == 0
+    assert len(list((tmp_path / "spool").rglob("*.zip"))) == 1
+    assert len(list((tmp_path / "spool").rglob("*.json"))) == 1
+
+
+def test_second_sigterm_does_not_wait_for_the_spool(tmp_path):
+    with coordinator("bundle", "slow") as hub:
+        hub.pulls = False
+        with started_worker(settings_for(hub.endpoint, tmp_path)) as worker:
+            wait_until(lambda: len(begun(tmp_path)) == 2, "the second attempt")
+            worker.send_signal(signal.SIGTERM)
+            hub.wait_until(lambda: bool(hub.of(Fail)), "the release")
+            worker.send_signal(signal.SIGTERM)
+            assert worker.wait(5) == 0
+            assert not hub.archived
+
+
+def test_spooled_bundles_are_announced_again_after_a_restart_of_the_worker(tmp_path):
+    with coordinator("bundle") as hub:
+        hub.pulls = False
+        settings = settings_for(hub.endpoint, tmp_path)
+        with WorkerThread(settings):
+            hub.wait_until(lambda: bool(hub.of(Done)), "an announcement")
+        first = hub.of(Done)[0]
+        hub.pulls = True
+        with WorkerThread(settings) as again:
+            assert again.join() == 0
+        last = hub.of(Done)[-1]
+        assert last.lease == first.lease
+        assert last.sid != first.sid
+        assert len(hub.archived) == 1
+        assert len(begun(tmp_path)) == 1
+
+
+def test_simulations_die_with_a_supervisor_that_is_killed(tmp_path):
+    with (
+        coordinator("slow", "hang") as hub,
+        started_worker(settings_for(hub.endpoint, tmp_path, cores=2)) as worker,
+    ):
+        wait_until(lambda: len(begun(tmp_path)) == 2, "both attempts")
+        os.kill(worker.pid, signal.SIGKILL)
+        worker.wait()
+        wait_until(lambda: not any(is_alive(pid) for pid in begun(tmp_path).values()), "their end")
+
+
+def test_worker_goes_on_when_the_coordinator_comes_back(tmp_path):
+    with coordinator("bundle", "bundle", "bundle") as hub:
+        hub.pulls = False
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            hub.wait_until(lambda: bool(hub.of(Done)), "an announcement")
+            hub.close()
+            hub.pulls = True
+            hub.open()
+            assert worker.join() == 0
+        assert set(hub.archived) == {1, 2, 3}
+
+
+def test_full_spool_stops_claims_until_bundles_are_fetched(tmp_path):
+    with coordinator("bundle", "bundle", "bundle") as hub:
+        hub.pulls = False
+        with WorkerThread(settings_for(hub.endpoint, tmp_path, max_bundles=1)) as worker:
+            hub.wait_until(lambda: len(hub.of(Done)) >= 4, "several beats with a full spool")
+            assert len(hub.of(Claim)) == 1
+            hub.pulls = True
+            assert worker.join() == 0
+        assert set(hub.archived) == {1, 2, 3}
+
+
+def test_worker_sent_away_finishes_what_it_has_begun_and_claims_no_more(tmp_path):
+    with coordinator("bundle", "bundle", "bundle") as hub:
+        hub.pulls = False
+        with WorkerThread(settings_for(hub.endpoint, tmp_path, max_bundles=1)) as worker:
+            hub.wait_until(lambda: bool(hub.of(Done)), "an announcement")
+            hub.drains = hub.pulls = True
+            assert worker.join() == 0
+        assert set(hub.archived) == {1}
+
+
+def test_two_workers_on_one_host_share_scenes_but_not_a_spool(tmp_path):
+    with coordinator(*["bundle"] * 6) as hub:
+        settings = settings_for(hub.endpoint, tmp_path)
+        with WorkerThread(settings) as one, WorkerThread(settings) as other:
+            assert (one.join(), other.join()) == (0, 0)
+        assert len(hub.archived) == 6
+    assert len(list((tmp_path / "scenes").glob("*.scene"))) == 1
+
+
+def test_worker_without_a_coordinator_says_where_it_looked(tmp_path):
+    endpoint = free_endpoint()
+    with (
+        WorkerThread(settings_for(endpoint, tmp_path, wait_s=0.1)) as worker,
+        pytest.raises(WorldError, match=f"no coordinator at {endpoint}.*factory coordinator start"),
+    ):
+        worker.join()
+
+
+def test_refused_worker_says_why(tmp_path):
+    with coordinator() as hub:
+        hub.refuses = "hello: version 0 here, 1 there"
+        with (
+            WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker,
+            pytest.raises(WorldError, match="refuses this worker: hello: version 0 here"),
+        ):
+            worker.join()
+        assert len(hub.of(Hello)) == 1
+
+
+def test_worker_whose_simulations_do_not_start_takes_no_job(tmp_path):
+    broken = fake_command(tmp_path, "broken")
+    with coordinator("bundle") as hub:
+        with (
+            WorkerThread(settings_for(hub.endpoint, tmp_path, command=broken)) as worker,
+            pytest.raises(WorldError, match=r"does not start after 3 tries.*no EGL on this machine"),
+        ):
+            worker.join()
+        assert not hub.of(Claim)

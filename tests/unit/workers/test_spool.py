@@ -1,0 +1,141 @@
+"""The spool: what survives, what is swept, and who may use a folder."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from schemas.wire import Lease
+from workers.spool import Spool
+
+BUNDLE = b"0123456789" * 100
+
+
+def lease(job_id: int = 1, fence: int = 1, token: str = "0") -> Lease:
+    return Lease(job_id=job_id, fence=fence, token=token * 32)
+
+
+def open_spool(root: Path, max_bundles: int = 4, max_bytes: int = 1 << 30) -> Spool:
+    return Spool(root, max_bundles, max_bytes)
+
+
+def put(spool: Spool, under: Lease, data: bytes = BUNDLE) -> None:
+    spool.path_for(under).write_bytes(data)
+    spool.add(under, hashlib.sha256(data).hexdigest(), len(data))
+
+
+def test_bundle_is_listed_and_read_in_parts(tmp_path):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        assert [entry.lease for entry in spool.entries()] == [lease()]
+        assert spool.read(1, 1, 995, 100) == BUNDLE[995:]
+
+
+def test_bundle_survives_a_restart(tmp_path):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        before = spool.entries()
+    with open_spool(tmp_path) as spool:
+        assert spool.entries() == before
+        assert spool.read(1, 1, 0, 2000) == BUNDLE
+
+
+def test_dropped_bundle_leaves_nothing_behind(tmp_path):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        assert spool.drop(lease())
+        assert not spool.drop(lease())
+        assert {path.name for path in spool.directory.iterdir()} == {"lock"}
+
+
+def test_bundle_under_another_token_is_not_dropped(tmp_path):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        assert not spool.drop(lease(token="1"))
+        assert len(spool) == 1
+
+
+def test_bundle_of_a_former_ledger_makes_way_for_the_same_job_and_fence(tmp_path):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease(token="0"))
+        put(spool, lease(token="1"), b"new")
+        assert [entry.lease.token for entry in spool.entries()] == ["1" * 32]
+        assert spool.read(1, 1, 0, 10) == b"new"
+
+
+def test_unknown_bundle_is_a_key_error(tmp_path):
+    with open_spool(tmp_path) as spool, pytest.raises(KeyError):
+        spool.read(9, 9, 0, 10)
+
+
+@pytest.mark.parametrize(
+    "mishap",
+    [
+        lambda folder: (folder / "2.1.zip.part").write_bytes(b"half"),
+        lambda folder: (folder / "2.1.zip").write_bytes(b"whole, but never announced"),
+        lambda folder: (folder / "2.1.json").write_text("{}"),
+        lambda folder: (folder / "2.1.json.part").write_text("{"),
+    ],
+    ids=["bundle half written", "bundle without sidecar", "sidecar without bundle", "sidecar half written"],
+)
+def test_what_a_crash_left_half_done_is_swept_at_the_start(tmp_path, mishap):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        mishap(spool.directory)
+    with open_spool(tmp_path) as spool:
+        assert {path.name for path in spool.directory.iterdir()} == {"lock", "1.1.zip", "1.1.json"}
+
+
+def test_truncated_bundle_is_not_announced(tmp_path):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        spool.path_for(lease()).write_bytes(BUNDLE[:-1])
+    with open_spool(tmp_path) as spool:
+        assert not spool.entries()
+
+
+def test_spool_is_full_by_count_and_by_bytes(tmp_path):
+    with open_spool(tmp_path / "a", max_bundles=1) as spool:
+        assert not spool.is_full
+        put(spool, lease())
+        assert spool.is_full
+        spool.drop(lease())
+        assert not spool.is_full
+    with open_spool(tmp_path / "b", max_bytes=len(BUNDLE)) as spool:
+        put(spool, lease())
+        assert spool.is_full
+
+
+def test_spool_is_full_when_the_disk_is(tmp_path):
+    with Spool(tmp_path, 4, 1 << 30, min_free_bytes=1 << 62) as spool:
+        assert spool.is_full
+
+
+def test_second_worker_takes_another_folder(tmp_path):
+    with open_spool(tmp_path) as one, open_spool(tmp_path) as other:
+        put(one, lease())
+        assert one.directory != other.directory
+        assert not other.entries()
+
+
+def test_bundles_of_a_dead_sibling_are_adopted(tmp_path):
+    with open_spool(tmp_path), open_spool(tmp_path) as sibling:
+        put(sibling, lease(2))
+        orphaned = sibling.directory
+    with open_spool(tmp_path) as spool:
+        assert spool.directory != orphaned
+        assert [entry.lease for entry in spool.entries()] == [lease(2)]
+        assert spool.read(2, 1, 0, 2000) == BUNDLE
+    assert {path.name for path in orphaned.iterdir()} == {"lock"}
+
+
+def test_clearing_removes_an_unfinished_attempt_but_no_bundle(tmp_path):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease(1))
+        spool.path_for(lease(2)).write_bytes(b"whole")
+        Path(f"{spool.path_for(lease(2))}.part").write_bytes(b"half")
+        for under in (lease(1), lease(2)):
+            spool.clear(under)
+        assert {path.name for path in spool.directory.iterdir()} == {"lock", "1.1.zip", "1.1.json"}
