@@ -21,6 +21,7 @@ from workers.camera import optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
 from workers.render import Frame
 from workers.render.cull import PartBounds, visible_parts
+from workers.render.shaders import PLAIN, TEXTURED, VERTEX, ShaderPair
 from workers.render.shelf import SceneShelf
 
 __all__ = ["GlRenderer"]
@@ -28,29 +29,6 @@ __all__ = ["GlRenderer"]
 _KEPT_SCENES = 4
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """libEGL hands out every function of OpenGL by itself; asking for no libGL spares the user a package."""
-_VERTEX_SHADER = """
-#version 330
-in vec3 position; in vec2 uv; in vec4 colour; in int instance; in int texture_layer;
-uniform mat4 clip_from_world;
-out vec2 frag_uv; out vec3 frag_colour; flat out int frag_instance; flat out int frag_layer;
-void main() {
-    gl_Position = clip_from_world * vec4(position, 1.0);
-    frag_uv = uv; frag_colour = colour.rgb; frag_instance = instance; frag_layer = texture_layer;
-}
-"""
-_FRAGMENT_SHADER = """
-#version 330
-in vec2 frag_uv; in vec3 frag_colour; flat in int frag_instance; flat in int frag_layer;
-uniform sampler2DArray layers;
-layout(location = 0) out vec4 rgb; layout(location = 1) out float depth; layout(location = 2) out uint id;
-void main() {
-    vec3 texel = frag_layer < 0 ? vec3(1.0) : texture(layers, vec3(frag_uv, float(frag_layer))).rgb;
-    rgb = vec4(frag_colour * texel, 1.0);
-    depth = 1.0 / gl_FragCoord.w;
-    id = uint(frag_instance);
-}
-"""
-_VERTEX = np.dtype([("position", "3f4"), ("uv", "2f4"), ("colour", "4u1"), ("instance", "u2"), ("layer", "i2")])
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base", "u4"), ("unused", "u4")])
 """OpenGL's DrawArraysIndirectCommand; moderngl strides over five words, whether indexed or not."""
 _TOP_ROW_FIRST = np.diag((1.0, -1.0, 1.0, 1.0))
@@ -77,7 +55,7 @@ class GlRenderer:
         self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
         self._scene: _GpuScene | None = None
         with self._context:
-            self._program: Any = self._context.program(vertex_shader=_VERTEX_SHADER, fragment_shader=_FRAGMENT_SHADER)
+            self._plain, self._textured = (_Program(self._context, pair) for pair in (PLAIN, TEXTURED))
             shape = (size, size)
             self._rgb = self._context.texture(shape, 3)
             self._depth = self._context.texture(shape, 1, dtype="f4")
@@ -125,7 +103,8 @@ class GlRenderer:
         with self._context:
             self._target.use()
             self._target.clear()  # zero bits in all three targets, the integer one included
-            self._program["clip_from_world"].write(clip.T.astype(np.float32).tobytes())
+            self._plain.set_view(clip)
+            self._textured.set_view(clip)
             self._scene.draw(parts)
             return self._read()
 
@@ -139,40 +118,60 @@ class GlRenderer:
         return Frame(rgb, depth, ids)
 
     def _prepare(self, scene: CompiledScene) -> _GpuScene:
-        return _GpuScene(self._context, self._program, scene)
+        return _GpuScene(self._context, self._plain, self._textured, scene)
+
+
+class _Program:
+    """A compiled pair of shaders."""
+
+    def __init__(self, context: moderngl.Context, pair: ShaderPair) -> None:
+        self._context = context
+        self._pair = pair
+        self._program: Any = context.program(vertex_shader=pair.vertex, fragment_shader=pair.fragment)
+
+    def set_view(self, clip: NDArray[np.float64]) -> None:
+        self._program["clip_from_world"].write(clip.T.astype(np.float32).tobytes())
+
+    def reading(self, vertices: moderngl.Buffer) -> moderngl.VertexArray:
+        return self._context.vertex_array(self._program, [(vertices, self._pair.layout, *self._pair.fields)])
 
 
 class _GpuScene:
     """A scene on the device: its vertices, its textures and the bounds of its parts."""
 
-    def __init__(self, context: moderngl.Context, program: Any, scene: CompiledScene) -> None:
+    def __init__(self, context: moderngl.Context, plain: _Program, textured: _Program, scene: CompiledScene) -> None:
+        self._is_textured = scene.part_texture >= 0
         self.bounds = PartBounds.of(scene)
         self._draws = np.zeros(len(scene.part_first), _DRAW)
         self._draws["count"], self._draws["first"] = scene.part_count, scene.part_first
         self._draws["instances"] = 1
         self._commands = context.buffer(reserve=max(1, self._draws.nbytes), dynamic=True)
-        self._vertices = context.buffer(_interleave(scene).tobytes() or bytes(_VERTEX.itemsize))
-        layout = (self._vertices, "3f4 2f4 4f1 1u2 1i2", "position", "uv", "colour", "instance", "texture_layer")
-        self._array = context.vertex_array(program, [layout])
+        self._vertices = context.buffer(_interleave(scene).tobytes() or bytes(VERTEX.itemsize))
+        self._plain, self._textured = plain.reading(self._vertices), textured.reading(self._vertices)
         self._textures = _upload_textures(context, scene.textures)
 
     def draw(self, parts: NDArray[np.intp]) -> None:
-        """Draws parts in the order given."""
-        if len(parts) == 0:
-            return
-        self._textures.use(0)
-        self._commands.write(self._draws[parts].tobytes())
-        self._array.render_indirect(self._commands, count=len(parts))
+        """Draws parts in the order given, the plain ones first: what they hide needs no texture looked up."""
+        is_textured = self._is_textured[parts]
+        order = np.concatenate((parts[~is_textured], parts[is_textured]))
+        plain = len(parts) - int(is_textured.sum())
+        if len(order):
+            self._commands.write(self._draws[order].tobytes())
+        if plain:
+            self._plain.render_indirect(self._commands, count=plain)
+        if plain < len(order):
+            self._textures.use(0)
+            self._textured.render_indirect(self._commands, count=len(order) - plain, first=plain)
 
     def close(self) -> None:
         """Frees the device memory."""
-        for held in (self._array, self._vertices, self._commands, self._textures):
+        for held in (self._plain, self._textured, self._vertices, self._commands, self._textures):
             held.release()
 
 
 def _interleave(scene: CompiledScene) -> NDArray[np.void]:
     """Returns the vertices as the shader reads them; what belongs to a part is repeated for each of its vertices."""
-    vertices = np.zeros(len(scene.positions), _VERTEX)
+    vertices = np.zeros(len(scene.positions), VERTEX)
     vertices["position"], vertices["uv"] = scene.positions, scene.uvs
     vertices["colour"][:, :3] = scene.colours
     for first, count, instance, layer in zip(

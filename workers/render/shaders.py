@@ -1,0 +1,80 @@
+"""The shaders of the OpenGL renderer, and how a vertex lies in memory for them; text and numbers only.
+
+There are two pairs, because llvmpipe looks a texture up for every pixel of a shader that might need it, and looking
+up is half the cost of a frame.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["PLAIN", "TEXTURED", "VERTEX", "ShaderPair"]
+
+VERTEX = np.dtype([("position", "3f4"), ("uv", "2f4"), ("colour", "4u1"), ("instance", "u2"), ("layer", "i2")])
+"""One vertex; instance and texture layer are those of its part."""
+
+
+class ShaderPair(NamedTuple):
+    """What OpenGL compiles to a program, and which fields of `VERTEX` that program reads."""
+
+    vertex: str
+    fragment: str
+    layout: str
+    """The fields in moderngl's notation; `x` skips bytes."""
+    fields: tuple[str, ...]
+
+
+PLAIN = ShaderPair(
+    """
+#version 330
+in vec3 position; in vec4 colour; in int instance;
+uniform mat4 clip_from_world;
+out vec3 frag_colour; flat out int frag_instance;
+void main() {
+    gl_Position = clip_from_world * vec4(position, 1.0);
+    frag_colour = colour.rgb; frag_instance = instance;
+}
+""",
+    """
+#version 330
+in vec3 frag_colour; flat in int frag_instance;
+layout(location = 0) out vec4 rgb; layout(location = 1) out float depth; layout(location = 2) out uint id;
+void main() {
+    rgb = vec4(frag_colour, 1.0);
+    depth = 1.0 / gl_FragCoord.w;
+    id = uint(frag_instance);
+}
+""",
+    "3f4 8x 4f1 1u2 2x",
+    ("position", "colour", "instance"),
+)
+"""For parts of plain colour. Depth is clip w, the distance along the optical axis."""
+
+TEXTURED = ShaderPair(
+    """
+#version 330
+in vec3 position; in vec2 uv; in vec4 colour; in int instance; in int layer;
+uniform mat4 clip_from_world;
+out vec2 frag_uv; out vec3 frag_colour; flat out int frag_instance; flat out int frag_layer;
+void main() {
+    gl_Position = clip_from_world * vec4(position, 1.0);
+    frag_uv = uv; frag_colour = colour.rgb; frag_instance = instance; frag_layer = layer;
+}
+""",
+    """
+#version 330
+in vec2 frag_uv; in vec3 frag_colour; flat in int frag_instance; flat in int frag_layer;
+uniform sampler2DArray layers;
+layout(location = 0) out vec4 rgb; layout(location = 1) out float depth; layout(location = 2) out uint id;
+void main() {
+    rgb = vec4(frag_colour * texture(layers, vec3(frag_uv, float(frag_layer))).rgb, 1.0);
+    depth = 1.0 / gl_FragCoord.w;
+    id = uint(frag_instance);
+}
+""",
+    "3f4 2f4 4f1 1u2 1i2",
+    ("position", "uv", "colour", "instance", "layer"),
+)
+"""For parts with a texture."""
