@@ -36,7 +36,8 @@ def linear_of(srgb: ArrayLike) -> Floats:
 def srgb_of(linear: ArrayLike) -> Floats:
     """Returns sRGB values 0..1 of linear light; what is out of range is clipped."""
     c = np.clip(np.asarray(linear, float), 0.0, 1.0)
-    return np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
+    curved: Floats = 1.055 * c ** (1 / 2.4) - 0.055
+    return np.where(c <= 0.0031308, 12.92 * c, curved)
 
 
 def lab_of(srgb: ArrayLike) -> Floats:
@@ -65,10 +66,10 @@ def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
 
 
 def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
-    """Dark or dull orange, dull red, and dull dark yellow."""
+    """Dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
     orange = (hue >= 48) & (hue < 72) & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
-    yellow = (hue >= 72) & (hue < 95) & (lightness < 78) & (chroma < 48)
+    yellow = (hue >= 72) & (hue < 98) & (lightness < 85) & (chroma < 45)
     return np.asarray(orange | red | yellow)
 
 

@@ -1,4 +1,4 @@
-"""Draws triangles of a height band onto the occupancy grid: outlines by sampling, insides by polygon filling.
+"""Draws triangles of a height band onto the occupancy grid: outlines by sampling, insides by interpolation.
 
 Pure; never asks where the robot could go.
 """
@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 from scipy.ndimage import binary_closing
 
 from factory.scenes.floor import floor_triangles
@@ -169,29 +168,31 @@ def _batches(counts: NDArray[np.int64], limit: int = 4_000_000) -> list[slice]:
 
 
 def _fill(cells: Bools, triangles: Floats, low: float, high: float, frame: GridFrame) -> None:
-    """Marks the cells whose centres lie within the plan of triangles that are wide seen from above."""
-    image = Image.fromarray(cells)
-    pen = ImageDraw.Draw(image)
-    within = (triangles[:, :, 2] >= low).all(axis=1) & (triangles[:, :, 2] <= high).all(axis=1)
-    polygons = [*triangles[within][:, :, :2], *(_clip(triangle, low, high) for triangle in triangles[~within])]
-    for polygon in polygons:
-        pixels = (polygon - frame.origin_m) / frame.resolution_m - 0.5
-        if len(pixels) >= 3:
-            pen.polygon([(float(x), float(y)) for x, y in pixels], fill=1)
-    cells |= np.asarray(image, bool)
+    """Marks the cells at whose centres a triangle lies within the band; for triangles that are wide from above."""
+    limits = np.array(frame.shape[::-1])
+    grid = (triangles[:, :, :2] - frame.origin_m) / frame.resolution_m - 0.5
+    first = np.clip(np.ceil(grid.min(axis=1)).astype(np.int64), 0, limits)
+    last = np.clip(np.floor(grid.max(axis=1)).astype(np.int64) + 1, first, limits)
+    span = last - first
+    counts = span.prod(axis=1)
+    for part in _batches(counts):
+        count = counts[part]
+        owner = np.repeat(np.arange(part.start, part.stop), count)
+        rank = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+        columns = first[owner, 0] + rank % span[owner, 0]
+        rows = first[owner, 1] + rank // span[owner, 0]
+        heights = _heights_at(grid[owner], triangles[owner, :, 2], np.stack([columns, rows], axis=1))
+        hit = (heights >= low) & (heights <= high)
+        cells[rows[hit], columns[hit]] = True
 
 
-def _clip(triangle: Floats, low: float, high: float) -> Floats:
-    """Cuts one triangle to the band (Sutherland-Hodgman); returns its plan (n, 2)."""
-    polygon = list(triangle)
-    for height, sign in ((low, 1.0), (high, -1.0)):
-        kept = []
-        for number, start in enumerate(polygon):
-            end = polygon[(number + 1) % len(polygon)]
-            before, after = sign * (start[2] - height), sign * (end[2] - height)
-            if before >= 0:
-                kept.append(start)
-            if (before >= 0) != (after >= 0):
-                kept.append(start + (end - start) * (before / (before - after)))
-        polygon = kept
-    return np.array(polygon).reshape(-1, 3)[:, :2]
+def _heights_at(plan: Floats, z: Floats, points: NDArray[np.int64]) -> Floats:
+    """Heights (N,) of triangles at points of the plan, by barycentric weights; NaN beside them."""
+    a, b, c = plan[:, 0], plan[:, 1], plan[:, 2]
+    ab, ac, ap = b - a, c - a, points - a
+    whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    beta = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / whole
+    gamma = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / whole
+    inside = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1)
+    heights = z[:, 0] + beta * (z[:, 1] - z[:, 0]) + gamma * (z[:, 2] - z[:, 0])
+    return np.where(inside, heights, np.nan)

@@ -217,7 +217,9 @@ def _both_sides(piece: _Piece) -> _Piece:
 
 def _placed(piece: _Piece, placement: Placement, collides: bool) -> Part:
     rotation, shift = placement.to_world[:3, :3], placement.to_world[:3, 3]
-    triangles, uvs, tints = piece.triangles @ rotation.T + shift, piece.uvs, piece.tints
+    with np.errstate(all="ignore"):
+        triangles = piece.triangles @ rotation.T + shift
+    uvs, tints = piece.uvs, piece.tints
     if not np.isfinite(triangles).all():
         raise ValueError("points or transform are not finite")
     if np.linalg.det(rotation) < 0:  # a mirrored copy turns its faces inside out

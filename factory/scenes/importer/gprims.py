@@ -18,7 +18,7 @@ Polygons = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
 """Points (N, 3), corners of each face (F,), vertex of each corner (C,)."""
 
 _SIDES = 24
-_ARC_STEPS = 6
+_STEPS_PER_QUARTER = 6
 _CUBE = [0, 3, 2, 1, 4, 5, 6, 7, 0, 1, 5, 4, 1, 2, 6, 5, 2, 3, 7, 6, 3, 0, 4, 7]
 _TURN = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
 
@@ -55,7 +55,7 @@ def _profile(prim: Any, kind: str) -> list[tuple[float, float]] | None:
 
 
 def _arc(radius: float, height: float, first: float, last: float) -> list[tuple[float, float]]:
-    angles = np.linspace(first, last, _ARC_STEPS)
+    angles = np.linspace(first, last, 1 + round((last - first) / (math.pi / 2) * _STEPS_PER_QUARTER))
     return [(radius * math.cos(angle), height + radius * math.sin(angle)) for angle in angles]
 
 

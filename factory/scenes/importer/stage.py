@@ -80,8 +80,8 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        first_line = str(error).strip().splitlines()[0]
-        raise WorldError(f"{path.name} is no readable USD stage ({first_line}); check it with usdchecker") from error
+        reason = _one_line(str(error)).rpartition(" : ")[2].strip("'")
+        raise WorldError(f"{path.name} is no readable USD stage ({reason}); check it with usdchecker") from error
     notes += [_one_line(diagnostic.commentary) for diagnostic in listener.TakeUncoalescedDiagnostics()]
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and metres > 0):

@@ -1,0 +1,102 @@
+"""What every built-in scene promises to plans, workers and people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factory.scenes import build_scene, package_path
+from factory.scenes.author import BUILTIN_SCENES
+from schemas.config import SpawnConfig
+from schemas.scene import CompiledScene, decode_scene
+from schemas.terms import BUILTIN_CATEGORIES, Tier
+from workers.grid import CONNECT_CLEARANCE_M, Grid
+
+SEED = 0
+
+
+@pytest.fixture(scope="module", params=sorted(BUILTIN_SCENES))
+def package(request: pytest.FixtureRequest, scene_cache: Path) -> Path:
+    return build_scene(request.param, SEED, scene_cache)
+
+
+@pytest.fixture(scope="module")
+def scene(package: Path) -> CompiledScene:
+    with package.open("rb") as file:
+        return decode_scene(file)
+
+
+def test_the_package_lies_where_it_is_looked_for_and_is_small(package: Path, scene: CompiledScene) -> None:
+    assert package == package_path(scene.info.name, SEED, package.parent)
+    assert package.stat().st_size < 40e6
+
+
+def test_every_category_of_the_paper_can_be_reached(scene: CompiledScene) -> None:
+    seen, held_out = BUILTIN_CATEGORIES[scene.info.name]
+    assert {target.category for target in scene.info.targets} >= {*seen, *held_out}
+
+
+def test_every_category_has_a_straight_way_from_near_mid_and_far(scene: CompiledScene) -> None:
+    ways = {(target.category, tier) for target in scene.info.targets for tier in target.straight_tiers}
+    categories = {target.category for target in scene.info.targets}
+    assert ways == {(category, tier) for category in categories for tier in Tier}
+
+
+def test_straight_tiers_are_connected_too(scene: CompiledScene) -> None:
+    for target in scene.info.targets:
+        assert set(target.straight_tiers) <= set(target.connected_tiers)
+        assert Tier.FAR in target.connected_tiers
+
+
+def test_at_least_forty_spawns_stand_apart_on_the_whole_floor(scene: CompiledScene) -> None:
+    assert len(scene.spawns) >= 40
+    apart = np.linalg.norm(scene.spawns[:, None] - scene.spawns[None], axis=-1)
+    assert (apart + 9 * np.eye(len(apart))).min() >= 0.3
+    grid = Grid.from_scene(scene)
+    floor = grid.centre_of(np.argwhere(scene.reachable > 0))
+    nearest = np.linalg.norm(floor[::7, None] - scene.spawns[None], axis=-1).min(axis=1)
+    assert nearest.max() < 4.0
+
+
+def test_the_robot_fits_at_every_spawn_with_most_headings(scene: CompiledScene) -> None:
+    grid, margin = Grid.from_scene(scene), SpawnConfig().margin_m
+    yaw = 2 * np.pi * np.arange(16) / 16
+    x, y = scene.spawns[:, :1].astype(float), scene.spawns[:, 1:].astype(float)
+    assert (grid.are_poses_free(x, y, yaw, margin).sum(axis=1) >= 12).all()
+
+
+def test_the_reachable_floor_is_clear_and_one_piece(scene: CompiledScene) -> None:
+    grid = Grid.from_scene(scene)
+    assert (grid.connected_floor() == (scene.reachable > 0)).all()
+    assert (grid.clearance[scene.reachable > 0] >= CONNECT_CLEARANCE_M).all()
+
+
+def test_what_a_spawn_sees_it_can_drive_to_straight(scene: CompiledScene) -> None:
+    distance = np.linalg.norm(
+        scene.spawns[:, None] - np.array([target.centroid_m[:2] for target in scene.info.targets])[None], axis=-1
+    )
+    seen = distance[scene.spawn_sees == 1]
+    assert seen.min() >= 1.5 - 1e-6
+    assert seen.max() <= 11.0 + 1e-6
+    far = {target.target_id for target in scene.info.targets if Tier.FAR in target.straight_tiers}
+    columns = scene.spawn_sees.any(axis=0)
+    assert far == {t.target_id for t, sees in zip(scene.info.targets, columns, strict=True) if sees}
+
+
+def test_most_things_have_an_honest_colour(scene: CompiledScene) -> None:
+    named = [target.colour != "unknown" for target in scene.info.targets]
+    assert sum(named) >= 0.6 * len(named)
+
+
+def test_targets_are_listed_in_the_order_of_their_prims(scene: CompiledScene) -> None:
+    paths = [target.prim_path for target in scene.info.targets]
+    assert paths == sorted(paths)
+    assert len({target.target_id for target in scene.info.targets}) == len(paths)
+
+
+def test_building_again_takes_it_from_the_cache(package: Path, scene: CompiledScene) -> None:
+    before = package.stat().st_mtime_ns
+    assert build_scene(scene.info.name, SEED, package.parent) == package
+    assert package.stat().st_mtime_ns == before

@@ -1,0 +1,80 @@
+"""Names in the wild find their categories."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from factory.scenes.importer.rules import load_rules, split_name
+from schemas.errors import UsageError
+from schemas.terms import CATEGORIES
+
+RULES = load_rules()
+
+
+@pytest.mark.parametrize(
+    ("name", "category"),
+    [
+        ("SM_ChairOffice_A_184", "chair"),
+        ("SM_BarelPlastic_A_01_9", "barrel"),
+        ("SM_Board", "whiteboard"),
+        ("SM_Extinguisher", "fire_extinguisher"),
+        ("SM_RackPile_04", "rack"),
+        ("SM_RackShelf_01", "shelf"),
+        ("aws_robomaker_warehouse_ShelfF_01_001", "shelf"),
+        ("trashcan_03", "trash_can"),
+        ("SM_CratePlastic_A_04", "crate"),
+        ("SM_TableRound_C", "table"),
+        ("FicusPlant12", "plant"),
+        ("SM_Sofa", "sofa"),
+        ("ComputerMonitor", "monitor"),
+    ],
+)
+def test_names_in_the_wild_find_their_category(name: str, category: str) -> None:
+    rule = RULES.match(name)
+    assert rule is not None
+    assert rule.category == category
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "SM_WheelChair_01a",
+        "SM_TabletPC",
+        "SM_PaperTablet",
+        "KeyBoard",
+        "SM_CardBoxA_01",
+        "cardboard_box",
+        "TrackLight",
+        "WallBracket",
+        "BloodPressureMonitor",
+        "SM_Rackshield",
+        "SM_BoxPortableA",
+        "Staircase",
+        "Wall",
+    ],
+)
+def test_names_that_only_look_alike_are_of_no_category(name: str) -> None:
+    assert RULES.match(name) is None
+
+
+def test_the_builtin_rules_cover_the_papers_categories() -> None:
+    assert {rule.category for rule in RULES.rules} == set(CATEGORIES)
+
+
+def test_words_are_split_at_case_digits_and_punctuation() -> None:
+    assert split_name("SM_BarelPlastic-A01") == "sm_barel_plastic_a_01"
+
+
+@pytest.mark.parametrize("text", ["- category: chair\n  include: ['(']", "chair", ": :\n-"])
+def test_a_table_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=r"mine\.yaml"):
+        load_rules(path)
+
+
+def test_a_missing_table_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no category rules"):
+        load_rules(tmp_path / "absent.yaml")
