@@ -96,10 +96,10 @@ def _mount(kind: int, radius: float, bottom: float, top: float) -> list[Piece]:
         sign = block((-0.12, radius + 0.002, 0.79), (0.12, radius + 0.03, 1.03))
         return [Piece(BLACK, tray), Piece(STEEL, pole), Piece(RED, sign), Piece(_sign(), quad(face))]
     if kind == 1:
-        return [Piece(BRIGHT, block((-0.09, radius, bottom - 0.02), (0.09, radius + 0.02, top + 0.05)))]
-    meshes = [moved(cylinder(0.06, -0.02, 0.02, sides=12), (x, 0.06, 0.06), pitch=1.5708) for x in (-0.13, 0.13)]
+        return [Piece(BRIGHT, block((-0.03, radius, bottom + 0.04), (0.03, radius + 0.02, top + 0.02)))]
+    meshes = [moved(cylinder(0.05, -0.015, 0.015, sides=12), (x, 0.06, 0.05), pitch=1.5708) for x in (-0.13, 0.13)]
     handle = tube([(-0.06, 0.11, 0.1), (-0.06, 0.13, 0.85), (0.06, 0.13, 0.85), (0.06, 0.11, 0.1)], 0.011, 5)
-    axle = rod((-0.13, 0.06, 0.06), (0.13, 0.06, 0.06), 0.012)
+    axle = rod((-0.13, 0.06, 0.05), (0.13, 0.06, 0.05), 0.012)
     return [*(Piece(BLACK, mesh) for mesh in meshes), Piece(STEEL, handle), Piece(STEEL, axle)]
 
 

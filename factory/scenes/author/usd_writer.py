@@ -125,13 +125,18 @@ def _write_material(stage: Any, scope: str, material: Material, textures: str) -
     surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(material.metallic)
     diffuse = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     rgb = linear_rgb(material.colour)
+    image = None
     if material.texture is None:
         diffuse.Set(Gf.Vec3f(*rgb))
     else:
-        diffuse.ConnectToSource(_write_texture_reader(stage, path, f"{textures}/{material.texture}.png"))
+        image = _write_texture_reader(stage, path, f"{textures}/{material.texture}.png")
+        diffuse.ConnectToSource(image)
     if material.glow:
-        glow = Gf.Vec3f(*(channel * material.glow for channel in rgb))
-        surface.CreateInput("emissiveColor", Sdf.ValueTypeNames.Color3f).Set(glow)
+        emission = surface.CreateInput("emissiveColor", Sdf.ValueTypeNames.Color3f)
+        if image is None:
+            emission.Set(Gf.Vec3f(*(channel * material.glow for channel in rgb)))
+        else:
+            emission.ConnectToSource(image)
     look.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     return look
 

@@ -52,6 +52,11 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return author_scene("office", 3, tmp_path_factory.mktemp("office"))
 
 
+@pytest.fixture(scope="module")
+def shelves(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return author_scene("warehouse_multiple_shelves", 7, tmp_path_factory.mktemp("shelves"))
+
+
 def read_meshes(path: Path) -> dict[str, np.ndarray]:
     stage = pxr_usd.Stage.Open(str(path))
     cache = pxr_geom.XformCache()
@@ -95,21 +100,21 @@ def test_no_furniture_stands_in_a_door() -> None:
         assert not (on_floor and in_door), placement.name
 
 
-def test_same_seed_writes_the_same_geometry_and_pixels(tmp_path: Path) -> None:
-    paths = [author_scene("warehouse_multiple_shelves", 7, tmp_path / run) for run in ("a", "b")]
-    first, second = (read_meshes(path) for path in paths)
+def test_same_seed_writes_the_same_geometry_and_pixels(shelves: Path, tmp_path: Path) -> None:
+    again = author_scene("warehouse_multiple_shelves", 7, tmp_path)
+    first, second = read_meshes(shelves), read_meshes(again)
     assert first.keys() == second.keys()
     assert all(np.array_equal(first[key], second[key]) for key in first)
-    textures = sorted((tmp_path / "a" / "textures").iterdir())
+    textures = sorted((shelves.parent / "textures").iterdir())
     assert textures
-    assert all(file.read_bytes() == (tmp_path / "b" / "textures" / file.name).read_bytes() for file in textures)
+    assert all(file.read_bytes() == (tmp_path / "textures" / file.name).read_bytes() for file in textures)
 
 
-def test_authoring_twice_into_one_directory_replaces_the_scene(tmp_path: Path) -> None:
-    author_scene("warehouse_multiple_shelves", 1, tmp_path)
-    again = read_meshes(author_scene("warehouse_multiple_shelves", 7, tmp_path))
-    fresh = read_meshes(author_scene("warehouse_multiple_shelves", 7, tmp_path / "fresh"))
-    assert again.keys() == fresh.keys()
+def test_authoring_again_into_the_same_directory_replaces_the_scene(shelves: Path) -> None:
+    before = read_meshes(shelves)
+    other = read_meshes(author_scene("warehouse_multiple_shelves", 1, shelves.parent))
+    assert before.keys() != other.keys()
+    assert read_meshes(author_scene("warehouse_multiple_shelves", 7, shelves.parent)).keys() == before.keys()
 
 
 def test_office_is_authored_in_centimetres_and_z_up(office: Path) -> None:
