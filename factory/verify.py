@@ -243,7 +243,7 @@ def _target(row: EpisodeSummary, scenes: dict[str, SceneEntry], report: Report) 
 
 def _row_findings(row: EpisodeSummary, found: EpisodeSummary) -> list[str]:
     return [
-        f"{name}: {METADATA_FILE} says {getattr(row, name)!r}, the episode {getattr(found, name)!r}"
+        f"{name}: {METADATA_FILE} says {getattr(row, name)}, the episode {getattr(found, name)}"
         for name in EpisodeSummary.model_fields
         if name not in {"file_sha256", "file_bytes"} and getattr(row, name) != getattr(found, name)
     ]
