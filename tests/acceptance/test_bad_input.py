@@ -1,0 +1,119 @@
+"""What users get wrong: each a clear message with the remedy, the right exit code, and nothing lost."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+
+import pytest
+
+from tests.acceptance.factory_cli import episodes_in, wait_for
+from tests.acceptance.test_run import free_endpoint
+
+
+def test_an_unknown_plan_names_the_known_ones(factory, tmp_path):
+    err = factory("run", "nonsense", "--out", tmp_path / "x", expect=2).stderr
+    assert "demo, paper, balanced" in err
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[[scenes]]\nname = "garage"\nepisodes = 1\n', ["scenes[0].name", "garage", "office"]),
+        ('[[scenes]]\nname = "office"\nepisodes = 1\nseen = ["cat"]\n', ["scenes[0].seen", "cat", "chair"]),
+        ('[splits]\ntraining = 1.0\n[[scenes]]\nname = "office"\nepisodes = 1\n', ["splits.training", "train_id"]),
+        ('[tiers]\nnear = 0.3\n[[scenes]]\nname = "office"\nepisodes = 1\n', ["tiers", "add up to 0.3"]),
+    ],
+)
+def test_a_bad_plan_is_refused_by_its_keys(factory, tmp_path, text, words):
+    plan = tmp_path / "bad.toml"
+    plan.write_text(text)
+    err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
+    assert all(word in err for word in words), err
+
+
+def test_an_unknown_scene_option_names_the_scenes_of_the_plan(factory, tmp_path):
+    err = factory("run", "demo", "--scene", "garage", "--out", tmp_path / "x", expect=2).stderr
+    assert "office" in err
+
+
+def test_an_output_that_is_a_file_is_refused(factory, plan, tmp_path):
+    (tmp_path / "x").write_text("mine")
+    err = factory("run", plan, "--out", tmp_path / "x", expect=1).stderr
+    assert str(tmp_path / "x") in err
+    assert (tmp_path / "x").read_text() == "mine"
+
+
+def test_a_directory_of_another_plan_is_left_alone(factory, calm, tmp_path):
+    before = episodes_in(calm)
+    err = factory("run", "demo", "--scene", "hospital", "--out", calm, expect=2).stderr
+    assert "choose another --out" in err
+    assert episodes_in(calm) == before
+
+
+def test_a_worker_without_a_coordinator_says_how_to_start_one(factory):
+    err = factory("worker", "--connect", free_endpoint(), "--wait", 2, expect=1).stderr
+    assert "no coordinator" in err
+    assert "factory coordinator start" in err
+
+
+def test_listening_beyond_loopback_is_refused(factory, plan, tmp_path):
+    words = ("coordinator", "start", plan, "--out", tmp_path / "x", "--listen", "tcp/0.0.0.0:7447")
+    assert "tunnel" in factory(*words, expect=2).stderr
+
+
+def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, calm, plan, tmp_path):
+    endpoint = free_endpoint()
+    first = factory.start("coordinator", "start", "--out", calm, "--listen", endpoint, "--stay")
+    wait_for(lambda: (calm / ".coordinator.json").exists())
+    err = factory("run", "--out", calm, expect=1).stderr
+    assert "another coordinator works on" in err
+    words = ("coordinator", "start", plan, "--out", tmp_path / "x", "--listen", endpoint)
+    err = factory(*words, expect=1).stderr
+    assert endpoint in err
+    assert "--listen" in err
+    first.send_signal(signal.SIGTERM)
+    assert first.wait(10) == 0
+
+
+def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, calm, tmp_path):
+    root = tmp_path / "newer"
+    shutil.copytree(calm, root)
+    meta = json.loads((root / "dataset_meta.json").read_text())
+    key = next(key for key in meta if "format" in key and isinstance(meta[key], int))
+    (root / "dataset_meta.json").write_text(json.dumps({**meta, key: 99}))
+    err = factory("verify", root, expect=1).stderr
+    assert "99" in err
+    assert "newer" in err or "upgrade" in err
+
+
+def test_truncated_and_foreign_files_among_the_episodes_are_found_and_mended(factory, calm, tmp_path):
+    root = tmp_path / "hurt"
+    shutil.copytree(calm, root)
+    episode = root / "episodes" / "ep_000002.zip"
+    episode.write_bytes(episode.read_bytes()[:-1000])
+    (root / "episodes" / "ep_000009.zip").write_bytes(b"PK\x03\x04 not ours")
+    report = factory.json("verify", root, expect=1)
+    assert {"episodes/ep_000002.zip", "episodes/ep_000009.zip"} <= {finding["file"] for finding in report["findings"]}
+    factory("run", "--out", root, "--workers", 1)
+    mended = factory.json("verify", root, "--deep")
+    assert mended["digest"] == factory.json("verify", calm)["digest"]
+    assert len(list((root / "quarantine").glob("ep_*"))) >= 2
+
+
+def test_an_episode_that_is_not_there_says_what_is(factory, calm):
+    assert "holds 5 episodes" in factory("replay", calm, 77, expect=2).stderr
+    assert "no dataset" in factory("replay", calm.parent, 1, expect=2).stderr
+
+
+def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, calm):
+    reply = factory.json("jobs", "retry", calm, 1, expect=1)
+    assert reply["changed"] == []
+    assert "archived" in reply["refused"]["1"]
+
+
+def test_an_expert_this_version_lacks_is_refused_before_anything_is_built(factory, tmp_path):
+    assert "planner" in factory("run", "balanced", "--out", tmp_path / "x", expect=2).stderr
+    assert not (tmp_path / "x").exists()

@@ -1,0 +1,138 @@
+"""The main promise: the dataset does not depend on how many workers made it or what was killed meanwhile."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from pathlib import Path
+
+from tests.acceptance.factory_cli import FactoryCli, episodes_in, kill_group, wait_for
+
+
+def digest_of(factory: FactoryCli, root: Path) -> str:
+    report = factory.json("verify", root)
+    assert report["ok"], report["findings"]
+    assert report["complete"]
+    return report["digest"]
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def test_two_workers_make_the_same_dataset_as_one(factory, plan, calm, tmp_path):
+    root = tmp_path / "two"
+    summary = factory.json("run", plan, "--out", root, "--workers", 2)
+    assert summary["episodes"] == summary["planned"] == 5
+    assert digest_of(factory, root) == digest_of(factory, calm)
+
+
+def test_killed_coordinator_and_worker_lose_and_change_nothing(factory, plan, calm, tmp_path):
+    root, endpoint = tmp_path / "chaos", free_endpoint()
+
+    def start_coordinator():
+        return factory.start("coordinator", "start", plan, "--out", root, "--listen", endpoint, "--lease", 3)
+
+    def start_worker():
+        return factory.start("worker", "--connect", endpoint, "--spool", tmp_path / "spool")
+
+    coordinator, worker = start_coordinator(), start_worker()
+    wait_for(lambda: len(episodes_in(root)) >= 1)
+    kill_group(coordinator)
+    kill_group(worker)
+    coordinator, worker = start_coordinator(), start_worker()
+    wait_for(lambda: len(episodes_in(root)) >= 3)
+    kill_group(worker)
+    worker = start_worker()
+    assert coordinator.wait(180) == 0
+    assert worker.wait(30) == 0
+    assert digest_of(factory, root) == digest_of(factory, calm)
+
+
+def test_an_interrupted_run_goes_on_where_it_was_and_makes_nothing_twice(factory, plan, calm, tmp_path):
+    root = tmp_path / "interrupted"
+    running = factory.start("run", plan, "--out", root, "--workers", 2)
+    wait_for(lambda: len(episodes_in(root)) >= 1)
+    running.send_signal(signal.SIGINT)
+    assert running.wait(30) == 130
+    before = {name: (root / "episodes" / name).stat().st_ino for name in episodes_in(root)}
+    assert 0 < len(before) < 5
+    factory("run", "--out", root, "--workers", 2)
+    after = {name: (root / "episodes" / name).stat().st_ino for name in episodes_in(root)}
+    assert before.items() <= after.items()
+    assert digest_of(factory, root) == digest_of(factory, calm)
+
+
+def test_a_killed_run_takes_its_workers_with_it_and_can_be_resumed(factory, plan, calm, tmp_path):
+    root = tmp_path / "killed"
+    running = factory.start("run", plan, "--out", root, "--workers", 2)
+    wait_for(lambda: len(episodes_in(root)) >= 1)
+    running.kill()
+    running.wait(30)
+    wait_for(lambda: not processes_that_name(root), 30)
+    factory("run", plan, "--out", root, "--workers", 2)
+    assert digest_of(factory, root) == digest_of(factory, calm)
+
+
+def test_every_byte_of_a_calm_dataset_is_sound(factory, calm):
+    report = factory.json("verify", calm, "--deep")
+    assert report["ok"], report["findings"]
+    assert report["episodes"] == 5
+
+
+def test_an_episode_can_be_simulated_again_bit_for_bit(factory, calm):
+    replay = factory.json("replay", calm, "ep_000001")
+    assert replay["identical"]
+    assert replay["archived_digest"] == replay["replayed_digest"]
+
+
+def test_status_agrees_with_what_lies_on_disk(factory, calm):
+    status = factory.json("status", calm)
+    assert status["jobs"]["archived"] == len(episodes_in(calm)) == status["planned"] == 5
+    assert {name: counts["archived"] for name, counts in status["by_scene"].items()} == {
+        "hospital": 3,
+        "warehouse_multiple_shelves": 2,
+    }
+    assert sum(counts["archived"] for counts in status["by_split"].values()) == 5
+    assert status["by_tier"]["near"]["archived"] == 5
+    assert status["eta_s"] == 0
+    assert status["finished"]
+    assert len(status["workers"]) == 1
+
+
+def test_status_can_be_asked_of_a_running_coordinator(factory, calm):
+    endpoint = free_endpoint()
+    coordinator = factory.start("coordinator", "start", "--out", calm, "--listen", endpoint, "--stay")
+    wait_for(lambda: factory.start("status", "--connect", endpoint).wait(30) == 0, 60)
+    assert factory.json("status", "--connect", endpoint)["jobs"]["archived"] == 5
+    coordinator.send_signal(signal.SIGTERM)
+    assert coordinator.wait(10) == 0
+
+
+def test_held_out_categories_are_only_in_their_split(factory, calm):
+    jobs = factory.json("jobs", "list", calm)["jobs"]
+    held_out = {"fire_extinguisher", "whiteboard", "barrel", "crate"}
+    assert all((job["category"] in held_out) == (job["split"] == "test_ood_obj") for job in jobs)
+    history = factory.json("jobs", "show", calm, "ep_000001")
+    assert [event["event"] for event in history["events"]][-1] == "archived"
+
+
+def test_a_contact_sheet_is_drawn(factory, calm, tmp_path):
+    factory("show", calm, 2, "-o", tmp_path / "sheet.png")
+    assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
+
+
+def processes_that_name(root: Path) -> list[int]:
+    """Ids of processes with the directory on their command line."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                words = (folder / "cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            if any(str(root).encode() in word for word in words):
+                found.append(int(folder.name))
+    return found
