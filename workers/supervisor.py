@@ -139,7 +139,7 @@ class Supervisor:
     def _heed_stop(self) -> None:
         # never a bare wait(): the signal may be handled on another thread and this one would sleep on
         if not self._phase.stopping.is_set() and self._stop.wait(_POLL_S):
-            log.info("draining", by="signal", spooled=len(self._host.spool))
+            log.info("draining", by="stop", spooled=len(self._host.spool))
             self._phase.stop(_DRAIN_S)
         elif self._phase.stopping.is_set():
             self._at_once.wait(_POLL_S / 4)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import threading
@@ -81,15 +80,8 @@ class WorkerThread:
 @contextmanager
 def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]]:
     """Starts a worker as a process of its own; what is left of it at the end of the block is killed."""
-    values = json.dumps(
-        {
-            "connect": settings.connect,
-            "cores": settings.cores,
-            "folder": str(settings.spool_dir.parent),
-            "command": settings.command,
-        }
-    )
-    process = subprocess.Popen([sys.executable, "-m", "tests.builders.worker", values])
+    arguments = (settings.connect[0], str(settings.spool_dir.parent), str(settings.cores), *settings.command)
+    process = subprocess.Popen([sys.executable, "-m", "tests.builders.worker", *arguments])
     try:
         yield process
     finally:
@@ -98,10 +90,9 @@ def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]
 
 
 def main() -> int:
-    values = json.loads(sys.argv[1])
-    settings = settings_for(
-        values["connect"][0], Path(values["folder"]), cores=values["cores"], command=tuple(values["command"])
-    )
+    """Runs a worker: `ENDPOINT FOLDER CORES SIMULATION...`."""
+    endpoint, folder, cores, *command = sys.argv[1:]
+    settings = settings_for(endpoint, Path(folder), cores=int(cores), command=tuple(command))
     with stop_on_signals() as (stop, at_once):
         return run_worker(settings, stop, at_once)
 

@@ -1,0 +1,32 @@
+"""A coordinator of the smallest run as a process that can be killed: `ROOT EPISODES ENDPOINT LEASE_S`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from tests.builders.ledger import room_catalog, room_plan
+from workers.stopping import stop_on_signals
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])
+    root.mkdir(parents=True, exist_ok=True)
+    settings = CoordinatorSettings(
+        lease_ttl_s=lease_s, retry_after_s=0.2, pull_timeout_s=1.0, reserve_bytes=0, transport_lease_s=2.0, probe_s=0.0
+    )
+    plan = room_plan(episodes, crashes=20)
+    with (
+        stop_on_signals() as (stop, _),
+        Coordinator(root / "out", plan, room_catalog(root), (endpoint,), settings=settings),
+    ):
+        while not stop.wait(0.2):
+            pass
+
+
+if __name__ == "__main__":
+    main()

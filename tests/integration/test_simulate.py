@@ -1,0 +1,148 @@
+"""The real simulation process: what it reports, and that it ends with its supervisor."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from schemas.bundle import BundleReader
+from schemas.job import Job
+from schemas.scene import encode_scene
+from schemas.terms import FailReason
+from tests.builders.bundle import job_for
+from tests.builders.scene import box_room
+from workers.order import Order, Report, ReportKind, to_line
+from workers.settings import WorkerSettings
+from workers.simulation import Death, Simulation
+
+COMMAND = WorkerSettings(connect=(), renderer="tiny").simulation_command
+FAST_COMMAND = WorkerSettings(connect=(), renderer="gl").simulation_command
+PARENT = """
+import sys
+from pathlib import Path
+from workers.order import Order
+from workers.simulation import Simulation
+order, told, *command = sys.argv[1:]
+simulation = Simulation(command, 600.0)
+simulation.start()
+print(simulation.hear(60.0).kind)
+simulation.order(Order.model_validate_json(Path(order).read_bytes()))
+print(simulation.hear(60.0).kind)
+Path(told).write_text(str(simulation.pid))
+while simulation.hear(60.0):
+    pass
+"""
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("room") / "room.scene"
+    path.write_bytes(encode_scene(box_room()))
+    return path
+
+
+@pytest.fixture
+def simulation() -> Iterator[Simulation]:
+    handle = Simulation(COMMAND, 120.0)
+    handle.start()
+    yield handle
+    handle.kill()
+
+
+def job_in(room: Path, **changes: object) -> Job:
+    data = room.read_bytes()
+    values = {
+        "scene": "box_room",
+        "scene_sha256": hashlib.sha256(data).hexdigest(),
+        "scene_bytes": len(data),
+        "category": "crate",
+        "target_id": box_room().info.targets[0].target_id,
+    }
+    return job_for(**values | changes)
+
+
+def order_in(room: Path, folder: Path, **changes: object) -> Order:
+    return Order(job=job_in(room, **changes), scene_path=room, bundle_path=folder / "1.1.zip", sid="host-1")
+
+
+def hear(simulation: Simulation, *kinds: ReportKind) -> Report:
+    """Waits for a report of one of the kinds, passing over others."""
+    while True:
+        heard = simulation.hear(0.2)
+        assert not isinstance(heard, Death), heard
+        if heard is not None and heard.kind in kinds:
+            return heard
+
+
+OUTCOMES = (ReportKind.SUCCESS, ReportKind.FAILURE)
+
+
+@pytest.mark.gl
+def test_bundle_is_what_the_report_says(room, tmp_path):
+    simulation = Simulation(FAST_COMMAND, 120.0)
+    simulation.start()
+    try:
+        simulation.order(order_in(room, tmp_path))
+        report = hear(simulation, *OUTCOMES)
+    finally:
+        simulation.kill()
+    assert report.kind is ReportKind.SUCCESS, report
+    data = (tmp_path / "1.1.zip").read_bytes()
+    assert (hashlib.sha256(data).hexdigest(), len(data)) == (report.sha256, report.size)
+    with (tmp_path / "1.1.zip").open("rb") as file, BundleReader(file) as bundle:
+        assert bundle.length == report.step
+        assert bundle.meta.provenance.worker == "host-1"
+    assert [path.name for path in tmp_path.iterdir()] == ["1.1.zip"]
+
+
+def test_process_outlives_a_scene_it_cannot_use(room, tmp_path, simulation):
+    hear(simulation, ReportKind.READY)
+    pid = simulation.pid
+    (tmp_path / "bad.scene").write_bytes(b"no scene")
+    for path in (tmp_path / "bad.scene", tmp_path / "missing.scene"):
+        simulation.order(order_in(room, tmp_path).model_copy(update={"scene_path": path}))
+        report = hear(simulation, *OUTCOMES)
+        assert (report.kind, report.reason) == (ReportKind.FAILURE, FailReason.CRASH)
+    assert simulation.pid == pid
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_unforeseen_error_is_reported_and_ends_the_process(room, tmp_path, simulation):
+    hear(simulation, ReportKind.READY)
+    simulation.order(order_in(room, tmp_path, template_id="train_01", target_id="nothing_999"))
+    report = hear(simulation, *OUTCOMES)
+    assert report.reason is FailReason.CRASH
+    assert "nothing_999" in report.detail
+    death = None
+    while death is None:
+        death = simulation.hear(0.2)
+    assert isinstance(death, Death)
+    assert death.detail.startswith("exit status 3")
+
+
+def test_busy_simulation_dies_with_its_killed_supervisor(room, tmp_path):
+    order, told = tmp_path / "order.json", tmp_path / "pid"
+    order.write_bytes(to_line(order_in(room, tmp_path)))
+    parent = subprocess.Popen([sys.executable, "-c", PARENT, str(order), str(told), *COMMAND])
+    try:
+        deadline = time.monotonic() + 60
+        while not (told.is_file() and told.read_text()):
+            assert time.monotonic() < deadline
+            assert parent.poll() is None
+            time.sleep(0.05)
+        pid = int(told.read_text())
+        assert Path(f"/proc/{pid}").exists()
+    finally:
+        os.kill(parent.pid, signal.SIGKILL)
+        parent.wait()
+    while Path(f"/proc/{pid}").exists():
+        assert time.monotonic() < deadline, "the simulation outlives its supervisor"
+        time.sleep(0.05)
