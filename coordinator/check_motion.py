@@ -35,7 +35,7 @@ CONTACT_STEP_SLACK_M = 0.02
 SIDE_SLACK_M = 0.003
 """Sideways displacement a step; measured below 0.0005 m in successes without contact."""
 YAW_STEP_SLACK_RAD = 0.015
-"""Turn a step beyond the command and the skid, without contact; measured up to 0.0063 in 220 successes of the expert."""
+"""Turn a step beyond the command and the skid, without contact; measured up to 0.0063 in 220 successes."""
 CONTACT_YAW_STEP_SLACK_RAD = 0.08
 """The same while something is touched: an off-centre push turns the robot; measured below 0.034 rad."""
 PATH_SLACK_M, PATH_SLACK_SHARE = 0.05, 0.05
