@@ -1,15 +1,9 @@
-"""Scenes: authored or imported as USD, compiled once into packages that workers need nothing else for."""
+"""Scenes: authored or imported as USD, compiled once into packages that workers need nothing else for.
+
+Importing this package does not load USD; `factory.scenes.compile` and what stands below it do.
+"""
 
 from factory.scenes.build import build_scene, import_scene, package_path
-from factory.scenes.compile import COMPILER_VERSION, compile_stage
 from factory.scenes.topdown import draw_topdown, encode_topdown
 
-__all__ = [
-    "COMPILER_VERSION",
-    "build_scene",
-    "compile_stage",
-    "draw_topdown",
-    "encode_topdown",
-    "import_scene",
-    "package_path",
-]
+__all__ = ["build_scene", "draw_topdown", "encode_topdown", "import_scene", "package_path"]

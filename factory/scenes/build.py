@@ -9,11 +9,12 @@ import hashlib
 import os
 import re
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene
-from factory.scenes.compile import COMPILER_VERSION, compile_stage
-from factory.scenes.importer.rules import RuleBook, load_rules
+from factory.scenes.rules import RuleBook, load_rules
+from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import UsageError, WorldError
 from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
 
@@ -58,9 +59,10 @@ def build_scene(name: str, seed: int, cache: Path) -> Path:
     """
     path = package_path(name, seed, cache)
     if not path.is_file():
+        _require_usd()
         with tempfile.TemporaryDirectory(prefix="scene-") as directory:
             root = author_scene(name, seed, Path(directory))
-            scene = compile_stage(root, name, f"built-in {name}, seed {seed}")
+            scene = _compile(root, name, f"built-in {name}, seed {seed}")
         _write_package(path, encode_scene(scene))
     return path
 
@@ -85,11 +87,26 @@ def import_scene(path: Path, name: str, cache: Path, rules: RuleBook | None = No
         raise UsageError(f"{name!r} cannot name a scene; use lower-case letters, digits and _, a letter first")
     if name in BUILTIN_SCENES:
         raise UsageError(f"{name!r} is a built-in scene; give yours another name")
-    scene: CompiledScene = compile_stage(path, name, path.name, rules)
-    data = encode_scene(scene)
+    _require_usd()
+    data = encode_scene(_compile(path, name, path.name, rules))
     package = cache / _file_name(name, hashlib.sha256(data).hexdigest())
     _write_package(package, data)
     return package
+
+
+def _require_usd() -> None:
+    missing = [package for package in ("pxr", "mapbox_earcut") if find_spec(package) is None]
+    if missing:
+        raise UsageError(
+            f"USD needs {' and '.join(missing)}; install them with `pip install 'minivla-factory[scenes]'`"
+        )
+
+
+def _compile(path: Path, name: str, source: str, rules: RuleBook | None = None) -> CompiledScene:
+    """Loads USD only now: most runs find their scenes in the cache."""
+    from factory.scenes.compile import compile_stage
+
+    return compile_stage(path, name, source, rules)
 
 
 def _write_package(path: Path, data: bytes) -> None:

@@ -19,25 +19,26 @@ from factory.scenes.floor import find_floor_height
 from factory.scenes.geometry import lay_out_geometry
 from factory.scenes.importer import Extraction, Part, extract_stage
 from factory.scenes.importer.assets import read_asset
-from factory.scenes.importer.rules import RuleBook, load_rules
 from factory.scenes.importer.targets import Candidate, find_candidates
 from factory.scenes.listing import list_targets, with_colours, with_far_tier
 from factory.scenes.objects import assign_objects, number_objects
 from factory.scenes.occupancy import build_occupancy
 from factory.scenes.reach import Terrain, sees_matrix
+from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.shade import triangle_areas
 from factory.scenes.survey import MIN_SPAWNS, survey_spawns
 from factory.scenes.textures import TextureBook, load_textures
+from factory.scenes.version import COMPILER_VERSION
 from schemas.config import SpawnConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, Instance, SceneInfo, Target
 from workers.grid import Grid
 
-__all__ = ["COMPILER_VERSION", "compile_stage"]
+__all__ = ["compile_stage"]
 
-COMPILER_VERSION = 1
-"""Rises whenever the same stage compiles to other bytes."""
 _SANE_RADIUS_M = 200.0
+_SANE_SPREAD = 5.0
+_FARTHEST_M = 9000.0
 _SEE_THROUGH = 0.3
 _MAX_NOTES = 200
 
@@ -118,13 +119,16 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
         noted = "; ".join(extraction.notes[:3]) or "no visible mesh or basic solid of purpose default or render"
         raise WorldError(f"{file} shows no mesh ({noted}); check payloads, references, visibility and purpose")
     middles = np.array([part.triangles.mean(axis=(0, 1)) for part in parts])
-    off = np.abs(middles - np.median(middles, axis=0)).max(axis=1)
-    kept = []
+    centre = np.median(middles, axis=0)
+    if np.abs(centre).max() > _FARTHEST_M:
+        x, y, z = centre
+        raise WorldError(f"{file} lies around ({x:.0f}, {y:.0f}, {z:.0f}) m; move it near the origin of its stage")
+    off = np.abs(middles - centre).max(axis=1)
+    limit = max(_SANE_RADIUS_M, _SANE_SPREAD * float(np.median(off)))
     for part, distance in zip(parts, off, strict=True):
-        if distance <= _SANE_RADIUS_M:
-            kept.append(part)
-        else:
+        if distance > limit:
             notes.append(f"{part.path}: left out, {distance:.0f} m away from everything else")
+    kept = [part for part, distance in zip(parts, off, strict=True) if distance <= limit]
     return tuple(sorted(kept, key=lambda part: part.path))
 
 

@@ -53,11 +53,11 @@ def build_occupancy(solid: Floats, visible: Floats, floor_m: float) -> tuple[Gri
     floor = floor_triangles(visible, floor_m)
     frame = _frame_of(_in_band(solid, floor_m, BAND_M), floor)
     occupied = draw_band(solid, floor_m, BAND_M, frame)
-    hiding = np.logical_and.reduce([draw_band(solid, floor_m, band, frame) for band in _HIDING_BANDS_M])
+    hiding = np.logical_and.reduce([draw_band(visible, floor_m, band, frame) for band in _HIDING_BANDS_M])
     flat = (-np.inf, np.inf)
     ground = binary_closing(np.pad(draw_band(floor, floor_m, flat, frame), 4), np.ones((5, 5)))[4:-4, 4:-4]
     grid = np.where(occupied | ~ground, OCCUPIED, FREE)
-    return frame, np.where(hiding, HIDING, grid).astype(np.uint8)
+    return frame, np.where(hiding & occupied, HIDING, grid).astype(np.uint8)
 
 
 def _in_band(triangles: Floats, floor_m: float, band: tuple[float, float]) -> Floats:

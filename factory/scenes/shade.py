@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from factory.scenes.colour import dominant_name, linear_of, srgb_of
 from factory.scenes.importer import Part
-from factory.scenes.importer.rules import split_name
+from factory.scenes.rules import split_name
 from factory.scenes.textures import TextureBook
 
 __all__ = ["corner_colours", "glows_by_name", "target_colour", "texture_layer", "triangle_areas"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factory.scenes import build_scene, package_path
+from factory.scenes import build_scene, encode_topdown, package_path
 from factory.scenes.author import BUILTIN_SCENES
 from schemas.config import SpawnConfig
 from schemas.scene import CompiledScene, decode_scene
@@ -100,3 +100,7 @@ def test_building_again_takes_it_from_the_cache(package: Path, scene: CompiledSc
     before = package.stat().st_mtime_ns
     assert build_scene(scene.info.name, SEED, package.parent) == package
     assert package.stat().st_mtime_ns == before
+
+
+def test_the_map_is_drawn_as_a_png(scene: CompiledScene) -> None:
+    assert encode_topdown(scene).startswith(b"\x89PNG")

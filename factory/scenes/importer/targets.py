@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.importer.extract import Extraction, Part
-from factory.scenes.importer.rules import RuleBook
+from factory.scenes.rules import RuleBook
 
 __all__ = ["Candidate", "find_candidates"]
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from factory.scenes import build_scene, compile_stage, draw_topdown, import_scene, package_path
+from factory.scenes import build_scene, draw_topdown, import_scene, package_path
+from factory.scenes.compile import compile_stage
 from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene, decode_scene, encode_scene
 from schemas.terms import Tier
@@ -198,3 +201,14 @@ def test_a_cache_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
     with pytest.raises(WorldError, match="cannot write"):
         import_scene(stage, "my_room", tmp_path / "cache")
+
+
+def test_a_stage_far_from_its_origin_is_refused(tmp_path: Path) -> None:
+    site = TEXT.group("Site", room_body(TEXT), at=(400000, 0, 0))
+    with pytest.raises(WorldError, match="origin"):
+        compile_stage(TEXT.write(tmp_path / "site.usda", site), "site", "test")
+
+
+def test_looking_into_the_cache_does_not_load_usd() -> None:
+    code = "import sys, factory.scenes; raise SystemExit('pxr' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from factory.scenes.importer import extract_stage
-from factory.scenes.importer.rules import load_rules
 from factory.scenes.importer.targets import find_candidates
+from factory.scenes.rules import load_rules
 from tests.builders.stage import StageText, Vector3
 
 TEXT = StageText()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.scenes.importer.rules import load_rules, split_name
+from factory.scenes.rules import load_rules, split_name
 from schemas.errors import UsageError
 from schemas.terms import CATEGORIES
 

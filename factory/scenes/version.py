@@ -1,0 +1,6 @@
+"""The version of the scene compiler, apart from the compiler so that a cache can be searched without loading USD."""
+
+__all__ = ["COMPILER_VERSION"]
+
+COMPILER_VERSION = 1
+"""Rises whenever the same stage compiles to other bytes."""
