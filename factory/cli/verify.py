@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ def command(root: Path, deep: bool, as_json: bool) -> int:
     configure_logs()
     with Progress(console=stderr, transient=True) as bar:
         task = bar.add_task("verifying", total=None)
-        report = verify(root, deep, lambda done, total: bar.update(task, completed=done, total=total))
+        processes = os.cpu_count() or 1 if deep else 1
+        report = verify(root, deep, lambda done, total: bar.update(task, completed=done, total=total), processes)
     if as_json:
         print_json(_plain(report))
     else:

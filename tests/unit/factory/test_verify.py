@@ -64,6 +64,13 @@ def test_whole_dataset_has_no_findings(pristine: Path, deep: bool) -> None:
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
+def test_several_processes_find_the_same(data: Path) -> None:
+    with (data / EPISODE).open("ab") as file:
+        file.write(b"x")
+    edit_row(data, 2, final_ne_m=0.5)
+    assert verify(data, deep=True, processes=2).findings == verify(data, deep=True).findings
+
+
 def test_unfinished_dataset_is_sound(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 2, planned=5)
     report = verify(tmp_path / "data", deep=True)
