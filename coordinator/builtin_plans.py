@@ -11,9 +11,9 @@ __all__ = ["BUILTIN_PLANS"]
 
 _DEMO = Plan(
     name="demo",
-    scenes=tuple(ScenePlan(name=name, episodes=5) for name in BUILTIN_CATEGORIES),
-    tiers={Tier.NEAR: 0.7, Tier.MID: 0.2, Tier.FAR: 0.1},
-    splits=dict.fromkeys(Split, 0.2),
+    scenes=tuple(ScenePlan(name=name, episodes=4) for name in BUILTIN_CATEGORIES),
+    tiers={Tier.NEAR: 0.75, Tier.MID: 0.25},
+    splits=dict.fromkeys((Split.TRAIN_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD, Split.TEST_OOD_OBJ), 0.25),
     balance="categories",
 )
 """A few short episodes of every scene: minutes on two cores, under 1 GB."""

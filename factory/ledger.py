@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sqlalchemy.engine import Connection
-
-from coordinator.engine import open_reader, sqlite_url
-from coordinator.ledger import read_info
+from coordinator.ledger import LEDGER_FILE, ledger_url_of, read_info
+from coordinator.look import Connection, look_into
 from coordinator.progress import read_progress
 from schemas.errors import UsageError
 from schemas.plan import Plan
 from schemas.wire import Progress
 
-__all__ = ["ledger_of", "plan_of", "progress_of", "read_ledger"]
-
-_LEDGER = "ledger.db"
+__all__ = ["plan_of", "progress_of", "read_ledger"]
 
 
-def ledger_of(root: Path) -> str:
-    """Returns the URL of the ledger that a dataset directory holds by default."""
-    return sqlite_url(root / _LEDGER)
-
-
-@contextmanager
-def read_ledger(root: Path, url: str | None = None) -> Iterator[Connection]:
+def read_ledger(root: Path, url: str | None = None) -> AbstractContextManager[Connection]:
     """Opens the ledger of a dataset for reading.
 
     Raises:
@@ -36,17 +25,12 @@ def read_ledger(root: Path, url: str | None = None) -> Iterator[Connection]:
     """
     if url is None and not root.is_dir():
         raise UsageError(f"no directory {root}; start a run with `factory run demo --out {root}`")
-    engine = open_reader(url or ledger_of(root))
-    try:
-        with engine.connect() as connection:
-            yield connection
-    finally:
-        engine.dispose()
+    return look_into(ledger_url_of(root, url))
 
 
 def plan_of(root: Path) -> Plan | None:
     """Returns the plan a directory was begun with, or `None` when it holds no ledger."""
-    if not (root / _LEDGER).is_file():
+    if not (root / LEDGER_FILE).is_file():
         return None
     with read_ledger(root) as connection:
         return read_info(connection).plan

@@ -71,7 +71,7 @@ def _carpet(bases: tuple[str, ...]) -> Callable[[Generator], Pixels]:
         base = bases[int(rng.integers(len(bases)))]
         rows, columns = _grid()
         checker = ((rows // 256 + columns // 256) % 2) * 0.07
-        pile = 0.10 * _clouds(rng, 0.3) + 0.03 * _clouds(rng, 1.2) + checker
+        pile = 0.03 * _clouds(rng, 0.8) + 0.03 * _clouds(rng, 1.4) + checker
         return _shade(base, 0.97 + pile)
 
     return draw
@@ -83,7 +83,7 @@ def _tiles(base: str, grout: float, cells: int, mottle: float, spread: float = 0
         pitch = TEXTURE_SIZE // cells
         cell_tone = rng.normal(1.0, spread, (cells, cells))
         tone = cell_tone[(rows // pitch).astype(int), (columns // pitch).astype(int)]
-        tone = tone + mottle * _clouds(rng, 1.4)
+        tone = tone + mottle * _clouds(rng, 1.8)
         tone[(rows % pitch < 4) | (columns % pitch < 4)] *= grout
         return _shade(base, tone)
 
@@ -92,7 +92,7 @@ def _tiles(base: str, grout: float, cells: int, mottle: float, spread: float = 0
 
 def _mottled(base: str, coarse: float, fine: float, specks: float = 0.0) -> Callable[[Generator], Pixels]:
     def draw(rng: Generator) -> Pixels:
-        tone = 1.0 + coarse * _clouds(rng, 1.7) + fine * _clouds(rng, 0.4)
+        tone = 1.0 + coarse * _clouds(rng, 1.7) + fine * _clouds(rng, 1.0)
         tone[rng.random(tone.shape) < specks] *= 0.72
         return _shade(base, tone)
 
@@ -101,8 +101,8 @@ def _mottled(base: str, coarse: float, fine: float, specks: float = 0.0) -> Call
 
 def _concrete(base: str) -> Callable[[Generator], Pixels]:
     def draw(rng: Generator) -> Pixels:
-        tone = 1.0 + 0.05 * _clouds(rng, 1.6) + 0.035 * _clouds(rng, 0.6)
-        tone[np.abs(_clouds(rng, 1.9)) < 0.006] *= 0.8  # hairline cracks
+        tone = 1.0 + 0.04 * _clouds(rng, 1.9) + 0.006 * _clouds(rng, 1.2)
+        tone[np.abs(_clouds(rng, 2.4)) < 0.008] *= 0.85  # hairline cracks
         rows, columns = _grid()
         tone[(rows < 3) | (columns < 3)] *= 0.72  # expansion joints
         return _shade(base, tone)
@@ -114,7 +114,7 @@ def _weave(base: str) -> Callable[[Generator], Pixels]:
     def draw(rng: Generator) -> Pixels:
         rows, columns = _grid()
         threads = np.sin(rows * np.pi / 4) * np.sin(columns * np.pi / 4)
-        return _shade(base, 1.0 + 0.10 * threads + 0.05 * _clouds(rng, 0.5) + 0.03 * _clouds(rng, 1.5))
+        return _shade(base, 1.0 + 0.10 * threads + 0.02 * _clouds(rng, 0.9) + 0.03 * _clouds(rng, 1.5))
 
     return draw
 
@@ -123,14 +123,14 @@ def _ribs(base: str, ribs: int) -> Callable[[Generator], Pixels]:
     def draw(rng: Generator) -> Pixels:
         _, columns = _grid()
         wave = np.clip(np.sin(columns * 2 * np.pi * ribs / TEXTURE_SIZE) * 2.5, -1, 1)
-        return _shade(base, 0.95 + 0.07 * wave + 0.03 * _clouds(rng, 1.5))
+        return _shade(base, 0.95 + 0.05 * wave + 0.01 * _clouds(rng, 1.9))
 
     return draw
 
 
 def _carton(rng: Generator) -> Pixels:
     rows, columns = _grid()
-    tone = 1.0 + 0.03 * _clouds(rng, 1.2) + 0.02 * np.sin(columns * np.pi / 4)
+    tone = 1.0 + 0.03 * _clouds(rng, 1.7) + 0.01 * np.sin(columns * np.pi / 8)
     tone[np.abs(columns - 256) < 34] *= 1.16  # tape
     tone[(rows < 6) | (rows > 505) | (columns < 6) | (columns > 505)] *= 0.8
     pixels = _shade("#b48a5a", tone)
@@ -153,10 +153,10 @@ TEXTURES: Mapping[str, Callable[[Generator], Pixels]] = MappingProxyType(
         "TileFloor": _tiles("#c9c6bd", 0.78, 4, 0.02),
         "TileWall": _tiles("#e3e6e4", 0.86, 8, 0.008),
         "CeilingTile": _tiles("#efeeea", 0.82, 2, 0.006, 0.006),
-        "Linoleum": _mottled("#b9c6c4", 0.025, 0.035, 0.02),
-        "LinoleumWarm": _mottled("#cdbfa6", 0.025, 0.035, 0.02),
-        "Plaster": _mottled("#e4e1d8", 0.018, 0.012),
-        "PlasterAccent": _mottled("#7f9bab", 0.018, 0.012),
+        "Linoleum": _mottled("#b9c6c4", 0.025, 0.012, 0.004),
+        "LinoleumWarm": _mottled("#cdbfa6", 0.025, 0.012, 0.004),
+        "Plaster": _mottled("#e4e1d8", 0.012, 0.003),
+        "PlasterAccent": _mottled("#7f9bab", 0.012, 0.003),
         "Concrete": _concrete("#a9a8a3"),
         "WallPanel": _ribs("#cfd3d4", 16),
         "RollerDoor": _ribs("#9aa6ae", 16),
