@@ -6,22 +6,21 @@ Never overwrites an episode, never derives a path from a name it was given, neve
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
-import hashlib
 import os
 import re
 import secrets
 import shutil
 import threading
 from collections.abc import Iterator
-from io import FileIO
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import structlog
 
+from coordinator.disk import copy_hashed, sync_directory, sync_file, translated, world_error
+from coordinator.staged import Staged
 from coordinator.summary import file_name_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
@@ -31,17 +30,6 @@ __all__ = ["EPISODES", "QUARANTINE", "SCENES", "STAGING", "Archive", "Staged", "
 EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quarantine"
 _LOCK = ".lock"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip")
-_COPY_BYTES = 1 << 20
-_REMEDIES = {
-    errno.ENOSPC: "free some space or choose another --out; the run resumes where it stopped",
-    errno.EDQUOT: "the quota is used up: free some space or choose another --out",
-    errno.EROFS: "the file system is read-only: choose another --out",
-    errno.EACCES: "the directory may not be written: change its permissions or choose another --out",
-    errno.EPERM: "the directory may not be written: change its permissions or choose another --out",
-    errno.ENOTDIR: "a file stands where a directory is wanted: choose another --out",
-    errno.EEXIST: "a file stands where a directory is wanted: choose another --out",
-}
-
 log = structlog.get_logger(__name__)
 
 
@@ -52,64 +40,6 @@ def index_of_file(name: str) -> int | None:
         return None
     index = int(match[1])
     return index if index >= 1 and name == f"{episode_id(index)}.zip" else None
-
-
-class Staged:
-    """A part file that grows and is hashed as it grows; it becomes an episode only by `Archive.publish`."""
-
-    def __init__(self, path: Path, file: FileIO) -> None:
-        self.path = path
-        self.size = 0
-        """Bytes written so far."""
-        self._file = file
-        self._hash = hashlib.sha256()
-
-    def write(self, data: bytes) -> None:
-        """Appends bytes.
-
-        Raises:
-            WorldError: the disk is full or gone; the part file has been removed.
-        """
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
-        except OSError as error:
-            self.abandon()
-            raise _world_error("write", self.path.parent, error) from error
-        self._hash.update(data)
-        self.size += len(data)
-
-    @property
-    def sha256(self) -> str:
-        """Digest of what was written so far."""
-        return self._hash.hexdigest()
-
-    def flush(self) -> None:
-        """Makes the bytes durable.
-
-        Raises:
-            WorldError: the disk is full or gone; the part file has been removed.
-        """
-        try:
-            os.fsync(self._file.fileno())
-        except OSError as error:
-            self.abandon()
-            raise _world_error("write", self.path.parent, error) from error
-
-    def abandon(self) -> None:
-        """Closes and deletes the part file; does nothing once it is published or abandoned."""
-        if not self._file.closed:
-            self._file.close()
-            self.path.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.abandon()
 
 
 class Archive:
@@ -126,15 +56,15 @@ class Archive:
             root.mkdir(parents=True, exist_ok=True)
             self._lock = _lock(root / _LOCK)
         except OSError as error:
-            raise _world_error("open", root, error) from error
+            raise world_error("open", root, error) from error
         try:
             for name in (EPISODES, SCENES, STAGING, QUARANTINE):
                 (root / name).mkdir(exist_ok=True)
             _clear(root / STAGING)
-            _sync_directory(root)
+            sync_directory(root)
         except OSError as error:
             os.close(self._lock)
-            raise _world_error("open", root, error) from error
+            raise world_error("open", root, error) from error
 
     def stage(self, index: int) -> Staged:
         """Opens a new part file for an episode; several may be open for one episode.
@@ -146,7 +76,7 @@ class Archive:
         try:
             return Staged(path, path.open("xb", buffering=0))
         except OSError as error:
-            raise _world_error("write", path.parent, error) from error
+            raise world_error("write", path.parent, error) from error
 
     def publish(self, staged: Staged, index: int) -> Path:
         """Gives a part file its final name: fsync, rename, fsync directory. The ledger commits after this.
@@ -162,9 +92,9 @@ class Archive:
                 raise ArchiveCorrupt(f"{final} lies there already and is not overwritten: run `factory verify --deep`")
             try:
                 staged.path.rename(final)
-                _sync_directory(final.parent)
+                sync_directory(final.parent)
             except OSError as error:
-                raise _world_error("rename into", final.parent, error) from error
+                raise world_error("rename into", final.parent, error) from error
         return final
 
     def path_of(self, index: int) -> Path:
@@ -189,9 +119,9 @@ class Archive:
     def unpublish(self, index: int) -> None:
         """Deletes an episode that the ledger does not own; does nothing when there is none."""
         path = self.path_of(index)
-        with self._publishing, _translated("delete from", path.parent):
+        with self._publishing, translated("delete from", path.parent):
             path.unlink(missing_ok=True)
-            _sync_directory(path.parent)
+            sync_directory(path.parent)
 
     def quarantine(self, path: Path, reason: str) -> Path:
         """Moves a file or directory out of the dataset, keeps it, and writes beside it why.
@@ -200,17 +130,17 @@ class Archive:
             Where it lies now.
         """
         place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
-        with _translated("move into", place.parent):
+        with translated("move into", place.parent):
             path.rename(place)
             place.with_name(f"{place.name}.reason.txt").write_text(f"{path}\n{reason}\n", encoding="utf-8")
-            _sync_directory(place.parent)
-            _sync_directory(path.parent)
+            sync_directory(place.parent)
+            sync_directory(path.parent)
         log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
         return place
 
     def free_bytes(self) -> int:
         """Returns the bytes an ordinary user can still write to the archive's file system."""
-        with _translated("ask the free space of", self.root):
+        with translated("ask the free space of", self.root):
             return shutil.disk_usage(self.root).free
 
     def add_scene(self, source: Path, name: str, sha256: str) -> Path:
@@ -229,12 +159,12 @@ class Archive:
             return final
         part = self.root / STAGING / f"scene.{secrets.token_hex(8)}.part"
         try:
-            with _translated("write", part.parent):
-                found = _copy(source, part)
+            with translated("write", part.parent):
+                found = copy_hashed(source, part)
                 if found != sha256:
                     raise ArchiveCorrupt(f"{source} has SHA-256 {found}, expected {sha256}: build the scene again")
                 part.replace(final)
-                _sync_directory(final.parent)
+                sync_directory(final.parent)
         finally:
             part.unlink(missing_ok=True)
         return final
@@ -255,11 +185,11 @@ class Archive:
         """
         part = self.root / STAGING / f"{name}.{secrets.token_hex(8)}.part"
         try:
-            with _translated("write", self.root / name):
+            with translated("write", self.root / name):
                 yield part
-                _sync_file(part)
+                sync_file(part)
                 part.replace(self.root / name)
-                _sync_directory(self.root)
+                sync_directory(self.root)
         finally:
             part.unlink(missing_ok=True)
 
@@ -294,43 +224,3 @@ def _clear(directory: Path) -> None:
     for path in directory.iterdir():
         if path.is_file() or path.is_symlink():
             path.unlink()
-
-
-def _copy(source: Path, target: Path) -> str:
-    digest = hashlib.sha256()
-    with source.open("rb") as reader, target.open("xb") as writer:
-        while block := reader.read(_COPY_BYTES):
-            digest.update(block)
-            writer.write(block)
-        writer.flush()
-        os.fsync(writer.fileno())
-    return digest.hexdigest()
-
-
-def _sync_file(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _sync_directory(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _translated(what: str, where: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise _world_error(what, where, error) from error
-
-
-def _world_error(what: str, where: Path, error: OSError) -> WorldError:
-    remedy = _REMEDIES.get(error.errno or 0, "look after the disk, or choose another --out")
-    return WorldError(f"cannot {what} {where}: {error.strerror or error}; {remedy}")

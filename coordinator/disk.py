@@ -1,0 +1,70 @@
+"""Durable file operations and what to tell a user when the disk refuses; knows nothing of datasets."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from schemas.errors import WorldError
+
+__all__ = ["copy_hashed", "sync_directory", "sync_file", "translated", "world_error"]
+
+_COPY_BYTES = 1 << 20
+_REMEDIES = {
+    errno.ENOSPC: "free some space or choose another --out; the run resumes where it stopped",
+    errno.EDQUOT: "the quota is used up: free some space or choose another --out",
+    errno.EROFS: "the file system is read-only: choose another --out",
+    errno.EACCES: "the directory may not be written: change its permissions or choose another --out",
+    errno.EPERM: "the directory may not be written: change its permissions or choose another --out",
+    errno.ENOTDIR: "a file stands where a directory is wanted: choose another --out",
+    errno.EEXIST: "a file stands where a directory is wanted: choose another --out",
+}
+
+
+def copy_hashed(source: Path, target: Path) -> str:
+    """Copies a file to a new, durable one and returns its SHA-256."""
+    digest = hashlib.sha256()
+    with source.open("rb") as reader, target.open("xb") as writer:
+        while block := reader.read(_COPY_BYTES):
+            digest.update(block)
+            writer.write(block)
+        writer.flush()
+        os.fsync(writer.fileno())
+    return digest.hexdigest()
+
+
+def sync_file(path: Path) -> None:
+    """Makes the bytes of a file durable."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_directory(path: Path) -> None:
+    """Makes the names in a directory durable."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def translated(what: str, where: Path) -> Iterator[None]:
+    """Turns an `OSError` of the block into a `WorldError` that names the place and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise world_error(what, where, error) from error
+
+
+def world_error(what: str, where: Path, error: OSError) -> WorldError:
+    """Returns the error to raise: `cannot <what> <where>`, why, and the remedy."""
+    remedy = _REMEDIES.get(error.errno or 0, "look after the disk, or choose another --out")
+    return WorldError(f"cannot {what} {where}: {error.strerror or error}; {remedy}")
