@@ -160,13 +160,15 @@ def _window_findings(drive: _Drive) -> list[str]:
 
 def _recent_maximum(command: F64, steps: int) -> F64:
     padded = np.concatenate([np.zeros(steps), command])
-    return np.lib.stride_tricks.sliding_window_view(padded, steps + 1).max(axis=1)
+    recent: F64 = np.lib.stride_tricks.sliding_window_view(padded, steps + 1).max(axis=1)
+    return recent
 
 
 def _window_sums(values: F64) -> F64:
     width = min(WINDOW_STEPS, len(values))
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    return total[width:] - total[:-width]
+    total: F64 = np.concatenate([[0.0], np.cumsum(values)])
+    sums: F64 = total[width:] - total[:-width]
+    return sums
 
 
 def _beyond(what: str, unit: str, values: F64, limit: float, slack: float) -> list[str]:
