@@ -16,7 +16,7 @@ $(READY): requirements.txt pyproject.toml
 	touch $(READY)
 
 run: $(READY)
-	$(VENV)/bin/factory run demo --out dataset
+	$(VENV)/bin/factory run demo --out dataset --workers 2
 
 test: $(READY)
 	$(VENV)/bin/python -m pytest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -12,7 +13,10 @@ from rich.table import Table
 
 __all__ = ["json_option", "print_json", "print_table", "say_duration", "stderr", "stdout"]
 
-stdout = Console(highlight=False, soft_wrap=True)
+_PIPE_COLUMNS = 200
+"""Width of tables where no terminal sets one."""
+
+stdout = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else _PIPE_COLUMNS)
 stderr = Console(stderr=True, highlight=False, soft_wrap=True)
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -29,7 +33,7 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     table = Table(title=title, title_justify="left", header_style="bold", box=None, pad_edge=False)
     for position, name in enumerate(columns):
         numeric = bool(body) and all(isinstance(row[position], int | float) for row in body)
-        table.add_column(name, justify="right" if numeric else "left")
+        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
     for row in body:
         table.add_row(*(_cell(value) for value in row))
     stdout.print(table)

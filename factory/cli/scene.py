@@ -59,16 +59,19 @@ def build(name: str, seed: int, cache: Path | None, as_json: bool, verbose: bool
 @command.command("import")
 @click.argument("usd", type=click.Path(path_type=Path))
 @click.option("--name", help="Name of the scene; default: the file's.")
+@click.option("--rules", type=click.Path(path_type=Path), help="Your own table of category rules (YAML).")
 @click.option("--cache", type=click.Path(path_type=Path), help="Folder for the package; default: the user's cache.")
 @json_option
 @verbose_option
-def import_(usd: Path, name: str | None, cache: Path | None, as_json: bool, verbose: bool) -> None:
+def import_(usd: Path, name: str | None, rules: Path | None, cache: Path | None, as_json: bool, verbose: bool) -> None:
     """Compile your own stage (usd, usda, usdc, usdz)."""
-    from factory.scenes.build import import_scene
+    from factory.scenes.build import import_scene  # needs usd-core
+    from factory.scenes.rules import load_rules
 
     configure_logs(verbose)
+    table = None if rules is None else load_rules(rules)
     with stderr.status(f"importing {usd}"):
-        path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache())
+        path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache(), table)
     _print_scene(path, as_json)
 
 
