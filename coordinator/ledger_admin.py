@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import bindparam, select
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger_moves import FREED, move
+from coordinator.ledger_moves import FREED, Move
 from coordinator.states import Event, IllegalMove, State, next_state, sources
 from coordinator.tables import jobs
 from schemas.wire import AdminReply
@@ -17,6 +17,9 @@ from schemas.wire import AdminReply
 __all__ = ["cancel", "retry"]
 
 _BATCH = 5000
+_AS_SEEN = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
+_RETRY = Move(Event.RETRIED, *_AS_SEEN, **FREED, misses=0, crashes=0, losses=0, not_before=0.0, reason="")
+_CANCEL = Move(Event.CANCELLED, *_AS_SEEN, **FREED, reason="cancelled by an operator")
 
 
 def retry(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
@@ -27,9 +30,8 @@ def retry(connection: Connection, indices: Sequence[int], now: datetime) -> Admi
         indices: episodes; empty means every failed one.
         now: of the wish.
     """
-    fresh = {**FREED, "misses": 0, "crashes": 0, "losses": 0, "not_before": 0.0, "reason": ""}
     wanted = _current(connection, indices, (State.FAILED,))
-    return _move_all(connection, Event.RETRIED, indices, wanted, fresh, now)
+    return _move_all(connection, _RETRY, indices, wanted, now)
 
 
 def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
@@ -40,9 +42,8 @@ def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> Adm
         indices: episodes; empty means every open one.
         now: of the wish.
     """
-    given_up = {**FREED, "reason": "cancelled by an operator"}
     wanted = _current(connection, indices, sources(Event.CANCELLED))
-    return _move_all(connection, Event.CANCELLED, indices, wanted, given_up, now)
+    return _move_all(connection, _CANCEL, indices, wanted, now)
 
 
 def _current(connection: Connection, indices: Sequence[int], states: Sequence[State]) -> list[Any]:
@@ -57,23 +58,18 @@ def _current(connection: Connection, indices: Sequence[int], states: Sequence[St
 
 
 def _move_all(
-    connection: Connection,
-    event: Event,
-    named: Iterable[int],
-    rows: Iterable[Any],
-    values: dict[str, Any],
-    now: datetime,
+    connection: Connection, how: Move, named: Iterable[int], rows: Iterable[Any], now: datetime
 ) -> AdminReply:
     changed: list[int] = []
     refused = dict.fromkeys(named, "the plan has no episode of that number")
     for row in rows:
         refused.pop(row.idx, None)
         try:
-            next_state(State(row.state), event)
+            next_state(State(row.state), how.event)
         except IllegalMove as error:
             refused[row.idx] = str(error)
             continue
-        where = (jobs.c.id == row.id, jobs.c.fence == row.fence)
-        if move(connection, event, where, now, values, detail="by an operator") is not None:
+        job = {"of_job": row.id, "of_fence": row.fence}
+        if how.make(connection, job, now, detail="by an operator") is not None:
             changed.append(row.idx)
     return AdminReply(changed=tuple(changed), refused=refused)

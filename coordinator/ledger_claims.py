@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Row, bindparam, case, or_, select, update
+from sqlalchemy import Row, bindparam, case, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger_moves import FREED, move, record_attempt, under_lease
+from coordinator.ledger_moves import FREED, UNDER_LEASE, Move, is_in, lease_parameters, record_attempt
 from coordinator.states import OPEN_STATES, Event, State
 from coordinator.tables import jobs
 from schemas.wire import Beat, Lease
@@ -24,7 +24,6 @@ __all__ = [
     "extend",
     "grant_grace",
     "has_open_jobs",
-    "held_under",
     "lease_of",
     "shorten",
 ]
@@ -43,17 +42,29 @@ _NEXT_ID = (
     .order_by(jobs.c.not_before, jobs.c.id)
     .limit(1)
 )
-_ANY_OPEN = select(jobs.c.id).where(jobs.c.state.in_(OPEN_STATES)).limit(1)
+_ANY_OPEN = select(jobs.c.id).where(is_in(*OPEN_STATES)).limit(1)
 _BY_IDS = select(jobs).where(jobs.c.id.in_(bindparam("ids", expanding=True)))
 _BEAT = (
     update(jobs)
-    .where(
-        jobs.c.id == bindparam("of_job"),
-        jobs.c.fence == bindparam("of_fence"),
-        jobs.c.token == bindparam("of_token"),
-        or_(*(jobs.c.state == state for state in HELD_STATES)),  # IN does not go with many rows of parameters
-    )
+    .where(*UNDER_LEASE, is_in(*HELD_STATES))
     .values(lease_until=bindparam("until"), step=bindparam("at_step"), sid=bindparam("by"))
+)
+_OVERDUE = select(jobs).where(jobs.c.lease_until < bindparam("now")).order_by(jobs.c.lease_until).limit(_SWEEP_ROWS)
+_CLAIM = Move(
+    Event.CLAIMED,
+    jobs.c.id == _NEXT_ID.scalar_subquery(),
+    fence=jobs.c.fence + 1,
+    token=bindparam("of_token"),
+    sid=bindparam("by"),
+    lease_until=bindparam("until"),
+)
+_EXPIRE = Move(
+    Event.EXPIRED,
+    *UNDER_LEASE,
+    jobs.c.lease_until < bindparam("now"),
+    **FREED,
+    losses=jobs.c.losses + 1,
+    not_before=bindparam("until"),
 )
 
 
@@ -74,25 +85,29 @@ def lease_of(row: Row[Any]) -> Lease:
     return Lease(job_id=row.id, fence=row.fence, token=row.token)
 
 
-def claim(connection: Connection, sid: str, token: str, now: datetime, ttl_s: float) -> Row[Any] | None:
-    """Leases the job that waits longest.
+def claim(
+    connection: Connection, sid: str, token: str, now: datetime, ttl_s: float, *, may_start: bool = True
+) -> Row[Any] | None:
+    """Leases the job that waits longest, or returns the one that the token holds already.
+
+    Args:
+        connection: within a transaction.
+        sid: worker that asks.
+        token: of its choice; a repeated claim carries the same.
+        now: of the claim.
+        ttl_s: how long the lease lasts without a beat.
+        may_start: whether a job may be given out that the token does not hold yet.
 
     Returns:
         The job's row; `None` when nothing is due, or the token has been used up.
     """
-    if connection.execute(_BY_TOKEN, {"token": token}).first() is not None:
+    known = connection.execute(_BY_TOKEN, {"token": token}).first()
+    if known is not None:
+        return known if known.state in HELD_STATES else None
+    if not may_start:
         return None
-    waiting = connection.execute(_NEXT_ID, {"now": now.timestamp()}).scalar()
-    if waiting is None:
-        return None
-    lease = {"fence": jobs.c.fence + 1, "token": token, "sid": sid, "lease_until": now.timestamp() + ttl_s}
-    return move(connection, Event.CLAIMED, (jobs.c.id == waiting,), now, lease, by=sid)
-
-
-def held_under(connection: Connection, token: str) -> Row[Any] | None:
-    """Returns the job that a token holds, so that a repeated claim finds it again; `None` when it holds none."""
-    row = connection.execute(_BY_TOKEN, {"token": token}).first()
-    return row if row is not None and row.state in HELD_STATES else None
+    lease = {"of_token": token, "by": sid, "until": now.timestamp() + ttl_s}
+    return _CLAIM.make(connection, lease, now, by=sid)
 
 
 def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> BeatOutcome:
@@ -118,8 +133,8 @@ def extend(connection: Connection, lease: Lease, now: datetime, seconds: float) 
     """Lets a lease last at least so long from now; returns whether it was in force."""
     until = now.timestamp() + seconds
     longer = case((jobs.c.lease_until < until, until), else_=jobs.c.lease_until)
-    held = (*under_lease(lease), jobs.c.state.in_(HELD_STATES))
-    return connection.execute(update(jobs).where(*held).values(lease_until=longer)).rowcount == 1
+    held = update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=longer)
+    return connection.execute(held, lease_parameters(lease)).rowcount == 1
 
 
 def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> int:
@@ -130,13 +145,13 @@ def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> 
     """
     until = now.timestamp() + seconds
     sooner = case((jobs.c.lease_until > until, until), else_=jobs.c.lease_until)
-    theirs = update(jobs).where(jobs.c.sid == sid, jobs.c.state.in_(HELD_STATES))
+    theirs = update(jobs).where(jobs.c.sid == sid, is_in(*HELD_STATES))
     return connection.execute(theirs.values(lease_until=sooner)).rowcount
 
 
 def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
     """Restarts every lease after an absence in which nobody could beat; returns how many there are."""
-    held = update(jobs).where(jobs.c.state.in_(HELD_STATES))
+    held = update(jobs).where(is_in(*HELD_STATES))
     return connection.execute(held.values(lease_until=now.timestamp() + GRACE * ttl_s)).rowcount
 
 
@@ -146,13 +161,11 @@ def expire(connection: Connection, now: datetime) -> int:
     Returns:
         How many.
     """
-    late = select(jobs).where(jobs.c.lease_until < now.timestamp()).order_by(jobs.c.lease_until).limit(_SWEEP_ROWS)
     expired = 0
-    for row in connection.execute(late).all():
+    for row in connection.execute(_OVERDUE, {"now": now.timestamp()}).all():
         pause = min(_LONGEST_BACKOFF_S, _FIRST_BACKOFF_S * 2 ** min(row.losses, 16))
-        values = {**FREED, "losses": row.losses + 1, "not_before": now.timestamp() + pause}
-        where = (*under_lease(lease_of(row)), jobs.c.lease_until < now.timestamp())
-        if move(connection, Event.EXPIRED, where, now, values, by=row.sid or "") is not None:
+        lease = {**lease_parameters(lease_of(row)), "until": now.timestamp() + pause}
+        if _EXPIRE.make(connection, lease, now, by=row.sid or "") is not None:
             record_attempt(connection, row, _EXPIRED, now, settles=False, steps=row.step)
             expired += 1
     return expired
@@ -168,17 +181,5 @@ def _is_held(row: Row[Any] | None, lease: Lease) -> bool:
 
 
 def _extend_all(connection: Connection, held: Iterable[tuple[Lease, int]], until: float, sid: str) -> None:
-    connection.execute(
-        _BEAT,
-        [
-            {
-                "of_job": lease.job_id,
-                "of_fence": lease.fence,
-                "of_token": lease.token,
-                "until": until,
-                "at_step": step,
-                "by": sid,
-            }
-            for lease, step in held
-        ],
-    )
+    beats = [{**lease_parameters(lease), "until": until, "at_step": step, "by": sid} for lease, step in held]
+    connection.execute(_BEAT, beats)

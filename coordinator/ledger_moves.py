@@ -10,75 +10,76 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, insert, update
+from sqlalchemy import ColumnElement, Row, bindparam, insert, or_, update
 from sqlalchemy.engine import Connection
 
-from coordinator.states import Event, sources, target
+from coordinator.states import Event, State, sources, target
 from coordinator.tables import attempts, events, jobs
 from schemas.wire import Lease
 
-__all__ = ["FREED", "move", "record_attempt", "under_lease"]
+__all__ = ["FREED", "UNDER_LEASE", "Move", "is_in", "lease_parameters", "record_attempt"]
 
 FREED: Mapping[str, Any] = MappingProxyType(
     {"token": None, "sid": None, "lease_until": None, "step": 0, "sha256": None, "size": None}
 )
 """Column values of a job that nobody holds."""
 
+UNDER_LEASE: tuple[ColumnElement[bool], ...] = (
+    jobs.c.id == bindparam("of_job"),
+    jobs.c.fence == bindparam("of_fence"),
+    jobs.c.token == bindparam("of_token"),
+)
+"""The condition that a lease is the one in force; its parameters are `lease_parameters`."""
+
 _INSERT_EVENT = insert(events)
 _INSERT_ATTEMPT = insert(attempts)
 
 
-def under_lease(lease: Lease) -> tuple[ColumnElement[bool], ...]:
-    """Returns the condition that a lease is the one in force."""
-    return jobs.c.id == lease.job_id, jobs.c.fence == lease.fence, jobs.c.token == lease.token
+def lease_parameters(lease: Lease) -> dict[str, Any]:
+    """Returns what `UNDER_LEASE` compares with."""
+    return {"of_job": lease.job_id, "of_fence": lease.fence, "of_token": lease.token}
 
 
-def move(
-    connection: Connection,
-    event: Event,
-    where: tuple[ColumnElement[bool], ...],
-    now: datetime,
-    values: Mapping[str, Any],
-    *,
-    by: str = "",
-    detail: str = "",
-) -> Row[Any] | None:
-    """Moves one job if it stands where the event can find it, and logs the event.
+def is_in(*states: State) -> ColumnElement[bool]:
+    """Returns the condition that a job is in one of the states."""
+    return or_(*(jobs.c.state == state for state in states))  # IN could not be run with many rows of parameters
+
+
+class Move:
+    """One kind of move, built once: the event, whom it may find, and what it sets.
 
     Args:
-        connection: within a transaction.
-        event: what happened; its source states are part of the UPDATE's condition.
-        where: which job, with the fence and token it must still have.
-        now: of the event.
-        values: further columns to set.
-        by: worker that caused it; empty for the coordinator itself.
-        detail: in words.
-
-    Returns:
-        The row after the move; `None` when somebody else won.
+        event: what happens; its source states are part of the UPDATE's condition.
+        where: which job, with the fence and token it must still have; compares with bound parameters.
+        values: further columns to set, to constants or bound parameters.
     """
-    statement = (
-        update(jobs)
-        .where(*where, jobs.c.state.in_(sources(event)))
-        .values(state=target(event), changed_at=now.timestamp(), **values)
-        .returning(jobs)
-    )
-    row = connection.execute(statement).first()
-    if row is not None:
-        connection.execute(
-            _INSERT_EVENT,
-            {
-                "at": now.timestamp(),
-                "job_id": row.id,
-                "event": event,
-                "state": row.state,
-                "attempt": row.attempt,
-                "fence": row.fence,
-                "sid": by,
-                "detail": detail,
-            },
-        )
-    return row
+
+    def __init__(self, event: Event, *where: ColumnElement[bool], **values: Any) -> None:
+        self.event = event
+        changes = {"state": target(event), "changed_at": bindparam("now")} | values
+        self._statement = update(jobs).where(*where, is_in(*sources(event))).values(changes).returning(jobs)
+
+    def make(
+        self, connection: Connection, parameters: Mapping[str, Any], now: datetime, *, by: str = "", detail: str = ""
+    ) -> Row[Any] | None:
+        """Moves one job if it stands where the event can find it, and logs the event.
+
+        Args:
+            connection: within a transaction.
+            parameters: values of the bound parameters.
+            now: of the event.
+            by: worker that caused it; empty for the coordinator itself.
+            detail: in words.
+
+        Returns:
+            The row after the move; `None` when somebody else won.
+        """
+        at = now.timestamp()
+        row = connection.execute(self._statement, {**parameters, "now": at}).first()
+        if row is not None:
+            line = {"job_id": row.id, "event": self.event, "state": row.state, "sid": by, "detail": detail}
+            connection.execute(_INSERT_EVENT, {**line, "at": at, "attempt": row.attempt, "fence": row.fence})
+        return row
 
 
 def record_attempt(

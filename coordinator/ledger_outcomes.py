@@ -5,17 +5,17 @@ Every function is fenced by the lease and idempotent; a lease that is not in for
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, Row, delete, insert, select, update
+from sqlalchemy import Row, bindparam, delete, insert, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.draw import PlannedJob
 from coordinator.ledger import insert_planned, planned_of
 from coordinator.ledger_claims import HELD_STATES
-from coordinator.ledger_moves import FREED, move, record_attempt, under_lease
+from coordinator.ledger_moves import FREED, UNDER_LEASE, Move, lease_parameters, record_attempt
 from coordinator.states import Event, State
 from coordinator.summary import EpisodeSummary
 from coordinator.tables import attempts, episodes, jobs, workers
@@ -33,6 +33,29 @@ _HURTS = "crash, hang or invalid bundle"
 _CRASH_PAUSE_S = 1.0
 
 
+_UNDER_LEASE = select(jobs).where(*UNDER_LEASE)
+_PAUSED = {"attempt": bindparam("next_attempt"), "not_before": bindparam("until"), "reason": bindparam("why")}
+_ANNOUNCE = Move(
+    Event.ANNOUNCED,
+    *UNDER_LEASE,
+    sha256=bindparam("announced"),
+    size=bindparam("bytes"),
+    sid=bindparam("by"),
+    lease_until=bindparam("until"),
+)
+_IS_ANNOUNCED = (jobs.c.idx == bindparam("index"), jobs.c.sha256 == bindparam("announced"))
+_ARCHIVE = Move(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
+_ADOPT = Move(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
+_LOSE = Move(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
+_MISSED = FREED | _PAUSED | {"misses": jobs.c.misses + 1, "losses": 0, "superseded": bindparam("has_successor")}
+_MISS = Move(Event.MISSED, *UNDER_LEASE, **_MISSED)
+_EXHAUST = Move(Event.EXHAUSTED, *UNDER_LEASE, **_MISSED)
+_HURTING = FREED | _PAUSED | {"crashes": jobs.c.crashes + 1}
+_HURT = Move(Event.HURT, *UNDER_LEASE, **_HURTING)
+_QUARANTINE = Move(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
+_RELEASE = Move(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))
+
+
 class Announced(NamedTuple):
     """What became of an announcement."""
 
@@ -44,27 +67,27 @@ class Announced(NamedTuple):
 
 def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) -> Announced:
     """Notes that a bundle can be pulled; repeating it is harmless."""
-    known = connection.execute(select(jobs).where(*under_lease(done.lease))).first()
+    lease = lease_parameters(done.lease)
+    known = connection.execute(_UNDER_LEASE, lease).first()
     if known is None or known.state not in (*HELD_STATES, State.ARCHIVED):
         return Announced(False, None)
     if known.state == State.ARCHIVED:
         return Announced(True, None)
-    same = (known.state, known.sha256, known.size, known.sid) == (State.SUBMITTED, done.sha256, done.size, done.sid)
-    if same:
+    if (known.state, known.sha256, known.size, known.sid) == (State.SUBMITTED, done.sha256, done.size, done.sid):
         return Announced(True, known)
-    values = {"sha256": done.sha256, "size": done.size, "sid": done.sid, "lease_until": now.timestamp() + ttl_s}
-    row = move(connection, Event.ANNOUNCED, under_lease(done.lease), now, values, by=done.sid)
+    bundle = {"announced": done.sha256, "bytes": done.size, "by": done.sid, "until": now.timestamp() + ttl_s}
+    row = _ANNOUNCE.make(connection, lease | bundle, now, by=done.sid)
     return Announced(row is not None, row)
 
 
 def archive(connection: Connection, lease: Lease, summary: EpisodeSummary, now: datetime) -> bool:
     """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
-    return _own(connection, Event.ARCHIVED, under_lease(lease), summary, now)
+    return _own(connection, _ARCHIVE, lease_parameters(lease), summary, now)
 
 
 def adopt(connection: Connection, job_id: int, summary: EpisodeSummary, now: datetime) -> bool:
     """Records an episode that was published before the coordinator died; its digest must be the announced one."""
-    return _own(connection, Event.ADOPTED, (jobs.c.id == job_id,), summary, now)
+    return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
 
 
 def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, successor: Successor) -> bool:
@@ -80,8 +103,8 @@ def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, su
     Returns:
         Whether the report was accepted now, or is the repetition of one that was.
     """
-    row = connection.execute(select(jobs).where(*under_lease(report.lease), jobs.c.state.in_(HELD_STATES))).first()
-    if row is None:
+    row = connection.execute(_UNDER_LEASE, lease_parameters(report.lease)).first()
+    if row is None or row.state not in HELD_STATES:
         return _was_reported(connection, report)
     if report.reason.is_of_the_world:
         return _miss(connection, row, report, now, budget, successor)
@@ -92,8 +115,7 @@ def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, su
 
 def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool:
     """Re-queues an archived episode whose file is gone, under the same attempt, so that the same content comes back."""
-    where = (jobs.c.idx == index, jobs.c.superseded.is_(False))
-    if move(connection, Event.LOST, where, now, {**FREED, "not_before": 0.0}, detail=detail) is None:
+    if _LOSE.make(connection, {"index": index}, now, detail=detail) is None:
         return False
     succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)
     connection.execute(update(attempts).where(*succeeded).values(outcome=_LOST, settles=False, detail=detail))
@@ -106,11 +128,9 @@ def is_owned(connection: Connection, index: int) -> bool:
     return connection.execute(select(episodes.c.idx).where(episodes.c.idx == index)).first() is not None
 
 
-def _own(
-    connection: Connection, event: Event, where: tuple[ColumnElement[bool], ...], summary: EpisodeSummary, now: datetime
-) -> bool:
-    announced = (jobs.c.idx == summary.index, jobs.c.sha256 == summary.file_sha256)
-    row = move(connection, event, (*where, *announced), now, {"lease_until": None, "losses": 0})
+def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: EpisodeSummary, now: datetime) -> bool:
+    announced = {"index": summary.index, "announced": summary.file_sha256}
+    row = how.make(connection, {**job, **announced}, now)
     if row is None:
         return False
     record_attempt(connection, row, SUCCESS, now, settles=True, steps=summary.num_steps)
@@ -140,20 +160,15 @@ def _was_reported(connection: Connection, report: Fail) -> bool:
 def _miss(
     connection: Connection, row: Row[Any], report: Fail, now: datetime, budget: Budget, successor: Successor
 ) -> bool:
-    misses = row.misses + 1
-    is_last = misses >= budget.attempts_per_draw
+    is_last = row.misses + 1 >= budget.attempts_per_draw
     has_successor = is_last and row.draw + 1 < budget.draws
     values = {
-        **FREED,
-        "misses": misses,
-        "attempt": row.attempt + 1,
-        "losses": 0,
-        "not_before": now.timestamp(),
-        "superseded": has_successor,
-        "reason": f"{report.reason}: {report.detail}" if is_last else "",
+        "next_attempt": row.attempt + 1,
+        "until": now.timestamp(),
+        "why": f"{report.reason}: {report.detail}" if is_last else "",
+        "has_successor": has_successor,
     }
-    event = Event.EXHAUSTED if is_last else Event.MISSED
-    if not _settle(connection, event, row, report, now, values, settles=True):
+    if not _settle(connection, _EXHAUST if is_last else _MISS, row, report, now, values, settles=True):
         return False
     if has_successor:
         insert_planned(connection, [successor(planned_of(row))], now, attempt=row.attempt + 1)
@@ -163,29 +178,28 @@ def _miss(
 def _hurt(connection: Connection, row: Row[Any], report: Fail, now: datetime, budget: Budget) -> bool:
     crashes = row.crashes + 1
     is_last = crashes >= budget.crashes
-    reason = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
-    values = {**FREED, "crashes": crashes, "not_before": now.timestamp() + _CRASH_PAUSE_S * crashes, "reason": reason}
-    event = Event.QUARANTINED if is_last else Event.HURT
-    return _settle(connection, event, row, report, now, values, settles=False)
+    why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
+    values = {"next_attempt": row.attempt, "until": now.timestamp() + _CRASH_PAUSE_S * crashes, "why": why}
+    return _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False)
 
 
 def _release(connection: Connection, row: Row[Any], report: Fail, now: datetime) -> bool:
-    values = {**FREED, "not_before": now.timestamp()}
-    return _settle(connection, Event.RELEASED, row, report, now, values, settles=False)
+    return _settle(connection, _RELEASE, row, report, now, {"until": now.timestamp()}, settles=False)
 
 
 def _settle(
     connection: Connection,
-    event: Event,
+    how: Move,
     row: Row[Any],
     report: Fail,
     now: datetime,
-    values: dict[str, Any],
+    values: Mapping[str, Any],
     *,
     settles: bool,
 ) -> bool:
     detail = f"{report.reason}: {report.detail}"
-    if move(connection, event, under_lease(report.lease), now, values, by=report.sid, detail=detail) is None:
+    lease = lease_parameters(report.lease)
+    if how.make(connection, {**lease, **values}, now, by=report.sid, detail=detail) is None:
         return False
     record_attempt(
         connection,

@@ -17,11 +17,10 @@ from sqlalchemy.engine import Connection
 
 from coordinator import ledger_admin, ledger_claims, ledger_outcomes, ledger_workers
 from coordinator.catalog import Catalog
-from coordinator.draw import redraw, to_job
+from coordinator.draw import PlannedJob, redraw, to_job
 from coordinator.ledger import planned_of
 from coordinator.ledger_claims import lease_of
 from schemas.base import Model
-from schemas.job import Job
 from schemas.keys import Verb, sid_belongs_to
 from schemas.plan import Plan
 from schemas.wire import (
@@ -71,7 +70,8 @@ class Pull:
     sid: str
     sha256: str
     size: int
-    job: Job
+    planned: PlannedJob
+    attempt: int
 
 
 @dataclass(frozen=True)
@@ -136,12 +136,12 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
 
 
 def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> Answer:
-    ledger_workers.note_alive(connection, claim.sid, host, now)
-    row = ledger_claims.held_under(connection, claim.token)
-    if row is None and terms.has_room() and not terms.is_draining():
-        row = ledger_claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s)
+    may_start = terms.has_room() and not terms.is_draining()
+    row = ledger_claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
     if row is not None:
-        return Answer(ClaimReply(job=_job_of(row, terms), lease=lease_of(row)))
+        job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+        return Answer(ClaimReply(job=job, lease=lease_of(row)))
+    ledger_workers.note_alive(connection, claim.sid, host, now)
     finished = not ledger_claims.has_open_jobs(connection)
     return Answer(ClaimReply(retry_after_s=terms.retry_after_s, finished=finished))
 
@@ -150,18 +150,16 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
     ledger_workers.note_alive(connection, beat.sid, host, now)
     outcome = ledger_claims.beat(connection, beat, now, terms.lease_ttl_s)
     reply = BeatReply(lost=outcome.lost, drop=outcome.drop, drain=terms.is_draining())
-    return Answer(reply, tuple(_pull_of(row, beat.sid, terms) for row in outcome.waiting))
+    return Answer(reply, tuple(_pull_of(row, beat.sid) for row in outcome.waiting))
 
 
-def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> Answer:
-    ledger_workers.note_alive(connection, done.sid, host, now)
+def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
     accepted, waiting = ledger_outcomes.announce(connection, done, now, terms.lease_ttl_s)
-    pulls = (_pull_of(waiting, done.sid, terms),) if waiting is not None else ()
+    pulls = (_pull_of(waiting, done.sid),) if waiting is not None else ()
     return Answer(Ack(accepted=accepted), pulls)
 
 
-def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> Answer:
-    ledger_workers.note_alive(connection, fail.sid, host, now)
+def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
     accepted = ledger_outcomes.fail(
         connection, fail, now, terms.plan.budget, lambda planned: redraw(terms.plan, terms.catalog, planned)
     )
@@ -178,12 +176,8 @@ def _admin(connection: Connection, request: AdminRequest, host: str, terms: Term
             return Answer(AdminReply(changed=()))
 
 
-def _job_of(row: Row[Any], terms: Terms) -> Job:
-    return to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-
-
-def _pull_of(row: Row[Any], sid: str, terms: Terms) -> Pull:
-    return Pull(lease_of(row), sid, row.sha256, row.size, _job_of(row, terms))
+def _pull_of(row: Row[Any], sid: str) -> Pull:
+    return Pull(lease_of(row), sid, row.sha256, row.size, planned_of(row), row.attempt)
 
 
 _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(

@@ -17,14 +17,14 @@ import structlog
 
 from coordinator import ledger_claims, ledger_outcomes
 from coordinator.archive import Archive, Staged
-from coordinator.draw import redraw
+from coordinator.draw import redraw, to_job
 from coordinator.protocol import Pull, Terms
 from coordinator.settings import CoordinatorSettings
 from coordinator.summary import EpisodeSummary
 from coordinator.writer import Writer
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import FactoryError, InvalidBundle, TransientError
-from schemas.job import Job
+from schemas.job import Job, episode_id
 from schemas.keys import Chunk
 from schemas.scene import Target
 from schemas.terms import FailReason
@@ -86,9 +86,9 @@ class Pullers:
     def offer(self, pull: Pull) -> None:
         """Queues a bundle; one of an episode that is queued or under way already is left to the next beat."""
         with self._guard:
-            if pull.job.index in self._busy or self._stop.is_set():
+            if pull.planned.index in self._busy or self._stop.is_set():
                 return
-            self._busy.add(pull.job.index)
+            self._busy.add(pull.planned.index)
         self._queue.put(pull)
 
     def close(self) -> None:
@@ -113,21 +113,21 @@ class Pullers:
                 if not self._stop.is_set():
                     self._bring(pull)
             except FactoryError as error:
-                log.warning("pull_failed", episode=pull.job.episode_id, worker=pull.sid, error=str(error))
+                log.warning("pull_failed", episode=episode_id(pull.planned.index), worker=pull.sid, error=str(error))
             except Exception:
-                log.exception("pull_crashed", episode=pull.job.episode_id, worker=pull.sid)
+                log.exception("pull_crashed", episode=episode_id(pull.planned.index), worker=pull.sid)
             finally:
                 with self._guard:
-                    self._busy.discard(pull.job.index)
+                    self._busy.discard(pull.planned.index)
 
     def _bring(self, pull: Pull) -> None:
-        if not self._keep_lease(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
+        if not self._keep_lease(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.planned.index):
             return
         if pull.size > MAX_BUNDLE_BYTES:
             self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
             return
         self._demand_room(pull.size)
-        with self._archive.stage(pull.job.index) as staged:
+        with self._archive.stage(pull.planned.index) as staged:
             self._transfer(pull, staged)
             if staged.sha256 != pull.sha256:
                 self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
@@ -164,15 +164,16 @@ class Pullers:
             staged.write(self._fetch(pull.sid, pull.lease, Chunk(staged.size, length)))
 
     def _judge(self, pull: Pull, path: Path) -> EpisodeSummary | None:
-        target = self._terms.catalog[pull.job.scene].info.target(pull.job.target_id)
+        terms = self._terms
+        job = to_job(terms.plan, terms.catalog, pull.planned, pull.attempt)
         try:
-            return self._checker.check(path, pull.job, target)
+            return self._checker.check(path, job, terms.catalog[job.scene].info.target(job.target_id))
         except InvalidBundle as error:
             self._refuse(pull, str(error))
             return None
 
     def _refuse(self, pull: Pull, detail: str) -> None:
-        log.warning("bundle_refused", episode=pull.job.episode_id, worker=pull.sid, detail=detail)
+        log.warning("bundle_refused", episode=episode_id(pull.planned.index), worker=pull.sid, detail=detail)
         report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.INVALID, detail=detail[:_DETAIL_CHARS])
         terms = self._terms
         self._writer.call(
@@ -186,7 +187,7 @@ class Pullers:
         )
 
     def _publish(self, pull: Pull, staged: Staged, summary: EpisodeSummary) -> None:
-        index = pull.job.index
+        index = pull.planned.index
         self._archive.publish(staged, index)
         owned = self._writer.call(
             lambda connection: (
@@ -195,7 +196,7 @@ class Pullers:
             )
         )
         if owned:
-            log.info("archived", episode=pull.job.episode_id, worker=pull.sid, steps=summary.num_steps)
+            log.info("archived", episode=episode_id(pull.planned.index), worker=pull.sid, steps=summary.num_steps)
             self._on_archived()
         else:
             self._archive.unpublish(index)  # the lease was lost meanwhile, and nobody else has brought it

@@ -119,9 +119,7 @@ class Desk:
 
     def claim(self, sid: str = "host-1", token: str | None = None) -> Row[Any] | None:
         with self.open() as connection:
-            token = token or self.new_token()
-            held = ledger_claims.held_under(connection, token)
-            return held or ledger_claims.claim(connection, sid, token, self.now, TTL_S)
+            return ledger_claims.claim(connection, sid, token or self.new_token(), self.now, TTL_S)
 
     def lease(self, sid: str = "host-1") -> Lease:
         """Claims and returns the lease; there must be a job."""
