@@ -81,6 +81,8 @@ class Host:
     """For jitter."""
     leases: LeaseBook = field(default_factory=LeaseBook)
     phase: Phase = field(default_factory=Phase)
+    renderers: set[str] = field(default_factory=set)
+    """What draws here, as far as it has been told."""
 
     def pause(self, seconds: float) -> None:
         """Waits a jittered time, or until the worker closes."""

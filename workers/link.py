@@ -37,7 +37,7 @@ R = TypeVar("R", bound=Model)
 ReadChunk = Callable[[BundleChunk], bytes]
 """Returns bytes of a spooled bundle; `KeyError` when there is no such bundle."""
 
-_CONNECT_TIMEOUT_MS = 2000
+_CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
 _LEASE_MS = 5000
 _MAX_PACKET_BYTES = 4 << 20
 _ASK_TIMEOUT_S = 2.0
@@ -209,6 +209,8 @@ def _config(endpoints: Sequence[str], tls: WorkerTls | None) -> zenoh.Config:
         # finite, and repeated by us: an endless connect cannot be interrupted by a signal
         "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
         "connect/exit_on_failure": "true",
+        # a close waits for a reconnect under way, and a frozen router answers none: ten seconds by default
+        "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",

@@ -148,5 +148,5 @@ def _alone(path: Path, wait: Wait) -> Iterator[None]:
 
 def _remedy(error: OSError) -> str:
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        return "free some space there, or give another folder with --scenes"
-    return "give a writable folder with --scenes"
+        return "free some space there, or set MINIVLA_CACHE to another folder"
+    return "set MINIVLA_CACHE to a writable folder"

@@ -27,7 +27,9 @@ __all__ = ["Slot"]
 _POLL_S = 0.1
 _LONGEST_IDLE_S = 30.0
 _STARTS = 3
-_LAST_TRIES = 3
+_LAST_TRIES = 2
+_FALLBACK = "TinyRenderer"
+_FALLBACK_REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
 log = structlog.get_logger(__name__)
 
@@ -43,7 +45,6 @@ class Slot:
         self._host = host
         self._simulation = Simulation(host.settings.simulation_command, host.settings.hang_s)
         self._trouble = Backoff(1.0, 60.0)
-        self._renderer = ""
 
     def run(self) -> None:
         """Works until there is no more to do; whatever breaks it ends the whole worker."""
@@ -99,9 +100,16 @@ class Slot:
                 return heard
 
     def _tell_renderer(self, renderer: str) -> None:
-        if renderer != self._renderer:
-            self._renderer = renderer
-            log.info("simulation_ready", renderer=renderer, pid=self._simulation.pid)
+        """Says once a worker, not once a core, what draws; the simulation's own warnings stay in its stderr."""
+        host = self._host
+        log.debug("simulation_ready", renderer=renderer, pid=self._simulation.pid)
+        if renderer in host.renderers:
+            return
+        host.renderers.add(renderer)
+        if host.settings.renderer == "auto" and _FALLBACK in renderer:
+            log.warning("renderer_fallback", renderer=renderer, remedy=_FALLBACK_REMEDY)
+        else:
+            log.info("renderer", renderer=renderer)
 
     def _claim(self) -> ClaimReply | None:
         """Asks under one token until an answer is known; `None` when the worker closes before."""
@@ -127,8 +135,8 @@ class Slot:
                 self._give_up(lease)
                 report = failure(FailReason.RELEASED, "the worker was told to stop")
             if report.kind is ReportKind.SUCCESS:
-                self._hand_over(job, lease, report)
-            else:
+                report = self._hand_over(job, lease, report)
+            if report.kind is ReportKind.FAILURE:
                 self._host.spool.clear(lease)
                 self._confess(job, lease, report, time.monotonic() - begun)
         self._rest_after(report)
@@ -183,15 +191,20 @@ class Slot:
         if self._host.leases.is_lost(lease):
             raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) is somebody else's")
 
-    def _hand_over(self, job: Job, lease: Lease, report: Report) -> None:
+    def _hand_over(self, job: Job, lease: Lease, report: Report) -> Report:
+        """Spools and announces a bundle; returns the report, or the failure that a full disk has made of it."""
         host = self._host
         if report.sha256 is None or report.size is None:
             self._bug(report)
-        entry = host.spool.add(lease, report.sha256, report.size)
+        try:
+            entry = host.spool.add(lease, report.sha256, report.size)
+        except WorldError as error:
+            return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         log.info("bundle_spooled", episode=job.episode_id, steps=report.step, seconds=round(report.seconds, 1))
         # once is enough: the heartbeat repeats it until the coordinator says drop
         done = Done(sid=host.sid, lease=lease, sha256=entry.sha256, size=entry.size)
         host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
+        return report
 
     def _confess(self, job: Job, lease: Lease, report: Report, seconds: float) -> None:
         """Reports a failed attempt until the answer is known, the lease is lost, or time is up."""

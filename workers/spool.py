@@ -91,16 +91,16 @@ class Spool:
         bundle.with_name(bundle.name + _PART).unlink(missing_ok=True)
 
     def add(self, lease: Lease, sha256: str, size: int) -> Spooled:
-        """Takes a bundle that lies whole and synced at `path_for(lease)`; from now on it survives a crash."""
+        """Takes a bundle that lies whole and synced at `path_for(lease)`; from now on it survives a crash.
+
+        Raises:
+            WorldError: the disk does not take the note about it.
+        """
         entry = Spooled(lease=lease, sha256=sha256, size=size)
-        sidecar = self._file(lease, _SIDECAR)
-        part = sidecar.with_name(sidecar.name + _PART)
-        with part.open("wb") as file:
-            file.write(entry.model_dump_json().encode())
-            file.flush()
-            os.fsync(file.fileno())
-        part.rename(sidecar)
-        _sync_folder(self.directory)
+        try:
+            _write_synced(self._file(lease, _SIDECAR), entry.model_dump_json().encode())
+        except OSError as error:
+            raise WorldError(f"cannot spool in {self.directory}: {error}; free some space there") from error
         with self._guard:
             self._entries[_key(lease)] = entry
         return entry
@@ -234,8 +234,14 @@ def _read_sidecar(path: Path) -> Spooled | None:
     return entry if path.stem == "{}.{}".format(*_key(entry.lease)) else None
 
 
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+def _write_synced(path: Path, data: bytes) -> None:
+    part = path.with_name(path.name + _PART)
+    with part.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    part.rename(path)
+    descriptor = os.open(path.parent, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
     finally:

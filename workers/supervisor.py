@@ -180,7 +180,7 @@ def _choose(replies: tuple[HelloReply | Refusal, ...], settings: WorkerSettings)
     terms = [reply for reply in replies if isinstance(reply, HelloReply) and settings.run in {None, reply.run}]
     if len(terms) > 1:
         runs = ", ".join(sorted(reply.run for reply in terms))
-        raise WorldError(f"{len(terms)} runs answer ({runs}): choose one with --run")
+        raise WorldError(f"{len(terms)} runs answer ({runs}): --connect to an endpoint of one of them only")
     refusals = [reply.error for reply in replies if isinstance(reply, Refusal)]
     if not terms and refusals:
         raise WorldError(f"the coordinator refuses this worker: {refusals[0]}")

@@ -62,6 +62,18 @@ class Scene:
         with closing(sqlite3.connect(f"file:{self.root / 'out' / 'ledger.db'}?mode=ro", uri=True)) as ledger:
             return Counter(dict(ledger.execute("select outcome, count(*) from attempts group by outcome").fetchall()))
 
+    def leased(self) -> int:
+        """Returns how many jobs are in work."""
+        path = self.root / "out" / "ledger.db"
+        if not path.exists():
+            return 0
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30)) as ledger:
+            try:
+                (count,) = ledger.execute("select count(*) from jobs where state = 'leased'").fetchone()
+            except sqlite3.OperationalError:
+                return 0
+        return int(count)
+
     def harm(self, rng: random.Random) -> None:
         """One mishap."""
         number = rng.randrange(len(self.workers))
@@ -111,10 +123,12 @@ class Scene:
 
 
 def _children(pid: int) -> list[int]:
+    """Returns the processes that any thread of a process has started."""
     try:
-        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
     except (FileNotFoundError, ProcessLookupError):
         return []
+    return [int(child) for text in lists for child in text.split()]
 
 
 def _run(root: Path, workers: int, longest_s: float, seed: int | None) -> Scene:
@@ -152,3 +166,16 @@ def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(tmp_path, se
     files = {path.name for path in (wild.root / "out" / "episodes").iterdir()}
     assert files == {f"ep_{index:06d}.zip" for index in range(1, EPISODES + 1)}
     assert wild.events()["success"] == EPISODES
+
+
+def test_worker_beside_a_frozen_coordinator_still_heeds_sigterm_within_five_seconds(tmp_path):
+    with ExitStack() as stack:
+        scene = Scene(tmp_path, 1, 600.0)
+        stack.callback(scene.abandon)
+        deadline = time.monotonic() + 60
+        while scene.leased() < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        scene.coordinator.send_signal(signal.SIGSTOP)
+        scene.workers[0].send_signal(signal.SIGTERM)
+        assert scene.workers[0].wait(5) == 0

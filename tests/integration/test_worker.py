@@ -257,6 +257,12 @@ def test_worker_without_a_coordinator_says_where_it_looked(tmp_path):
         worker.join()
 
 
+def test_worker_stopped_before_it_found_a_coordinator_leaves_in_peace(tmp_path):
+    with WorkerThread(settings_for(free_endpoint(), tmp_path)) as worker:
+        worker.stop.set()
+        assert worker.join() == 0
+
+
 def test_refused_worker_says_why(tmp_path):
     with coordinator() as hub:
         hub.refuses = "hello: version 0 here, 1 there"

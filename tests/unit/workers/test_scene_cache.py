@@ -114,5 +114,5 @@ def test_scene_larger_than_the_cache_is_kept_while_it_is_used(tmp_path):
 
 def test_folder_that_cannot_be_written_says_what_to_do(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(WorldError, match="give a writable folder with --scenes"):
+    with pytest.raises(WorldError, match="set MINIVLA_CACHE to a writable folder"):
         ensure(SceneCache(tmp_path / "file", 100), Source(b"scene"))
