@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from schemas.base import Model, NonNegative, Positive
+from schemas.base import Model, Positive
 from schemas.keys import MAX_CHUNK_BYTES
 
 __all__ = ["CoordinatorSettings", "TlsFiles"]
@@ -47,6 +47,4 @@ class CoordinatorSettings(Model):
     """Silence after which zenoh closes a link."""
     backlog: Annotated[int, Field(ge=1)] = 20_000
     """Requests that may wait; further ones get no answer and are asked again."""
-    probe_s: NonNegative = 30.0
-    """Pause between two looks at one's own door from outside; 0 never looks."""
     tls: TlsFiles | None = None

@@ -15,7 +15,7 @@ from typing import Any, Generic, Self, TypeVar
 import structlog
 from sqlalchemy import Engine
 from sqlalchemy.engine import Connection
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
 
 from coordinator.engine import checkpoint_log
 from schemas.errors import TransientError
@@ -146,14 +146,20 @@ def _run_apart(connection: Connection, batch: Sequence[_Request[Any]]) -> list[A
 
 
 def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
+    savepoint = connection.begin_nested()
     try:
-        with connection.begin_nested():
-            return request.work(connection)
+        result = request.work(connection)
+    except OperationalError:
+        raise  # a full disk or a lost server has ended the whole transaction, savepoints and all
     except SQLAlchemyError as error:
+        savepoint.rollback()
         log.error("request_failed", error=str(error))
         return _transient(error)
     except Exception as error:  # noqa: BLE001 - belongs to the one who asked
+        savepoint.rollback()
         return error
+    savepoint.commit()
+    return result
 
 
 def _transient(error: SQLAlchemyError) -> TransientError:

@@ -38,9 +38,10 @@ class Ledger(RuleBasedStateMachine):
     @initialize(episodes=st.integers(1, 2), misses=ONE_OR_TWO, draws=ONE_OR_TWO, crashes=ONE_OR_TWO)
     def begin(self, episodes: int, misses: int, draws: int, crashes: int) -> None:
         self.desk = Desk(room_plan(episodes, attempts_per_draw=misses, draws=draws, crashes=crashes))
+        self.claim(0)
 
-    def grant(self, number: int) -> Lease | None:
-        return self.grants[-1 - number % len(self.grants)] if self.grants else None
+    def grant(self, number: int) -> Lease:
+        return self.grants[-1 - number % len(self.grants)]
 
     def is_current(self, lease: Lease) -> bool:
         row = self.desk.row(lease.job_id)
@@ -59,44 +60,47 @@ class Ledger(RuleBasedStateMachine):
     @rule(number=ANY_GRANT, sha256=st.sampled_from(["c" * 64, OTHER_SHA256]))
     def done(self, number: int, sha256: str) -> None:
         lease = self.grant(number)
-        if lease is not None:
-            was_current, before = self.is_current(lease), self.desk.rows()
-            accepted = self.desk.done(lease, sha256=sha256)
-            fulfilled = self.desk.row(lease.job_id).state == State.ARCHIVED and lease.fence == self.newest[lease.job_id]
-            assert accepted == (was_current or fulfilled)
-            assert was_current or self.desk.rows() == before
+        was_current, before = self.is_current(lease), self.desk.rows()
+        accepted = self.desk.done(lease, sha256=sha256)
+        fulfilled = self.desk.row(lease.job_id).state == State.ARCHIVED and lease.fence == self.newest[lease.job_id]
+        assert accepted == (was_current or fulfilled)
+        assert was_current or self.desk.rows() == before
 
     @rule(number=ANY_GRANT, reason=REASON)
     def fail(self, number: int, reason: FailReason) -> None:
         lease = self.grant(number)
-        if lease is not None:
-            was_current, before = self.is_current(lease), self.desk.rows()
-            self.desk.fail(lease, reason)
-            assert was_current or self.desk.rows() == before, "a stale report changes nothing"
+        was_current, before = self.is_current(lease), self.desk.rows()
+        self.desk.fail(lease, reason)
+        assert was_current or self.desk.rows() == before, "a stale report changes nothing"
 
     @rule(number=ANY_GRANT)
     def archive(self, number: int) -> None:
         lease = self.grant(number)
-        if lease is not None:
-            row, before = self.desk.row(lease.job_id), self.desk.rows()
-            is_due = self.is_current(lease) and row.state == State.SUBMITTED
-            assert self.desk.archive(lease) == is_due
-            assert is_due or self.desk.rows() == before
+        row, before = self.desk.row(lease.job_id), self.desk.rows()
+        is_due = self.is_current(lease) and row.state == State.SUBMITTED
+        assert self.desk.archive(lease) == is_due
+        assert is_due or self.desk.rows() == before
 
     @rule(number=ANY_GRANT)
     def beat(self, number: int) -> None:
         lease = self.grant(number)
-        if lease is not None:
-            was_current, before = self.is_current(lease), self.desk.rows()
-            beat = Beat(sid="host-0", live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
-            with self.desk.open() as connection:
-                outcome = ledger_claims.beat(connection, beat, self.desk.now, TTL_S)
-            assert (lease in outcome.lost) == (lease in outcome.drop) == (not was_current)
-            assert was_current or self.desk.rows() == before
+        was_current, before = self.is_current(lease), self.desk.rows()
+        beat = Beat(sid="host-0", live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
+        with self.desk.open() as connection:
+            outcome = ledger_claims.beat(connection, beat, self.desk.now, TTL_S)
+        assert (lease in outcome.lost) == (lease in outcome.drop) == (not was_current)
+        assert was_current or self.desk.rows() == before
 
     @rule(seconds=st.sampled_from([0.1, 1.0, TTL_S / 2, TTL_S + 0.1, 40.0]))
     def tick(self, seconds: float) -> None:
         self.desk.tick(seconds)
+
+    @rule(worker=st.integers(0, 2))
+    def lose_to(self, worker: int) -> None:
+        """Every worker freezes beyond its lease, and another one takes over."""
+        self.desk.tick(TTL_S + 0.1)
+        self.desk.tick(40.0)
+        self.claim(worker)
 
     @rule(worker=st.integers(0, 2))
     def vanish(self, worker: int) -> None:
@@ -172,5 +176,5 @@ def _check_log(rows: Sequence[Any], log: Sequence[Any]) -> None:
 
 TestStaleWorkersChangeNothing = Ledger.TestCase
 TestStaleWorkersChangeNothing.settings = settings(
-    max_examples=60, stateful_step_count=40, deadline=None, suppress_health_check=list(HealthCheck), database=None
+    max_examples=80, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck), database=None
 )

@@ -1,0 +1,127 @@
+"""Ledger and disk brought to agree at start, with a real archive, ledger and validator."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sqlalchemy import select
+
+from coordinator import ledger_claims
+from coordinator.archive import Archive
+from coordinator.draw import to_job
+from coordinator.ledger import planned_of
+from coordinator.ledger_outcomes import is_owned
+from coordinator.protocol import Terms
+from coordinator.reconcile import reconcile
+from coordinator.tables import jobs
+from coordinator.validator import Validator
+from schemas.wire import Lease
+from tests.builders.bundle import parts_for
+from tests.builders.ledger import TTL_S, Desk
+
+
+@pytest.fixture(scope="module")
+def validator() -> Iterator[Validator]:
+    with Validator() as checking:
+        yield checking
+
+
+class Scene:
+    """A ledger and an archive between two lives of a coordinator."""
+
+    def __init__(self, root: Path, validator: Validator) -> None:
+        self.desk = Desk()
+        self.root = root
+        self.validator = validator
+        self.terms = Terms(self.desk.plan, self.desk.catalog, "test", TTL_S, 1.0)
+
+    def announce(self) -> tuple[Lease, bytes]:
+        """A worker has claimed a job and announced its bundle."""
+        row = self.desk.claim()
+        assert row is not None
+        job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), row.attempt)
+        bundle = parts_for(job).write()
+        lease = ledger_claims.lease_of(row)
+        self.desk.done(lease, sha256=hashlib.sha256(bundle).hexdigest())
+        with self.desk.open() as connection:
+            connection.execute(jobs.update().where(jobs.c.id == row.id).values(size=len(bundle)))
+        return lease, bundle
+
+    def lay(self, name: str, data: bytes) -> Path:
+        """A file as a crash left it among the episodes."""
+        path = self.root / "episodes" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+        return path
+
+    def start(self):
+        with Archive(self.root) as archive:
+            return reconcile(archive, self.desk.engine, self.terms, self.validator, self.desk.now)
+
+    def states(self) -> list[str]:
+        with self.desk.open() as connection:
+            return list(connection.execute(select(jobs.c.state).order_by(jobs.c.idx)).scalars())
+
+
+@pytest.fixture
+def scene(tmp_path: Path, validator: Validator) -> Scene:
+    return Scene(tmp_path / "out", validator)
+
+
+def test_a_published_bundle_whose_commit_was_lost_is_adopted(scene):
+    _, bundle = scene.announce()
+    path = scene.lay("ep_000001.zip", bundle)
+    assert scene.start().adopted == [1]
+    assert scene.states() == ["archived", "pending", "pending"]
+    assert path.read_bytes() == bundle
+    with scene.desk.open() as connection:
+        assert is_owned(connection, 1)
+    assert scene.start().adopted == []
+
+
+def test_a_torn_bundle_is_quarantined_and_its_worker_asked_again(scene):
+    lease, bundle = scene.announce()
+    path = scene.lay("ep_000001.zip", bundle[:-100])
+    assert len(scene.start().quarantined) == 1
+    assert not path.exists()
+    assert scene.states()[0] == "submitted"
+    assert scene.desk.row(lease.job_id).lease_until == scene.desk.now.timestamp() + 1.5 * TTL_S
+
+
+def test_a_bundle_with_a_flipped_bit_is_quarantined(scene):
+    _, bundle = scene.announce()
+    flipped = bytearray(bundle)
+    flipped[len(bundle) // 2] ^= 1
+    scene.lay("ep_000001.zip", bytes(flipped))
+    result = scene.start()
+    assert (len(result.quarantined), result.adopted) == (1, [])
+
+
+def test_files_that_nobody_expects_are_quarantined(scene):
+    scene.lay("ep_000002.zip", b"stray")
+    scene.lay("notes.txt", b"mine")
+    result = scene.start()
+    assert len(result.quarantined) == 2
+    assert list((scene.root / "episodes").iterdir()) == []
+    assert scene.states() == ["pending"] * 3
+
+
+def test_an_episode_of_another_size_is_quarantined_and_made_again(scene):
+    _, bundle = scene.announce()
+    path = scene.lay("ep_000001.zip", bundle)
+    scene.start()
+    path.write_bytes(bundle[:-1])
+    result = scene.start()
+    assert (result.requeued, len(result.quarantined)) == ([1], 1)
+    assert scene.states()[0] == "pending"
+
+
+def test_an_orphan_in_the_staging_directory_is_gone(scene):
+    part = scene.root / ".staging" / "ep_000001.0.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes(b"half")
+    scene.start()
+    assert not part.exists()
