@@ -48,7 +48,7 @@ class Episode:
         self._opened: _Opened | None = None
 
     @property
-    def id(self) -> str:
+    def episode_id(self) -> str:
         """`ep_000001` and so on."""
         return self.summary.episode_id
 
@@ -104,11 +104,11 @@ class Episode:
         return self.summary.num_steps
 
     def __repr__(self) -> str:
-        return f"Episode({self.id}, {len(self)} steps, {self.instruction!r})"
+        return f"Episode({self.episode_id}, {len(self)} steps, {self.instruction!r})"
 
     def _step(self, t: int) -> int:
         if not -len(self) <= t < len(self):
-            raise IndexError(f"{self.id} has steps 0 to {len(self) - 1}, asked for {t}")
+            raise IndexError(f"{self.episode_id} has steps 0 to {len(self) - 1}, asked for {t}")
         return t % len(self)
 
     def _bundle(self) -> BundleReader:

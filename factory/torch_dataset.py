@@ -73,7 +73,7 @@ class FrameDataset:
             "instruction": episode.instruction,
             "action": episode.actions[t].copy(),
             "tokens": episode.tokens[t].astype(np.int64),
-            "episode_id": episode.id,
+            "episode_id": episode.episode_id,
             "step": t,
         }
         if self._with_ids:

@@ -42,8 +42,8 @@ def mean_of_frame(episode: Episode) -> float:
 def test_dataset_is_a_sequence_of_episodes(shared: Path) -> None:
     data = Dataset(shared)
     assert len(data) == 3
-    assert [episode.id for episode in data] == ["ep_000001", "ep_000002", "ep_000003"]
-    assert data[-1].id == data["ep_000003"].id == "ep_000003"
+    assert [episode.episode_id for episode in data] == ["ep_000001", "ep_000002", "ep_000003"]
+    assert data[-1].episode_id == data["ep_000003"].episode_id == "ep_000003"
     assert "3 episodes" in repr(data)
 
 
@@ -79,7 +79,7 @@ def test_filters_narrow_and_combine(shared: Path) -> None:
     data = Dataset(shared)
     assert len(data.filter(split="train_id", scene="office", tier=("near", "mid"), category="chair")) == 3
     assert len(data.filter(tier="far")) == 0
-    assert [episode.id for episode in data.filter(episode=["ep_000002"])] == ["ep_000002"]
+    assert [episode.episode_id for episode in data.filter(episode=["ep_000002"])] == ["ep_000002"]
     with pytest.raises(UsageError, match="no filter 'colour_word'; there are split, scene"):
         data.filter(colour_word="red")
 
