@@ -57,6 +57,8 @@ def main() -> int:
             tell(Report(kind=ReportKind.READY, renderer=stage.renderer.description))
             while _serve(orders.get(), stage, tell):
                 pass
+    except BrokenPipeError:
+        return _OK  # nobody listens any more
     except FactoryError as error:
         print(error, file=sys.stderr)  # noqa: T201 - the supervisor reads the last line
         return _WORLD
@@ -74,10 +76,13 @@ def _listen(descriptor: int) -> queue.Queue[Order]:
     orders: queue.Queue[Order] = queue.Queue()
 
     def read() -> None:
-        with os.fdopen(descriptor, "rb", closefd=False) as lines:
-            for line in lines:
-                orders.put(Order.model_validate_json(line))
-        os._exit(_OK)  # the supervisor is gone: so is the use of whatever is being simulated
+        try:
+            with os.fdopen(descriptor, "rb", closefd=False) as lines:
+                for line in lines:
+                    orders.put(Order.model_validate_json(line))
+        finally:
+            # the supervisor is gone, be it in the middle of a line: so is the use of what is being simulated
+            os._exit(_OK)
 
     threading.Thread(target=read, name="orders", daemon=True).start()
     return orders

@@ -33,9 +33,11 @@ def listen() -> queue.Queue[dict[str, Any]]:
     orders: queue.Queue[dict[str, Any]] = queue.Queue()
 
     def read() -> None:
-        for line in os.fdopen(0, "rb", closefd=False):
-            orders.put(json.loads(line))
-        os._exit(0)
+        try:
+            for line in os.fdopen(0, "rb", closefd=False):
+                orders.put(json.loads(line))
+        finally:
+            os._exit(0)
 
     threading.Thread(target=read, daemon=True).start()
     return orders

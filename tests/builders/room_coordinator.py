@@ -17,7 +17,7 @@ def main() -> None:
     root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])
     root.mkdir(parents=True, exist_ok=True)
     settings = CoordinatorSettings(
-        lease_ttl_s=lease_s, retry_after_s=0.2, pull_timeout_s=1.0, reserve_bytes=0, transport_lease_s=2.0, probe_s=0.0
+        lease_ttl_s=lease_s, retry_after_s=0.2, pull_timeout_s=1.0, reserve_bytes=0, transport_lease_s=2.0
     )
     plan = room_plan(episodes, crashes=20)
     with (

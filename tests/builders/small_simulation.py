@@ -28,10 +28,12 @@ def main() -> None:
 
 
 def _serve_all() -> None:
-    _tell(Report(kind=ReportKind.READY, renderer="synthetic"))
-    for line in os.fdopen(0, "rb", closefd=False):
-        threading.Thread(target=_serve, args=(Order.model_validate_json(line),)).start()
-    os._exit(0)
+    try:
+        _tell(Report(kind=ReportKind.READY, renderer="synthetic"))
+        for line in os.fdopen(0, "rb", closefd=False):
+            threading.Thread(target=_serve, args=(Order.model_validate_json(line),)).start()
+    finally:  # whatever became of the supervisor
+        os._exit(0)
 
 
 def _serve(order: Order) -> None:

@@ -128,6 +128,13 @@ def test_unforeseen_error_is_reported_and_ends_the_process(room, tmp_path, simul
     assert death.detail.startswith("exit status 3")
 
 
+@pytest.mark.parametrize("said", [b"", b'{"job": {"run'], ids=["nothing", "half an order"])
+def test_idle_simulation_ends_when_its_orders_end(said):
+    process = subprocess.Popen(COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    process.communicate(said, timeout=60)
+    assert process.returncode == 0
+
+
 def test_busy_simulation_dies_with_its_killed_supervisor(room, tmp_path):
     order, told = tmp_path / "order.json", tmp_path / "pid"
     order.write_bytes(to_line(order_in(room, tmp_path)))
