@@ -14,8 +14,8 @@ import numpy as np
 from factory.catalog import find_package
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
+from schemas.terms import RendererKind
 from workers.attempt import Failure, run_attempt
-from workers.render.choose import RendererKind
 from workers.stage import Stage
 
 __all__ = ["Replay", "replay_episode"]

@@ -21,9 +21,9 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import WorldError
 from schemas.plan import Plan
+from schemas.terms import RendererKind
 from schemas.wire import Progress
 from workers.experts import require_expert
-from workers.render.choose import RendererKind
 
 __all__ = ["LocalRun", "run_locally"]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 __all__ = [
     "BUILTIN_CATEGORIES",
@@ -16,6 +16,7 @@ __all__ = [
     "EndReason",
     "ExpertName",
     "FailReason",
+    "RendererKind",
     "SceneCategories",
     "Split",
     "Tier",
@@ -83,6 +84,9 @@ class FailReason(StrEnum):
         """Whether a worker suffered: such failures count towards quarantine, not towards the budget."""
         return self in {FailReason.CRASH, FailReason.HANG, FailReason.INVALID}
 
+
+RendererKind = Literal["auto", "gl", "tiny"]
+"""`gl` is OpenGL through EGL, `tiny` PyBullet's TinyRenderer, `auto` the first of them that works."""
 
 CATEGORIES = (
     "chair",

@@ -6,13 +6,12 @@ import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import platformdirs
 
-__all__ = ["RendererKind", "WorkerSettings", "WorkerTls"]
+from schemas.terms import RendererKind
 
-RendererKind = Literal["auto", "gl", "tiny"]
+__all__ = ["WorkerSettings", "WorkerTls"]
 
 _SPARE_BUNDLES = 8
 

@@ -13,10 +13,11 @@ from typing import Self
 
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
+from schemas.terms import RendererKind
 from workers.fingerprint import make_fingerprint
 from workers.grid import Grid, body_centre
 from workers.render import Renderer
-from workers.render.choose import RendererKind, open_renderer
+from workers.render.choose import open_renderer
 from workers.world import ColliderMesh
 
 __all__ = ["LoadedScene", "Stage", "prepare_scene"]

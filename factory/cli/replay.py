@@ -14,7 +14,7 @@ from factory.cli.options import dataset_argument
 from factory.cli.output import json_option, print_json, stderr
 from factory.logs import configure_logs
 from factory.replay import Replay, replay_episode
-from workers.render.choose import RendererKind
+from schemas.terms import RendererKind
 
 __all__ = ["command"]
 

@@ -22,9 +22,9 @@ from factory.logs import configure_logs
 from factory.run import LocalRun, run_locally
 from factory.settings import scene_cache
 from schemas.plan import Plan
+from schemas.terms import RendererKind
 from schemas.wire import Progress
 from workers.experts import require_expert
-from workers.render.choose import RendererKind
 from workers.stopping import stop_on_signals
 
 __all__ = ["command"]

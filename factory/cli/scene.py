@@ -13,7 +13,7 @@ from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from schemas.scene import CompiledScene, decode_scene
-from workers.render.choose import RendererKind
+from schemas.terms import RendererKind
 
 __all__ = ["command"]
 

@@ -10,7 +10,8 @@ import click
 
 from factory.cli.options import verbose_option
 from factory.logs import configure_logs
-from workers.settings import RendererKind, WorkerSettings
+from schemas.terms import RendererKind
+from workers.settings import WorkerSettings
 from workers.stopping import stop_at_eof, stop_on_signals
 from workers.supervisor import run_worker
 

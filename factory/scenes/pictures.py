@@ -13,8 +13,9 @@ from PIL import Image
 from factory.scenes.topdown import encode_topdown
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
+from schemas.terms import RendererKind
 from workers.pose import Pose
-from workers.render.choose import RendererKind, open_renderer
+from workers.render.choose import open_renderer
 
 __all__ = ["draw_scene"]
 

@@ -14,11 +14,12 @@ from schemas.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene
+from schemas.terms import RendererKind
 from tests.builders.scene import Box, box_room, build_scene, room_walls
 from workers.pose import Pose
 from workers.render import Frame, Renderer
 from workers.render import choose as choose_module
-from workers.render.choose import RendererKind, open_renderer
+from workers.render.choose import open_renderer
 
 CAMERA = CameraConfig()
 ORIGIN = Pose.planar(0.0, 0.0, 0.0)

@@ -6,18 +6,16 @@ Says in one log line when it has to fall back; it never renders.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, get_args
+from typing import get_args
 
 import structlog
 
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
+from schemas.terms import RendererKind
 from workers.render import Renderer
 
 __all__ = ["RendererKind", "open_first", "open_renderer"]
-
-RendererKind = Literal["auto", "gl", "tiny"]
-"""`gl` is OpenGL through EGL, `tiny` PyBullet's TinyRenderer, `auto` the first of them that works."""
 
 _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl1-mesa-dri"
 
