@@ -34,7 +34,11 @@ _CRASH_PAUSE_S = 1.0
 
 
 _UNDER_LEASE = select(jobs).where(*UNDER_LEASE)
-_PAUSED = {"attempt": bindparam("next_attempt"), "not_before": bindparam("until"), "reason": bindparam("why")}
+_PAUSED: dict[str, Any] = {
+    "attempt": bindparam("next_attempt"),
+    "not_before": bindparam("until"),
+    "reason": bindparam("why"),
+}
 _ANNOUNCE = Move(
     Event.ANNOUNCED,
     *UNDER_LEASE,
@@ -47,10 +51,16 @@ _IS_ANNOUNCED = (jobs.c.idx == bindparam("index"), jobs.c.sha256 == bindparam("a
 _ARCHIVE = Move(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
 _ADOPT = Move(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
 _LOSE = Move(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
-_MISSED = FREED | _PAUSED | {"misses": jobs.c.misses + 1, "losses": 0, "superseded": bindparam("has_successor")}
+_MISSED: dict[str, Any] = {
+    **FREED,
+    **_PAUSED,
+    "misses": jobs.c.misses + 1,
+    "losses": 0,
+    "superseded": bindparam("has_successor"),
+}
 _MISS = Move(Event.MISSED, *UNDER_LEASE, **_MISSED)
 _EXHAUST = Move(Event.EXHAUSTED, *UNDER_LEASE, **_MISSED)
-_HURTING = FREED | _PAUSED | {"crashes": jobs.c.crashes + 1}
+_HURTING: dict[str, Any] = {**FREED, **_PAUSED, "crashes": jobs.c.crashes + 1}
 _HURT = Move(Event.HURT, *UNDER_LEASE, **_HURTING)
 _QUARANTINE = Move(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
 _RELEASE = Move(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))

@@ -65,7 +65,7 @@ class Inquiry:
 
     def drop(self) -> None:
         """Leaves the question unanswered; the asker repeats it."""
-        self._query.drop()  # type: ignore[no-untyped-call]
+        self._query.drop()
 
 
 class Router:
@@ -128,7 +128,7 @@ class Router:
     def close(self) -> None:
         """Closes the session; what zenoh runs in threads ends with it."""
         if not self._session.is_closed():
-            self._session.close()  # type: ignore[no-untyped-call]
+            self._session.close()
         for descriptor in self._scenes.values():
             os.close(descriptor)
         self._scenes = {}

@@ -181,7 +181,7 @@ class Link:
 def _answer(query: zenoh.Query, key: str, read: ReadChunk) -> None:
     with query:
         try:
-            asked = parse_bundle_chunk({name: query.parameters.get(name, "") for name in _CHUNK_FIELDS})
+            asked = parse_bundle_chunk({name: query.parameters.get(name) or "" for name in _CHUNK_FIELDS})
             query.reply(key, read(asked))
         except (ValueError, KeyError) as error:
             query.reply_err(f"no such bytes: {error}")
