@@ -35,24 +35,24 @@ _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
 
-_BY_TOKEN = select(jobs).where(jobs.c.token == bindparam("token"))
-_NEXT_ID = (
+BY_TOKEN = select(jobs).where(jobs.c.token == bindparam("token"))
+NEXT_ID = (
     select(jobs.c.id)
     .where(jobs.c.state == State.PENDING, jobs.c.not_before <= bindparam("now"))
     .order_by(jobs.c.not_before, jobs.c.id)
     .limit(1)
 )
-_ANY_OPEN = select(jobs.c.id).where(is_in(*OPEN_STATES)).limit(1)
+ANY_OPEN = select(jobs.c.id).where(is_in(*OPEN_STATES)).limit(1)
 _BY_IDS = select(jobs).where(jobs.c.id.in_(bindparam("ids", expanding=True)))
 _BEAT = (
     update(jobs)
     .where(*UNDER_LEASE, is_in(*HELD_STATES))
     .values(lease_until=bindparam("until"), step=bindparam("at_step"), sid=bindparam("by"))
 )
-_OVERDUE = select(jobs).where(jobs.c.lease_until < bindparam("now")).order_by(jobs.c.lease_until).limit(_SWEEP_ROWS)
+OVERDUE = select(jobs).where(jobs.c.lease_until < bindparam("now")).order_by(jobs.c.lease_until).limit(_SWEEP_ROWS)
 _CLAIM = Move(
     Event.CLAIMED,
-    jobs.c.id == _NEXT_ID.scalar_subquery(),
+    jobs.c.id == NEXT_ID.scalar_subquery(),
     fence=jobs.c.fence + 1,
     token=bindparam("of_token"),
     sid=bindparam("by"),
@@ -101,7 +101,7 @@ def claim(
     Returns:
         The job's row; `None` when nothing is due, or the token has been used up.
     """
-    known = connection.execute(_BY_TOKEN, {"token": token}).first()
+    known = connection.execute(BY_TOKEN, {"token": token}).first()
     if known is not None:
         return known if known.state in HELD_STATES else None
     if not may_start:
@@ -162,7 +162,7 @@ def expire(connection: Connection, now: datetime) -> int:
         How many.
     """
     expired = 0
-    for row in connection.execute(_OVERDUE, {"now": now.timestamp()}).all():
+    for row in connection.execute(OVERDUE, {"now": now.timestamp()}).all():
         pause = min(_LONGEST_BACKOFF_S, _FIRST_BACKOFF_S * 2 ** min(row.losses, 16))
         lease = {**lease_parameters(lease_of(row)), "until": now.timestamp() + pause}
         if _EXPIRE.make(connection, lease, now, by=row.sid or "") is not None:
@@ -173,7 +173,7 @@ def expire(connection: Connection, now: datetime) -> int:
 
 def has_open_jobs(connection: Connection) -> bool:
     """Returns whether any job can still change without an operator."""
-    return connection.execute(_ANY_OPEN).first() is not None
+    return connection.execute(ANY_OPEN).first() is not None
 
 
 def _is_held(row: Row[Any] | None, lease: Lease) -> bool:

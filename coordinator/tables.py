@@ -56,14 +56,7 @@ jobs = Table(
     Column("reason", Text, nullable=False, default="", comment="why it failed, in words"),
     Column("changed_at", Double, nullable=False, default=0.0),
     Index("ux_jobs_draw", "idx", "draw", unique=True),
-    Index("ix_jobs_state", "state"),
-)
-Index(
-    "ix_jobs_queue",
-    jobs.c.not_before,
-    jobs.c.id,
-    sqlite_where=sql("state = 'pending'"),
-    postgresql_where=sql("state = 'pending'"),
+    Index("ix_jobs_queue", "state", "not_before", "id"),
 )
 Index(
     "ix_jobs_lease",

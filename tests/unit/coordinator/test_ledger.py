@@ -374,3 +374,20 @@ def test_a_committed_claim_survives_in_the_write_ahead_log(tmp_path):
         assert other.execute("SELECT count(*) FROM jobs WHERE state = 'leased'").fetchone() == (1,)
     other.close()
     desk.engine.dispose()
+
+
+@pytest.mark.parametrize(
+    ("statement", "index"),
+    [
+        (ledger_claims.NEXT_ID, "ix_jobs_queue"),
+        (ledger_claims.BY_TOKEN, "ux_jobs_token"),
+        (ledger_claims.OVERDUE, "ix_jobs_lease"),
+        (ledger_claims.ANY_OPEN, "ix_jobs_queue"),
+    ],
+)
+def test_what_is_asked_with_every_claim_is_found_by_an_index(desk, statement, index):
+    with desk.open() as connection:
+        text = str(statement.compile(connection, compile_kwargs={"render_postcompile": True}))
+        plan = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {text}", (1,) * text.count("?")).all()
+    assert all(index in row.detail for row in plan if "jobs" in row.detail), plan
+    assert not any("TEMP B-TREE" in row.detail for row in plan), plan
