@@ -6,12 +6,13 @@ import contextlib
 import errno
 import hashlib
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 from schemas.errors import WorldError
 
-__all__ = ["copy_hashed", "sync_directory", "sync_file", "translated", "world_error"]
+__all__ = ["copy_hashed", "require_room", "sync_directory", "sync_file", "translated", "world_error"]
 
 _COPY_BYTES = 1 << 20
 _REMEDIES = {
@@ -23,6 +24,22 @@ _REMEDIES = {
     errno.ENOTDIR: "a file stands where a directory is wanted: choose another --out",
     errno.EEXIST: "a file stands where a directory is wanted: choose another --out",
 }
+
+
+def require_room(root: Path, reserve_bytes: int) -> None:
+    """Makes sure that a directory, which need not exist yet, has room for a run; creates nothing.
+
+    Raises:
+        WorldError: less than the reserve is free.
+    """
+    there = next(place for place in (root.absolute(), *root.absolute().parents) if place.exists())
+    with translated("ask the free space of", there):
+        free = shutil.disk_usage(there).free
+    if free < reserve_bytes:
+        raise WorldError(
+            f"{root} has {free / 1e9:.2f} GB free, and a run keeps {reserve_bytes / 1e9:.2f} GB in reserve: free some "
+            "space or choose another --out"
+        )
 
 
 def copy_hashed(source: Path, target: Path) -> str:

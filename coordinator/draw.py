@@ -21,7 +21,7 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import ExpertName, Split, Tier
 
-__all__ = ["PlannedJob", "expand", "pool", "redraw", "to_job"]
+__all__ = ["PlannedJob", "cells", "expand", "pool", "redraw", "require_possible", "to_job"]
 
 Share = TypeVar("Share", Split, Tier)
 Option = TypeVar("Option")
@@ -56,15 +56,24 @@ def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
     Raises:
         InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
     """
-    mistakes = list(_impossible_cells(plan, catalog))
-    if mistakes:
-        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
+    require_possible(plan, catalog)
     jobs: list[PlannedJob] = []
     templates: Counter[str] = Counter()
     for number, scene in enumerate(plan.scenes):
         rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
         jobs.extend(_expand_scene(plan, scene, catalog[scene.name], rng, len(jobs) + 1, templates))
     return tuple(jobs)
+
+
+def require_possible(plan: Plan, catalog: Catalog) -> None:
+    """Makes sure that every cell of a plan has a target; `expand` does so too.
+
+    Raises:
+        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+    """
+    mistakes = list(_impossible_cells(plan, catalog))
+    if mistakes:
+        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
 
 
 def cells(plan: Plan, scene: ScenePlan) -> dict[tuple[Split, Tier], int]:
@@ -100,7 +109,10 @@ def _impossible_cells(plan: Plan, catalog: Catalog) -> Iterator[str]:
         for category in (*seen, *held_out):
             if category not in present:
                 listed = ", ".join(present) or "none at all"
-                yield f"scenes[{number}] {scene.name}: no reachable {category!r}; reachable there: {listed}"
+                yield (
+                    f"scenes[{number}] {scene.name}: no reachable {category!r}; reachable there: {listed}; take it out "
+                    "of seen or held_out, or change the scene"
+                )
         for split, tier in cells(plan, scene):
             if not pool(plan, scene, entry, split, tier):
                 yield (

@@ -25,7 +25,16 @@ from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
 
-__all__ = ["LEDGER_FILE", "LedgerInfo", "insert_planned", "ledger_url_of", "open_run", "planned_of", "read_info"]
+__all__ = [
+    "LEDGER_FILE",
+    "LedgerInfo",
+    "holds_run",
+    "insert_planned",
+    "ledger_url_of",
+    "open_run",
+    "planned_of",
+    "read_info",
+]
 
 LEDGER_FILE = "ledger.db"
 _INSERT_ROWS = 5000
@@ -61,7 +70,7 @@ def open_run(engine: Engine, plan: Plan, catalog: Catalog, lease_ttl_s: float, n
         InvalidPlan: the plan asks for what its scenes do not have.
     """
     with engine.begin() as connection:
-        if inspect(connection).has_table(info.name):
+        if holds_run(connection):
             _check_is_ours(read_info(connection), plan, catalog)
             _write_info(connection, {"lease_ttl_s": str(lease_ttl_s)})
             return False
@@ -78,7 +87,7 @@ def read_info(connection: Connection) -> LedgerInfo:
     Raises:
         UsageError: it is of a newer format, or no ledger.
     """
-    if not inspect(connection).has_table(info.name):
+    if not holds_run(connection):
         raise UsageError(f"{connection.engine.url} holds no ledger; start a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
     found = int(facts["format"])
@@ -95,6 +104,11 @@ def read_info(connection: Connection) -> LedgerInfo:
         lease_ttl_s=float(facts["lease_ttl_s"]),
         created_at=datetime.fromisoformat(facts["created_at"]),
     )
+
+
+def holds_run(connection: Connection) -> bool:
+    """Whether a run was begun in the database; not so when its very first transaction was cut off."""
+    return inspect(connection).has_table(info.name)
 
 
 def insert_planned(connection: Connection, planned: Iterable[PlannedJob], now: datetime, attempt: int = 1) -> None:

@@ -21,6 +21,7 @@ from coordinator.archive import Archive
 from coordinator.beacon import light, quench
 from coordinator.catalog import Catalog
 from coordinator.checkpoint import write_checkpoint
+from coordinator.disk import require_room
 from coordinator.engine import open_reader, open_writer
 from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
@@ -94,6 +95,7 @@ class Coordinator:
             has_room=lambda: self._has_room,
         )
         url = ledger_url_of(root, ledger_url)
+        require_room(root, settings.reserve_bytes)
         checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
             stack.callback(checker.close)
@@ -227,7 +229,11 @@ class Coordinator:
             self._has_room = has_room
             event = "disk_has_room_again" if has_room else "disk_low_nothing_is_given_out"
             log.warning(
-                event, free_bytes=free, reserve_bytes=self._settings.reserve_bytes, directory=str(self._archive.root)
+                event,
+                free_bytes=free,
+                reserve_bytes=self._settings.reserve_bytes,
+                directory=str(self._archive.root),
+                remedy="none" if has_room else "free some space; the run goes on by itself",
             )
 
     def _write_tables(self) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from coordinator.archive import SCENES
 from coordinator.catalog import Catalog, SceneEntry, read_entry
+from coordinator.draw import require_possible
 from factory.scenes.build import build_scene, import_scene
 from schemas.errors import ArchiveCorrupt
 from schemas.plan import Plan, ScenePlan
@@ -27,6 +28,9 @@ def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _:
         root: the dataset; packages in its `scenes/` are used as they are.
         cache: where new packages are built.
         tell: told the name of each scene before it is built.
+
+    Raises:
+        InvalidPlan: the scenes do not have what the plan asks for; nothing has been made in `root` by then.
     """
     entries: dict[str, SceneEntry] = {}
     for scene in plan.scenes:
@@ -34,6 +38,7 @@ def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _:
         if not kept:
             tell(scene.name)
         entries[scene.name] = read_entry(kept[0] if kept else _make(scene, cache))
+    require_possible(plan, entries)
     return entries
 
 

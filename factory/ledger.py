@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from coordinator.ledger import LEDGER_FILE, ledger_url_of, read_info
+from coordinator.ledger import LEDGER_FILE, holds_run, ledger_url_of, read_info
 from coordinator.look import Connection, look_into
 from coordinator.progress import read_progress
 from schemas.errors import UsageError
@@ -33,7 +33,7 @@ def plan_of(root: Path) -> Plan | None:
     if not (root / LEDGER_FILE).is_file():
         return None
     with read_ledger(root) as connection:
-        return read_info(connection).plan
+        return read_info(connection).plan if holds_run(connection) else None
 
 
 def progress_of(root: Path, url: str | None = None) -> Progress:

@@ -5,6 +5,7 @@ Owns the workers' processes: restarts those that die, stops all when it ends. Pr
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import threading
@@ -28,6 +29,7 @@ from workers.experts import require_expert
 __all__ = ["LocalRun", "run_locally"]
 
 _LISTEN = ("tcp/127.0.0.1:0",)
+_SPOOL = ".spool"
 _POLL_S = 0.25
 _LEAVE_S = 8.0
 _MOST_DEATHS = 8
@@ -77,6 +79,8 @@ def run_locally(
                 crew.look_after(progress.jobs.get("archived", 0))
         progress = coordinator.progress()
         tell(progress)
+        if progress.finished:
+            shutil.rmtree(run.root / _SPOOL, ignore_errors=True)  # nothing in it is wanted any more
         return progress
 
 
@@ -86,7 +90,7 @@ class _Crew:
     def __init__(self, run: LocalRun, endpoint: str) -> None:
         self._command = [
             *(sys.executable, "-m", "factory", "worker", "--cores", "1", "--connect", endpoint, "--until-eof"),
-            *("--renderer", run.renderer, "--spool", str(run.root / ".spool")),
+            *("--renderer", run.renderer, "--spool", str(run.root / _SPOOL)),
             *(("--verbose",) if run.verbose else ()),
         ]
         self._deaths = 0

@@ -17,7 +17,7 @@ _PIPE_COLUMNS = 200
 """Width of tables where no terminal sets one."""
 
 stdout = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else _PIPE_COLUMNS)
-stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+stderr = Console(stderr=True, highlight=False, soft_wrap=True, width=None if sys.stderr.isatty() else _PIPE_COLUMNS)
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 

@@ -114,6 +114,15 @@ def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, calm):
     assert "archived" in reply["refused"]["1"]
 
 
+def test_a_scene_without_the_targets_of_the_plan_is_refused_before_anything_is_made(factory, tmp_path):
+    plan = tmp_path / "ask.toml"
+    plan.write_text('[[scenes]]\nname = "hospital"\nepisodes = 5\nseen = ["sofa", "chair"]\n')
+    err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
+    assert "no reachable 'sofa'" in err
+    assert "trash_can" in err
+    assert not (tmp_path / "x").exists()
+
+
 def test_an_expert_this_version_lacks_is_refused_before_anything_is_built(factory, tmp_path):
     assert "planner" in factory("run", "balanced", "--out", tmp_path / "x", expect=2).stderr
     assert not (tmp_path / "x").exists()
