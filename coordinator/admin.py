@@ -15,16 +15,13 @@ from coordinator.ask import ask_admin
 from coordinator.beacon import sight
 from coordinator.engine import open_reader, open_writer
 from coordinator.ledger import ledger_url_of, read_info
-from coordinator.settings import TlsFiles
 from schemas.errors import TransientError, UsageError
 from schemas.wire import AdminAction, AdminReply, AdminRequest
 
 __all__ = ["administer"]
 
 
-def administer(
-    root: Path, request: AdminRequest, now: datetime, ledger_url: str | None = None, tls: TlsFiles | None = None
-) -> AdminReply:
+def administer(root: Path, request: AdminRequest, now: datetime, ledger_url: str | None = None) -> AdminReply:
     """Carries out an operator's wish; repeating it changes nothing more.
 
     Args:
@@ -32,7 +29,6 @@ def administer(
         request: the wish.
         now: of the wish.
         ledger_url: where the ledger is, when not in the directory.
-        tls: an operator's certificate, when the coordinator asks for one.
 
     Raises:
         WorldError: there is no ledger, or a coordinator holds the directory and cannot be asked.
@@ -43,7 +39,7 @@ def administer(
     beacon = sight(root)
     if beacon is not None:
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its beacon behind: the lock tells
-            return ask_admin(beacon.endpoints, request, tls)
+            return ask_admin(beacon.endpoints, request)
     with Archive(root):
         return _administer_offline(url, request, now)
 

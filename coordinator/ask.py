@@ -8,7 +8,7 @@ from typing import TypeVar
 import zenoh
 from pydantic import ValidationError
 
-from coordinator.settings import CoordinatorSettings, TlsFiles
+from coordinator.settings import CoordinatorSettings
 from coordinator.zenoh_config import client_config
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
@@ -22,34 +22,30 @@ _TIMEOUT_S = 10.0
 R = TypeVar("R", bound=Model)
 
 
-def ask_progress(endpoints: Sequence[str], tls: TlsFiles | None = None, name: str = OPERATOR) -> Progress:
+def ask_progress(endpoints: Sequence[str], name: str = OPERATOR) -> Progress:
     """Returns where the run of a coordinator stands.
 
     Raises:
         TransientError: nobody answers there.
     """
-    return _ask(endpoints, Verb.PROGRESS, None, Progress, tls, name)
+    return _ask(endpoints, Verb.PROGRESS, None, Progress, name)
 
 
-def ask_admin(
-    endpoints: Sequence[str], request: AdminRequest, tls: TlsFiles | None = None, name: str = OPERATOR
-) -> AdminReply:
+def ask_admin(endpoints: Sequence[str], request: AdminRequest, name: str = OPERATOR) -> AdminReply:
     """Has a coordinator carry out an operator's wish; safe to repeat.
 
     Raises:
         TransientError: nobody answers there; whether it was done is unknown.
         WorldError: it was refused.
     """
-    return _ask(endpoints, Verb.ADMIN, request, AdminReply, tls, name)
+    return _ask(endpoints, Verb.ADMIN, request, AdminReply, name)
 
 
-def _ask(
-    endpoints: Sequence[str], verb: Verb, message: Model | None, answer: type[R], tls: TlsFiles | None, name: str
-) -> R:
+def _ask(endpoints: Sequence[str], verb: Verb, message: Model | None, answer: type[R], name: str) -> R:
     named = ", ".join(endpoints)
     payload = message.model_dump_json() if message is not None else ""
     try:
-        with zenoh.open(client_config(endpoints, CoordinatorSettings().transport_lease_s, tls)) as session:
+        with zenoh.open(client_config(endpoints, CoordinatorSettings().transport_lease_s)) as session:
             replies = session.get(
                 any_hello_key(name, verb),
                 zenoh.handlers.FifoChannel(4),

@@ -171,7 +171,7 @@ def _listen(wanted: Sequence[str], settings: CoordinatorSettings) -> tuple[tuple
     for trial in range(_PORT_TRIES):
         endpoints = tuple(_with_port(endpoint) for endpoint in wanted)
         try:
-            return endpoints, zenoh.open(router_config(endpoints, settings.transport_lease_s, settings.tls))
+            return endpoints, zenoh.open(router_config(endpoints, settings.transport_lease_s))
         except zenoh.ZError as error:
             # between choosing a free port and listening on it somebody else may take it
             if endpoints == tuple(wanted) or trial + 1 == _PORT_TRIES:

@@ -21,7 +21,6 @@ from coordinator.archive import Archive
 from coordinator.beacon import light, quench
 from coordinator.catalog import Catalog
 from coordinator.checkpoint import write_checkpoint
-from coordinator.disk import require_room
 from coordinator.engine import open_reader, open_writer
 from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
@@ -95,7 +94,6 @@ class Coordinator:
             has_room=lambda: self._has_room,
         )
         url = ledger_url_of(root, ledger_url)
-        require_room(root, settings.reserve_bytes)
         checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
             stack.callback(checker.close)

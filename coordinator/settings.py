@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
@@ -10,19 +9,7 @@ from pydantic import Field
 from schemas.base import Model, Positive
 from schemas.keys import MAX_CHUNK_BYTES
 
-__all__ = ["CoordinatorSettings", "TlsFiles"]
-
-
-class TlsFiles(Model):
-    """Where the coordinator's certificate lies; with it, both sides of every link must show one of the same CA."""
-
-    ca: Path
-    certificate: Path
-    key: Path
-    hosts: tuple[str, ...] = ()
-    """Common names that may work, one a host; others are refused."""
-    operators: tuple[str, ...] = ()
-    """Common names that may ask for progress and administer."""
+__all__ = ["CoordinatorSettings"]
 
 
 class CoordinatorSettings(Model):
@@ -47,4 +34,3 @@ class CoordinatorSettings(Model):
     """Silence after which zenoh closes a link."""
     backlog: Annotated[int, Field(ge=1)] = 20_000
     """Requests that may wait; further ones get no answer and are asked again."""
-    tls: TlsFiles | None = None

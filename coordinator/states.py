@@ -5,6 +5,7 @@ Knows no database and no clock; the ledger asks it, and the diagram in ARCHITECT
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -105,3 +106,7 @@ def diagram() -> str:
         moves.setdefault((before, after), []).append(event)
     lines = [f"    {before} --> {after}: {', '.join(events)}" for (before, after), events in moves.items()]
     return "\n".join(["stateDiagram-v2", f"    [*] --> {State.PENDING}", *lines])
+
+
+if __name__ == "__main__":
+    sys.stdout.write(diagram() + "\n")

@@ -18,6 +18,7 @@ from typing import Self
 import structlog
 
 from coordinator.catalog import Catalog
+from coordinator.disk import require_room
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import WorldError
@@ -67,6 +68,7 @@ def run_locally(
         UsageError: the directory holds another plan, or this version lacks the expert.
     """
     require_expert(run.plan.expert)
+    require_room(run.root, settings.reserve_bytes)
     with Coordinator(run.root, run.plan, run.catalog, _LISTEN, settings=settings) as coordinator:
         progress = coordinator.progress()
         tell(progress)

@@ -29,7 +29,6 @@ from schemas.keys import (
     verb_key,
 )
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
-from workers.settings import WorkerTls
 
 __all__ = ["Link", "ReadChunk"]
 
@@ -52,13 +51,11 @@ class Link:
     Args:
         endpoints: where a coordinator or gateway may listen.
         host: this machine's name, under which every verb is asked.
-        tls: certificate of the host, for `tls/` endpoints.
     """
 
-    def __init__(self, endpoints: Sequence[str], host: str, tls: WorkerTls | None = None) -> None:
+    def __init__(self, endpoints: Sequence[str], host: str) -> None:
         self.endpoints = tuple(endpoints)
         self._host = host
-        self._tls = tls
         self._session: zenoh.Session | None = None
         self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
         self._serving: tuple[str, str, ReadChunk] | None = None
@@ -77,7 +74,7 @@ class Link:
         self.close()
         opening = self._closings
         try:
-            session = zenoh.open(_config(self.endpoints, self._tls))
+            session = zenoh.open(_config(self.endpoints))
         except zenoh.ZError as error:
             log.debug("connect_failed", endpoints=self.endpoints, error=str(error))
             return False
@@ -201,7 +198,7 @@ def _parse(payload: zenoh.ZBytes, kind: type[R]) -> R | Refusal | None:
     return None
 
 
-def _config(endpoints: Sequence[str], tls: WorkerTls | None) -> zenoh.Config:
+def _config(endpoints: Sequence[str]) -> zenoh.Config:
     values = {
         "mode": '"client"',
         "listen/endpoints": "[]",
@@ -219,15 +216,6 @@ def _config(endpoints: Sequence[str], tls: WorkerTls | None) -> zenoh.Config:
         "transport/link/rx/max_message_size": str(_MAX_PACKET_BYTES),
         "queries_default_timeout": "5000",
     }
-    if tls is not None:
-        values |= {
-            "transport/link/protocols": '["tls"]',
-            "transport/link/tls/root_ca_certificate": json.dumps(str(tls.ca)),
-            "transport/link/tls/enable_mtls": "true",
-            "transport/link/tls/close_link_on_expiration": "true",
-            "transport/link/tls/connect_private_key": json.dumps(str(tls.key)),
-            "transport/link/tls/connect_certificate": json.dumps(str(tls.certificate)),
-        }
     config = zenoh.Config()
     for name, value in values.items():
         config.insert_json5(name, value)

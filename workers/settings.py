@@ -11,7 +11,7 @@ import platformdirs
 
 from schemas.terms import RendererKind
 
-__all__ = ["WorkerSettings", "WorkerTls"]
+__all__ = ["WorkerSettings"]
 
 _SPARE_BUNDLES = 8
 
@@ -19,15 +19,6 @@ _SPARE_BUNDLES = 8
 def _cache(name: str) -> Path:
     chosen = os.environ.get("MINIVLA_CACHE")
     return (Path(chosen) if chosen else platformdirs.user_cache_path("minivla-factory")) / name
-
-
-@dataclass(frozen=True)
-class WorkerTls:
-    """Where the host's certificate lies; its common name must be the host."""
-
-    ca: Path
-    certificate: Path
-    key: Path
 
 
 @dataclass(frozen=True)
@@ -57,7 +48,6 @@ class WorkerSettings:
     min_free_bytes: int = 512 << 20
     """Free space on the spool's disk below which nothing is simulated."""
     max_scene_bytes: int = 4 << 30
-    tls: WorkerTls | None = None
     command: tuple[str, ...] = ()
     """How to start a simulation; empty takes our own."""
 

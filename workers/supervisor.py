@@ -59,7 +59,7 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
     at_once = at_once or threading.Event()
     name = tidy_host(settings.host or socket.gethostname())
     sid = make_sid(name)
-    with Link(settings.connect, name, settings.tls) as link:
+    with Link(settings.connect, name) as link:
         while True:
             terms = _meet(link, settings, name, sid, stop)
             if terms is None:

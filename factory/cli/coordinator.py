@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from coordinator.disk import require_room
 from coordinator.plan_file import load_plan
 from coordinator.service import DEFAULT_LISTEN, Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -62,6 +63,7 @@ def start(
     wanted = load_plan(plan_name) if plan_name is not None else begun or load_plan("demo")
     plan = shrunk_plan(wanted, changes)
     settings = CoordinatorSettings() if lease_ttl_s is None else CoordinatorSettings(lease_ttl_s=lease_ttl_s)
+    require_room(root, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
         with Coordinator(root, plan, catalog, listen, ledger, settings) as coordinator:
