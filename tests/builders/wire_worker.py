@@ -60,7 +60,7 @@ class WireWorker:
         self.served: list[int] = []
         """Offsets that were asked for."""
         self.is_frozen = False
-        self._session = zenoh.open(client_config(endpoints, 2.0, None))
+        self._session = zenoh.open(client_config(endpoints, 2.0))
         self._session.declare_queryable(bundle_key(run, self.sid), self._serve)
         self._token = self._session.liveliness().declare_token(alive_key(run, self.sid))
 
