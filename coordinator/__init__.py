@@ -1,1 +1,6 @@
-"""Truth: plan expansion, the ledger, the lease protocol, validation and the archive."""
+"""Truth: plan expansion, the ledger, the lease protocol, validation and the archive. Never simulates, never renders.
+
+Import from the modules by name; those listed are for use from outside.
+"""
+
+__all__ = ["admin", "archive", "ask", "catalog", "draw", "plan_file", "service", "settings", "states", "validate"]

@@ -16,10 +16,12 @@ __all__ = [
     "job",
     "keys",
     "language",
+    "measure",
     "ndarray",
     "plan",
     "png",
     "scene",
     "terms",
+    "tokens",
     "wire",
 ]
