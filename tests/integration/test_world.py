@@ -69,6 +69,17 @@ def test_robot_drives_a_straight_metre(room: World) -> None:
     assert pose.yaw == pytest.approx(0.0, abs=0.02)
 
 
+@pytest.mark.parametrize("yaw_rate", [-1.5, 1.5])
+def test_robot_holds_the_fastest_bend_of_the_action_grid_without_spinning_round(yaw_rate: float) -> None:
+    walls = build_scene(room_walls((-10.0, -10.0), (10.0, 10.0)))
+    with open_world(walls) as world:
+        drive(world, [Twist(1.0, yaw_rate)] * 120)
+        before = world.pose().yaw
+        drive(world, [Twist(1.0, yaw_rate)])
+        assert world.speed() == pytest.approx(1.0, abs=0.05)
+        assert math.remainder(world.pose().yaw - before, 2 * math.pi) * HZ == pytest.approx(yaw_rate, abs=0.1)
+
+
 def test_robot_turns_at_the_commanded_rate_about_base_link(room: World) -> None:
     drive(room, [Twist(0.0, 1.0)] * 60)
     before = room.pose()
