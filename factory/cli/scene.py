@@ -1,4 +1,4 @@
-"""`factory scene`: list, build, import and draw scenes."""
+"""`factory scene`: list, build, import and draw scenes; other verbs are files of their own."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import cast
 
 import click
 
+from factory.cli import scene_inspect, scene_survey
 from factory.cli.options import verbose_option
 from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.cli.scene_choice import chosen_scene, open_scene, scene_argument, seed_option
 from factory.logs import configure_logs
 from factory.settings import scene_cache
-from schemas.scene import CompiledScene, decode_scene
 from schemas.terms import RendererKind
 
 __all__ = ["command"]
@@ -21,6 +22,10 @@ __all__ = ["command"]
 @click.group("scene")
 def command() -> None:
     """Built-in scenes and your own."""
+
+
+command.add_command(scene_inspect.command)
+command.add_command(scene_survey.command)
 
 
 @command.command("list")
@@ -76,31 +81,24 @@ def import_(usd: Path, name: str | None, rules: Path | None, cache: Path | None,
 
 
 @command.command("render")
-@click.argument("scene")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Layout seed of a built-in scene.")
+@scene_argument
+@seed_option
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the pictures; default ./SCENE.")
 @click.option("--views", type=click.IntRange(1, 64), default=8, show_default=True, help="Views from the robot's eye.")
 @click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
 def render(scene: str, seed: int, out: Path | None, views: int, renderer: str) -> None:
     """Draw the map of SCENE (a built-in name or a compiled package) and views from the robot's eye."""
-    from factory.scenes.build import build_scene
     from factory.scenes.pictures import draw_scene
 
     configure_logs()
-    package = Path(scene) if Path(scene).is_file() else build_scene(scene, seed, scene_cache())
-    compiled = _open(package)
+    compiled = chosen_scene(scene, seed)
     folder = out or Path(compiled.info.name)
     for path in draw_scene(compiled, folder, views, cast(RendererKind, renderer)):
         click.echo(str(path))
 
 
-def _open(path: Path) -> CompiledScene:
-    with path.open("rb") as file:
-        return decode_scene(file)
-
-
 def _print_scene(path: Path, as_json: bool) -> None:
-    scene = _open(path)
+    scene = open_scene(path)
     info = scene.info
     facts = {
         "package": str(path),

@@ -1,0 +1,51 @@
+"""What a compiled scene holds, as plain data: categories, targets, units, extents, floor, notes.
+
+Pure; judges nothing and opens nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from schemas.scene import CompiledScene, Target
+
+__all__ = ["describe_scene", "describe_target"]
+
+
+def describe_scene(scene: CompiledScene) -> dict[str, Any]:
+    """Returns the facts of a scene, lengths in metres, fit for JSON."""
+    info = scene.info
+    (west, south, bottom), (east, north, top) = info.bounds_m
+    return {
+        "name": info.name,
+        "source": info.source,
+        "source_sha256": info.source_sha256,
+        "metres_per_unit": info.metres_per_unit,
+        "bounds_m": [list(corner) for corner in info.bounds_m],
+        "extents_m": [round(side, 3) for side in (east - west, north - south, top - bottom)],
+        "floor_height_m": info.floor_height_m,
+        "free_area_m2": info.free_area_m2,
+        "spawns": len(scene.spawns),
+        "triangles": len(scene.positions) // 3,
+        "collider_triangles": len(scene.collider_triangles),
+        "textures": info.texture_count,
+        "instances": len(info.instances),
+        "categories": dict(sorted(Counter(target.category for target in info.targets).items())),
+        "targets": [describe_target(target) for target in info.targets],
+        "notes": list(info.notes),
+    }
+
+
+def describe_target(target: Target) -> dict[str, Any]:
+    """Returns the facts of a target."""
+    return {
+        "id": target.target_id,
+        "category": target.category,
+        "colour": target.colour,
+        "centroid_m": list(target.centroid_m),
+        "size_m": list(target.size_m),
+        "straight_tiers": [str(tier) for tier in target.straight_tiers],
+        "connected_tiers": [str(tier) for tier in target.connected_tiers],
+        "prim_path": target.prim_path,
+    }
