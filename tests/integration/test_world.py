@@ -75,7 +75,8 @@ def test_robot_holds_the_fastest_bend_of_the_action_grid_without_spinning_round(
     with open_world(walls) as world:
         drive(world, [Twist(1.0, yaw_rate)] * 120)
         before = world.pose().yaw
-        drive(world, [Twist(1.0, yaw_rate)])
+        world.command(1.0, yaw_rate)
+        world.step()
         assert world.speed() == pytest.approx(1.0, abs=0.05)
         assert math.remainder(world.pose().yaw - before, 2 * math.pi) * HZ == pytest.approx(yaw_rate, abs=0.1)
 
