@@ -1,0 +1,31 @@
+"""`factory stats`: every table of the paper for a dataset, beside what the paper publishes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json
+from factory.cli.stats_tables import print_statistics
+from factory.logs import configure_logs
+from factory.stats import measure_dataset
+
+__all__ = ["command"]
+
+
+@click.command("stats")
+@dataset_argument
+@json_option
+def command(root: Path, as_json: bool) -> int:
+    """Print the statistics of the dataset DIR; exit 1 when something was left out for damage."""
+    configure_logs()
+    statistics = measure_dataset(root)
+    if as_json:
+        print_json(statistics.model_dump(mode="json"))
+    else:
+        print_statistics(statistics)
+    for remark in statistics.remarks:
+        click.echo(f"{'damage' if remark.is_damage else 'note'}: {remark.file}: {remark.text}", err=True)
+    return 0 if statistics.is_sound else 1

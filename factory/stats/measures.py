@@ -1,0 +1,108 @@
+"""The statistics themselves, over plain numbers: means, quantiles, Wilson shares, Pearson and Fisher. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from factory.stats.model import Fit, Share
+
+__all__ = ["CONFIDENCE", "QUANTILES", "deviation_of", "fit_line", "mean_of", "median_of", "quantiles_of", "share_of"]
+
+CONFIDENCE = 0.95
+QUANTILES = (0, 5, 25, 50, 75, 95, 100)
+_FEWEST_FOR_FIT = 3
+_ALIKE = 1e-9
+"""Spread, relative to the size of the numbers, below which they count as one value."""
+
+
+def mean_of(values: Sequence[float]) -> float | None:
+    """Returns the arithmetic mean, or `None` of nothing."""
+    return float(np.mean(values)) if len(values) else None
+
+
+def median_of(values: Sequence[float]) -> float | None:
+    """Returns the median, or `None` of nothing."""
+    return float(np.median(values)) if len(values) else None
+
+
+def deviation_of(values: Sequence[float]) -> float | None:
+    """Returns the sample standard deviation (n - 1), or `None` of fewer than two values."""
+    return float(np.std(values, ddof=1)) if len(values) > 1 else None
+
+
+def quantiles_of(values: Sequence[float]) -> dict[str, float]:
+    """Returns the quantiles of `QUANTILES` (per cent, linear between values) as `p05` and so on."""
+    if not len(values):
+        return {}
+    return {f"p{level:02d}": float(np.percentile(values, level)) for level in QUANTILES}
+
+
+def share_of(count: int, of: int) -> Share:
+    """Returns a proportion with its Wilson score interval (Wilson, 1927); `None`s of nothing."""
+    if of == 0:
+        return Share(count=count, of=0, share=None, low=None, high=None)
+    interval = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
+    low, high = (min(1.0, max(0.0, float(end))) for end in (interval.low, interval.high))
+    return Share(count=count, of=of, share=count / of, low=low, high=high)
+
+
+def fit_line(group: str, x: Sequence[float], y: Sequence[float]) -> Fit:
+    """Returns Pearson's r with its Fisher z interval, and the least-squares line of y over x.
+
+    Args:
+        group: what the numbers belong to.
+        x: spawn distances, metres.
+        y: trajectory lengths, metres; one for each x.
+    """
+    if len(x) < _FEWEST_FOR_FIT:
+        return _no_fit(group, len(x), f"needs at least {_FEWEST_FOR_FIT} episodes, has {len(x)}")
+    flat = [name for name, values in (("spawn distances", x), ("trajectory lengths", y)) if _is_flat(values)]
+    if flat:
+        return _no_fit(group, len(x), f"all {' and '.join(flat)} are equal")
+    line = stats.linregress(x, y)
+    low, high = _fisher_interval(float(line.rvalue), len(x))
+    return Fit(
+        group=group,
+        n=len(x),
+        r=float(line.rvalue),
+        low=low,
+        high=high,
+        p=float(line.pvalue),
+        slope=float(line.slope),
+        slope_error=float(line.stderr),
+        intercept_m=float(line.intercept),
+    )
+
+
+def _fisher_interval(r: float, n: int) -> tuple[float, float]:
+    """Fisher's z: atanh(r) is near normal with variance 1 / (n - 3) (Fisher, 1921)."""
+    if abs(r) >= 1:
+        return r, r
+    if n <= _FEWEST_FOR_FIT:
+        return -1.0, 1.0
+    half = float(stats.norm.ppf(0.5 + CONFIDENCE / 2)) / np.sqrt(n - 3)
+    return float(np.tanh(np.arctanh(r) - half)), float(np.tanh(np.arctanh(r) + half))
+
+
+def _is_flat(values: ArrayLike) -> bool:
+    array: NDArray[np.float64] = np.asarray(values, np.float64)
+    return bool(np.ptp(array) <= _ALIKE * max(1.0, float(np.abs(array).max())))
+
+
+def _no_fit(group: str, n: int, remark: str) -> Fit:
+    return Fit(
+        group=group,
+        n=n,
+        r=None,
+        low=None,
+        high=None,
+        p=None,
+        slope=None,
+        slope_error=None,
+        intercept_m=None,
+        remark=remark,
+    )

@@ -1,0 +1,112 @@
+"""Rollout statistics, navigation errors and the fit of length over distance, by group of episodes. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+from coordinator.summary import EpisodeSummary
+from factory.stats import paper
+from factory.stats.measures import deviation_of, fit_line, mean_of, median_of, quantiles_of, share_of
+from factory.stats.model import ErrorRow, Fit, Published, RolloutRow
+from schemas.terms import Split, Tier
+
+__all__ = ["ALL", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "navigation_errors"]
+
+ALL = "all"
+"""Name of the group of everything."""
+Episodes = Sequence[EpisodeSummary]
+
+
+def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:
+    """Returns a row for each scene of the plan, and one of all (paper Table V, Fig. 9)."""
+    return _rows(episodes, scenes, lambda row: row.scene, paper.SCENES)
+
+
+def by_split(episodes: Episodes) -> tuple[RolloutRow, ...]:
+    """Returns a row for each split, and one of all (paper Table VI)."""
+    return _rows(episodes, Split, lambda row: row.split, paper.SPLITS)
+
+
+def by_tier(episodes: Episodes) -> tuple[RolloutRow, ...]:
+    """Returns a row for each tier, and one of all (paper Table VII, Fig. 10)."""
+    return _rows(episodes, Tier, lambda row: row.spawn_tier, paper.TIERS)
+
+
+def by_scene_tier(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:
+    """Returns a row for each scene and tier; the paper has none of these."""
+    groups = [f"{scene} / {tier}" for scene in scenes for tier in Tier]
+    return _rows(episodes, groups, lambda row: f"{row.scene} / {row.spawn_tier}", {})[:-1]
+
+
+def navigation_errors(episodes: Episodes, scenes: Iterable[str], radius_m: float) -> tuple[ErrorRow, ...]:
+    """Returns the quantiles of NE for each scene and for all (paper Fig. 8).
+
+    Args:
+        episodes: rows.
+        scenes: of the plan.
+        radius_m: success radius, metres.
+    """
+    return tuple(
+        _error_row(name, group, radius_m, paper.NAVIGATION_ERROR if name == ALL else None)
+        for name, group in _groups(episodes, scenes, lambda row: row.scene)
+    )
+
+
+def correlations(episodes: Episodes, scenes: Iterable[str]) -> tuple[Fit, ...]:
+    """Returns the fit of trajectory length over spawn distance: of all, each scene and each tier (paper Fig. 11)."""
+    groups = [*_groups(episodes, scenes, lambda row: row.scene)]
+    groups = [groups[-1], *groups[:-1], *list(_groups(episodes, Tier, lambda row: row.spawn_tier))[:-1]]
+    return tuple(
+        fit_line(name, [row.spawn_dist_m for row in group], [row.trajectory_length_m for row in group])
+        for name, group in groups
+    )
+
+
+def _groups(
+    episodes: Episodes, names: Iterable[str], name_of: Callable[[EpisodeSummary], str]
+) -> Iterator[tuple[str, Episodes]]:
+    members: dict[str, list[EpisodeSummary]] = {str(name): [] for name in names}
+    for row in episodes:
+        members.setdefault(str(name_of(row)), []).append(row)
+    yield from members.items()
+    yield ALL, episodes
+
+
+def _rows(
+    episodes: Episodes,
+    names: Iterable[str],
+    name_of: Callable[[EpisodeSummary], str],
+    published: Mapping[str, Published],
+) -> tuple[RolloutRow, ...]:
+    return tuple(
+        _rollout_row(name, group, paper.OVERALL if name == ALL else published.get(name))
+        for name, group in _groups(episodes, names, name_of)
+    )
+
+
+def _rollout_row(name: str, group: Episodes, published: Published | None) -> RolloutRow:
+    lengths = [row.trajectory_length_m for row in group]
+    steps = [row.num_steps for row in group]
+    return RolloutRow(
+        group=name,
+        n=len(group),
+        ne_mean_m=mean_of([row.final_ne_m for row in group]),
+        tl_mean_m=mean_of(lengths),
+        tl_median_m=median_of(lengths),
+        steps_mean=mean_of(steps),
+        steps_median=median_of(steps),
+        paper=published,
+    )
+
+
+def _error_row(name: str, group: Episodes, radius_m: float, published: Published | None) -> ErrorRow:
+    errors = [row.final_ne_m for row in group]
+    return ErrorRow(
+        group=name,
+        n=len(errors),
+        mean=mean_of(errors),
+        std=deviation_of(errors),
+        quantiles=quantiles_of(errors),
+        within_radius=share_of(sum(error <= radius_m for error in errors), len(errors)),
+        paper=published,
+    )
