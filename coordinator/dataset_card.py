@@ -42,7 +42,8 @@ is told in English which object to drive to; it stops within {radius:g} m of it.
 ## Files
 - `metadata.parquet`: one row an episode. `episode_id`, `split`, `scene`, `instruction`, `target_category`, `target_id`,
   `spawn_tier`, `spawn_dist_m`, `num_steps`, `trajectory_length_m`, `final_ne_m`, `collision_count`, `template_id`, then
-  colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer.
+  colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer,
+  and `geodesic_m`, the shortest way along the floor to the success circle (the l of SPL).
 - `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: `rgb_front/*.png` (640 x 640, 8 bit),
   `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
   table in `meta.json`), `actions_continuous.npy` (v in m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy`

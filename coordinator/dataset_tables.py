@@ -136,6 +136,8 @@ def parquet_schema(model: type[Model]) -> pa.Schema:
 
 
 def _column_type(annotation: Any) -> pa.DataType:
+    if type(None) in get_args(annotation):  # a column may be empty anyway
+        annotation = next(kind for kind in get_args(annotation) if kind is not type(None))
     kind = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
     if isinstance(kind, type) and issubclass(kind, enum.StrEnum):
         return pa.string()

@@ -190,6 +190,7 @@ def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> J
         camera=plan.camera,
         spawn=plan.spawn,
         gains=plan.gains,
+        planner=plan.planner,
     )
 
 

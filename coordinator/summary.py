@@ -101,6 +101,8 @@ class EpisodeSummary(Model):
     cpu: str
     software: str
     """Package versions as JSON with sorted keys."""
+    geodesic_m: NonNegative | None
+    """Shortest way along the floor from the spawn to the success circle, metres; null where there is none."""
 
 
 def file_name_of(episode_id: str) -> str:
@@ -164,4 +166,5 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
         renderer=made.fingerprint.renderer,
         cpu=made.fingerprint.cpu,
         software=json.dumps(made.fingerprint.software, sort_keys=True),
+        geodesic_m=meta.route.geodesic_m,
     )

@@ -8,6 +8,7 @@ from coordinator.check_frames import survey_frames
 from coordinator.check_job import job_findings, table_findings, target_findings
 from coordinator.check_motion import motion_findings
 from coordinator.check_rollout import rollout_findings, visibility_findings
+from coordinator.check_route import route_findings
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.scene import Target
@@ -37,6 +38,7 @@ def validate(
     findings += table_findings(meta)
     findings += target_findings(meta, target) if target is not None else []
     findings += rollout_findings(meta, arrays)
+    findings += route_findings(meta, arrays)
     findings += motion_findings(arrays, meta.job.robot, task.control_hz, meta.rollout.collision_count)
     survey = survey_frames(bundle, on_frame)
     findings += survey.findings

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from schemas.base import Fraction, Model, NonNegative, Positive
 
-__all__ = ["CameraConfig", "ExpertConfig", "RobotConfig", "SpawnConfig", "TaskConfig"]
+__all__ = ["CameraConfig", "ExpertConfig", "PlannerConfig", "RobotConfig", "SpawnConfig", "TaskConfig"]
 
 
 class TaskConfig(Model):
@@ -104,3 +104,26 @@ class ExpertConfig(Model):
     """Pixels of the target from which on it counts as visible."""
     avoidance_speed_mps: Positive = 0.1
     """Speed cap while an obstacle is near; above zero, so that a stall can be told."""
+
+
+class PlannerConfig(Model):
+    """Settings of the planner expert (DESIGN 3.20); the other experts ignore them."""
+
+    margin_m: NonNegative = 0.08
+    """Free space around the footprint along the path, metres."""
+    tight_margin_m: NonNegative = 0.02
+    """The same where the wide margin leaves no way."""
+    arrival_margin_m: NonNegative = 0.10
+    """How far within the success circle the path ends, metres."""
+    tight_arrival_margin_m: NonNegative = 0.05
+    """The same where that leaves no way either."""
+    stop_margin_m: NonNegative = 0.03
+    """How far within the success circle the robot brakes, metres."""
+    max_path_m: Positive = 10.0
+    """Longest way along the floor to the success circle of a start in the far tier, metres."""
+    max_expansions: Annotated[int, Field(ge=1, le=10_000_000)] = 60_000
+    """Poses after which a search gives up."""
+    look_ahead_m: Positive = 0.40
+    """Distance of the point on the path that pure pursuit aims at, metres."""
+    lateral_acceleration_mps2: Positive = 0.35
+    """Speed times yaw rate that bends are slowed down to, m/s2; the tail-heavy robot skids beyond."""

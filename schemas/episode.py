@@ -14,7 +14,7 @@ from schemas.plan import canonical_json
 from schemas.scene import Instance
 from schemas.terms import EndReason
 
-__all__ = ["BUNDLE_FORMAT", "EpisodeMeta", "Provenance", "Rollout"]
+__all__ = ["BUNDLE_FORMAT", "EpisodeMeta", "Provenance", "Rollout", "Route"]
 
 BUNDLE_FORMAT = 1
 """Version of the bundle. A reader opens its own version and older ones; a newer one it refuses by name."""
@@ -48,6 +48,16 @@ class Rollout(Model):
     """Steps in which the target was visible to the expert."""
 
 
+class Route(Model):
+    """The way to the target as the scene's floor has it, whatever the expert drove."""
+
+    geodesic_m: NonNegative | None = None
+    """Length of the shortest way along the floor from the spawn to the success circle, metres; `None` where the
+    floor does not connect them. The l of SPL."""
+    planned: tuple[tuple[float, float, float], ...] = ()
+    """Poses of the planner's path: x, y in metres and yaw in radians of base_link; empty for other experts."""
+
+
 class Provenance(Model):
     """Where and when the bytes were made; never part of the content digest."""
 
@@ -71,6 +81,7 @@ class EpisodeMeta(Model):
     phrase_is_unique: bool
     """Whether category and colour, as said, fit one target of the scene only."""
     rollout: Rollout
+    route: Route = Route()
     instances: tuple[Instance, ...]
     """What the ids in `seg_front` mean."""
     frame_digests: tuple[Digest, ...]

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from schemas.base import Model, Name, Sha256
-from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.plan import MAX_EPISODES
 from schemas.terms import ExpertName, Split, Tier
 
@@ -54,6 +54,7 @@ class Job(Model):
     camera: CameraConfig
     spawn: SpawnConfig
     gains: ExpertConfig
+    planner: PlannerConfig = PlannerConfig()
 
     @property
     def episode_id(self) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from schemas.base import Fraction, Model, Name
-from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.terms import BUILTIN_CATEGORIES, CATEGORIES, ExpertName, SceneCategories, Split, Tier
 
 __all__ = ["MAX_EPISODES", "PAPER_SPLITS", "PAPER_TIERS", "Budget", "Plan", "ScenePlan", "canonical_json"]
@@ -112,6 +112,7 @@ class Plan(Model):
     camera: CameraConfig = CameraConfig()
     spawn: SpawnConfig = SpawnConfig()
     gains: ExpertConfig = ExpertConfig()
+    planner: PlannerConfig = PlannerConfig()
 
     @model_validator(mode="after")
     def _adds_up(self) -> Plan:

@@ -11,12 +11,14 @@ from datetime import UTC, datetime
 from typing import BinaryIO
 
 from schemas.bundle import BundleWriter, EpisodeArrays
-from schemas.episode import EpisodeMeta, Provenance, Rollout
+from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
 from schemas.job import Job
 from schemas.measure import measure_track
 from schemas.scene import SceneInfo, Target
 from schemas.terms import EndReason, FailReason
-from workers.experts import make_expert
+from workers.experts import Expert, make_expert
+from workers.plan import geodesic_m
+from workers.pose import Pose
 from workers.rollout import Drive, drive
 from workers.spawn import draw_poses, is_spawn_firm
 from workers.stage import LoadedScene, Stage
@@ -62,10 +64,25 @@ def run_attempt(job: Job, stage: Stage, out: BinaryIO, sid: str, on_step: Callab
     rng = job.rng()
     for draws, start in enumerate(draw_poses(job, target, place, rng), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
-            if is_spawn_firm(world, start, job):
-                return _drive_and_seal(job, target, place, stage, world, draws, out, sid, on_step)
+            if not is_spawn_firm(world, start, job):
+                continue
+            expert = make_expert(job)
+            planned = expert.begin(world.pose(), place.grid, target)
+            if planned is None:
+                return Failure(FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_words(start)}", 0)
+            route = Route(geodesic_m=_geodesic_m(job, target, place, world), planned=planned)
+            return _drive_and_seal(job, target, place, stage, world, expert, route, draws, out, sid, on_step)
     detail = f"no firm start for {job.target_id} in tier {job.tier} within {job.spawn.physics_draws} draws"
     return Failure(FailReason.SPAWN, detail, 0)
+
+
+def _geodesic_m(job: Job, target: Target, place: LoadedScene, world: World) -> float | None:
+    pose = world.pose()
+    return geodesic_m(place.grid, (pose.x, pose.y), target, job.task.success_radius_m)
+
+
+def _words(pose: Pose) -> str:
+    return f"({pose.x:.2f}, {pose.y:.2f}) m, yaw {pose.yaw:.2f} rad"
 
 
 def _drive_and_seal(
@@ -74,6 +91,8 @@ def _drive_and_seal(
     place: LoadedScene,
     stage: Stage,
     world: World,
+    expert: Expert,
+    route: Route,
     draws: int,
     out: BinaryIO,
     sid: str,
@@ -86,7 +105,7 @@ def _drive_and_seal(
         target,
         world,
         stage.renderer,
-        make_expert(job),
+        expert,
         lambda frame: writer.add_frame(frame.rgb, frame.depth, frame.ids),
         on_step,
     )
@@ -94,12 +113,12 @@ def _drive_and_seal(
         writer.abandon()
         return Failure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
     provenance = Provenance(created_at=datetime.now(UTC), worker=sid, fingerprint=stage.fingerprint)
-    meta = describe_episode(job, target, place.scene.info, done, draws, provenance)
+    meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
     return Success(writer.finish(done.arrays, meta))
 
 
 def describe_episode(
-    job: Job, target: Target, info: SceneInfo, done: Drive, draws: int, provenance: Provenance
+    job: Job, target: Target, info: SceneInfo, done: Drive, route: Route, draws: int, provenance: Provenance
 ) -> EpisodeMeta:
     """Returns the metadata of a successful drive, digests still open."""
     return EpisodeMeta(
@@ -110,6 +129,7 @@ def describe_episode(
         target_centroid_m=target.centroid_m,
         phrase_is_unique=_is_unique(job, info),
         rollout=_summarise(done.arrays, target, done, draws),
+        route=route,
         instances=info.instances,
         frame_digests=(),
         content_digest=_NO_DIGEST,

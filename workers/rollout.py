@@ -66,7 +66,7 @@ def drive(
         target: the object to approach.
         world: with the robot standing at its start.
         renderer: with the scene loaded.
-        expert: asked once a step.
+        expert: has begun at this start; asked once a step.
         sink: takes every frame.
         on_step: told after every step.
     """
@@ -103,6 +103,7 @@ def _observe(frame: Frame, pose: Pose, target: Target, job: Job) -> Observation:
         bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),
         distance_m=math.hypot(dx, dy),
         obstacle_near=is_obstacle_near(frame.depth, job.task),
+        pose=pose,
     )
 
 

@@ -15,12 +15,15 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Tier
 from workers.grid import straight_end
+from workers.plan import geodesic_field, pose_table
 from workers.pose import Pose
 from workers.stage import LoadedScene
 from workers.world import World
 
 ARRIVAL_RADIUS_M = 0.97
 """Where the robot comes to rest within the success circle, metres from the centroid."""
+_CLOSEST_FAR_M = 1.5
+"""Least distance to the target's centroid of the planner's far starts, metres."""
 
 __all__ = ["draw_poses", "is_spawn_firm"]
 
@@ -30,7 +33,7 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
 
     Near and mid: uniform distance and bearing around the target, facing it within the heading noise. Far: a
     surveyed floor point and a uniform heading. Experts that drive straight get starts whose straight line to the
-    success circle is free; the planner gets any start on the connected floor.
+    success circle is free; the planner gets any start on the connected floor and, far, one whose way is not too long.
 
     Args:
         job: gives tier, expert and spawn settings.
@@ -90,17 +93,29 @@ def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> tuple[
 
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
     if job.expert is ExpertName.PLANNER:
-        return place.scene.spawns
+        return _points_within_reach(job, target, place)
     column = place.scene.info.targets.index(target)
     return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
+
+
+def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    """Surveyed points from which the way along the floor is short enough to be driven within the step limit."""
+    points = place.scene.spawns
+    way = geodesic_field(place.grid, target, job.task.success_radius_m).metres
+    is_short = place.grid.values_at(way, points, np.inf).astype(np.float64) <= job.planner.max_path_m
+    is_outside = np.linalg.norm(points - np.asarray(target.centroid_m[:2]), axis=1) >= _CLOSEST_FAR_M
+    return np.asarray(points[is_short & is_outside])
 
 
 def _can_start(job: Job, target: Target, place: LoadedScene, x: float, y: float, yaw: float) -> bool:
     if not place.is_connected(x, y, yaw):
         return False
+    is_planner = job.expert is ExpertName.PLANNER
+    if is_planner and not pose_table(place.grid, job.planner.tight_margin_m).holds(x, y, yaw):
+        return False
     if job.tier is Tier.FAR:
-        return True  # the survey knows which of its points have a straight way
+        return True  # its points were chosen by their way
     if not place.grid.has_sight((x, y), target):
         return False
     end = straight_end((x, y), target.centroid_m[:2], ARRIVAL_RADIUS_M)
-    return job.expert is ExpertName.PLANNER or place.grid.is_line_free((x, y), end, job.spawn.approach_clearance_m)
+    return is_planner or place.grid.is_line_free((x, y), end, job.spawn.approach_clearance_m)

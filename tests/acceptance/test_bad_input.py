@@ -123,6 +123,7 @@ def test_a_scene_without_the_targets_of_the_plan_is_refused_before_anything_is_m
     assert not (tmp_path / "x").exists()
 
 
-def test_an_expert_this_version_lacks_is_refused_before_anything_is_built(factory, tmp_path):
-    assert "planner" in factory("run", "balanced", "--out", tmp_path / "x", expect=2).stderr
+def test_an_expert_that_nobody_knows_is_refused_with_the_known_ones(factory, tmp_path):
+    err = factory("run", "demo", "--expert", "wizard", "--out", tmp_path / "x", expect=2).stderr
+    assert "planner" in err
     assert not (tmp_path / "x").exists()

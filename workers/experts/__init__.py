@@ -9,6 +9,7 @@ from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.terms import ExpertName
 from workers.experts.base import Expert, Observation
+from workers.experts.planner import PlannerExpert
 from workers.experts.proportional import ProportionalExpert, centroid_speed, depth_speed, literal_speed
 
 __all__ = ["EXPERTS", "Expert", "Observation", "make_expert", "require_expert"]
@@ -18,6 +19,7 @@ EXPERTS: Mapping[ExpertName, Callable[[Job], Expert]] = MappingProxyType(
         ExpertName.PROPORTIONAL: lambda job: ProportionalExpert(job, centroid_speed),
         ExpertName.DEPTH: lambda job: ProportionalExpert(job, depth_speed),
         ExpertName.PAPER_LITERAL: lambda job: ProportionalExpert(job, literal_speed),
+        ExpertName.PLANNER: PlannerExpert,
     }
 )
 """Every expert this version can drive with."""

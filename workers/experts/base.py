@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
+from schemas.scene import Target
+from workers.grid import Grid
+from workers.plan import Waypoint
+from workers.pose import Pose
 from workers.sight import Sighting
 from workers.slew import Twist
 
@@ -19,10 +23,23 @@ class Observation(NamedTuple):
     distance_m: float
     """Planar distance from base_link to the target's centroid."""
     obstacle_near: bool
+    pose: Pose
+    """Of base_link in the world frame."""
 
 
+@runtime_checkable
 class Expert(Protocol):
-    """A controller; `act` is called once a step, in order."""
+    """A controller of one drive; `begin` is called once, then `act` once a step, in order."""
+
+    def begin(self, start: Pose, grid: Grid, target: Target) -> tuple[Waypoint, ...] | None:
+        """Returns the path it means to follow: empty where it follows none, `None` where it needs one and finds none.
+
+        Args:
+            start: pose of base_link at rest.
+            grid: of the scene.
+            target: to drive to.
+        """
+        ...
 
     def act(self, seen: Observation) -> Twist:
         """Returns the wanted twist, within the action bounds and before the slew limit."""

@@ -10,7 +10,11 @@ from collections.abc import Callable
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import ExpertConfig
 from schemas.job import Job
+from schemas.scene import Target
 from workers.experts.base import Observation
+from workers.grid import Grid
+from workers.plan import Waypoint
+from workers.pose import Pose
 from workers.slew import Twist
 
 __all__ = ["ProportionalExpert", "centroid_speed", "depth_speed", "literal_speed"]
@@ -50,6 +54,10 @@ class ProportionalExpert:
         self._robot = job.robot
         self._radius_m = job.task.success_radius_m
         self._speed_law = speed_law
+
+    def begin(self, start: Pose, grid: Grid, target: Target) -> tuple[Waypoint, ...]:  # noqa: ARG002
+        """Returns the empty path: it follows none."""
+        return ()
 
     def act(self, seen: Observation) -> Twist:
         """Returns the wanted twist; standing still, heading and all, once the speed law says 0 inside the circle."""

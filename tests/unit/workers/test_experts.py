@@ -1,4 +1,4 @@
-"""The proportional expert and its speed laws, against the paper's equations."""
+"""The experts: speed laws against the paper's equations, and what the planner does near its goal."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import pytest
 from coordinator.builtin_plans import BUILTIN_PLANS
 from coordinator.draw import expand, to_job
 from coordinator.plan_file import shrink
-from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.terms import ExpertName
 from tests.builders.catalog import make_catalog
-from workers.experts import Observation, make_expert
+from tests.builders.scene import box_room
+from workers.experts import Expert, Observation, make_expert
+from workers.grid import Grid
+from workers.pose import Pose
 from workers.sight import Sighting
 
 UNSEEN = Sighting(0, 320.0, 0.0)
@@ -26,7 +28,7 @@ def make_job(expert: ExpertName = ExpertName.PROPORTIONAL) -> Job:
 
 
 def seen(distance=3.0, bearing=0.0, sighting=UNSEEN, near=False) -> Observation:
-    return Observation(sighting, bearing, distance, near)
+    return Observation(sighting, bearing, distance, near, Pose.planar(2.5 - distance, 1.3, 0.0))
 
 
 def test_speed_is_proportional_to_the_centroid_distance_and_clamped():
@@ -64,6 +66,31 @@ def test_the_depth_law_uses_the_mask_depth_while_visible():
     assert expert.act(seen(distance=1.3)).v_mps == pytest.approx(0.91)
 
 
-def test_an_expert_that_this_version_lacks_is_named():
-    with pytest.raises(UsageError, match="planner"):
-        make_expert(make_job(ExpertName.PLANNER))
+@pytest.mark.parametrize("name", ExpertName)
+def test_every_expert_of_the_vocabulary_can_be_made(name):
+    assert isinstance(make_expert(make_job(name)), Expert)
+
+
+def begun_planner() -> Expert:
+    scene = box_room()
+    crate = next(target for target in scene.info.targets if target.category == "crate")
+    expert = make_expert(make_job(ExpertName.PLANNER))
+    path = expert.begin(Pose.planar(-0.5, 0.5, 0.0), Grid.from_scene(scene), crate)
+    assert path
+    return expert
+
+
+def test_the_planner_slows_down_towards_the_goal_as_the_proportional_expert_does():
+    assert begun_planner().act(seen(distance=1.1)).v_mps <= 0.77 + 1e-9
+
+
+def test_the_planner_stops_within_the_circle_and_does_not_start_again():
+    expert = begun_planner()
+    assert expert.act(seen(distance=0.98)) != (0.0, 0.0)
+    assert expert.act(seen(distance=0.96)) == (0.0, 0.0)
+    assert expert.act(seen(distance=0.99)) == (0.0, 0.0)
+
+
+def test_the_planner_refuses_to_drive_without_a_path():
+    with pytest.raises(RuntimeError, match="begin"):
+        make_expert(make_job(ExpertName.PLANNER)).act(seen())

@@ -1,0 +1,51 @@
+"""The way an episode claims to the target: the geodesic distance and the planner's path, against the poses. Pure."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+
+from schemas.bundle import EpisodeArrays
+from schemas.episode import EpisodeMeta
+from schemas.measure import measure_track
+from schemas.terms import ExpertName
+
+__all__ = ["route_findings"]
+
+GEODESIC_SLACK_M = 0.05
+"""One cell: a way along the floor ends on a cell, a straight line on the circle."""
+START_SLACK_M = 1e-4
+"""Between the path's first pose in float64 and pose 0 in float32."""
+STRIDE_M = 0.2 + 1e-6
+"""Longest step between two poses of a path."""
+
+
+def route_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> list[str]:
+    """Returns all in which the recorded route contradicts the poses, the target or itself."""
+    return [*_geodesic_findings(meta, arrays), *_path_findings(meta, arrays)]
+
+
+def _geodesic_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> Iterator[str]:
+    geodesic = meta.route.geodesic_m
+    least = measure_track(arrays.poses, meta.target_centroid_m).spawn_dist_m - meta.job.task.success_radius_m
+    if geodesic is not None and geodesic < least - GEODESIC_SLACK_M:
+        yield f"geodesic_m {geodesic:.3f}, but the success circle is {least:.3f} m away in a straight line"
+
+
+def _path_findings(meta: EpisodeMeta, arrays: EpisodeArrays) -> Iterator[str]:
+    path, radius = meta.route.planned, meta.job.task.success_radius_m
+    has_planner = meta.job.expert is ExpertName.PLANNER
+    if bool(path) != has_planner:
+        yield f"a path of {len(path)} poses in an episode of the {meta.job.expert} expert"
+    if not path or not has_planner:
+        return
+    off = math.dist(path[0][:2], arrays.poses[0, :2].tolist())
+    if not off <= START_SLACK_M:
+        yield f"the path starts {off:.4f} m from pose 0"
+    stride = max((math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(path)), default=0.0)
+    if not stride <= STRIDE_M:
+        yield f"the path has a step of {stride:.3f} m, limit {STRIDE_M:.1f} m"
+    left = math.dist(path[-1][:2], meta.target_centroid_m[:2])
+    if not left <= radius:
+        yield f"the path ends {left:.3f} m from the target, success radius {radius:g} m"

@@ -1,0 +1,107 @@
+"""The planner expert in real physics: around a wall to its target without a touch, by the laws of motion."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import pytest
+
+from coordinator.check_motion import motion_findings
+from schemas.config import CameraConfig, PlannerConfig, TaskConfig
+from schemas.job import Job
+from schemas.scene import CompiledScene
+from schemas.terms import EndReason, ExpertName, Tier
+from tests.builders.bundle import job_for
+from tests.builders.scene import Box, box_room
+from workers.experts import make_expert
+from workers.grid import Grid
+from workers.plan import geodesic_m
+from workers.pose import Pose
+from workers.render import Frame
+from workers.rollout import Drive, drive
+from workers.spawn import draw_poses
+from workers.stage import prepare_scene
+from workers.world import ColliderMesh, World
+
+WALL = Box((0.8, -1.0, 0.0), (1.0, 3.0, 2.5))
+FENCE = Box((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))
+DARK = Frame(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), np.zeros((8, 8), np.uint16))
+
+
+class Darkness:
+    """A renderer that shows nothing: the planner needs no eyes."""
+
+    description = "darkness"
+
+    def load(self, scene: CompiledScene, camera: CameraConfig) -> None: ...
+
+    def render(self, pose: Pose) -> Frame:
+        return DARK
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def planner_job(scene: CompiledScene, tier: Tier = Tier.FAR, **changes: object) -> Job:
+    crate = next(target for target in scene.info.targets if target.category == "crate")
+    values = {"tier": tier, "expert": ExpertName.PLANNER, "task": TaskConfig(), "target_id": crate.target_id}
+    return job_for(**values | changes)
+
+
+def drive_from(scene: CompiledScene, start: tuple[float, float, float]) -> Drive:
+    job = planner_job(scene)
+    target = scene.info.target(job.target_id)
+    with World(scene, ColliderMesh.from_scene(scene), job.robot, job.task.control_hz) as world:
+        world.place(*start)
+        expert = make_expert(job)
+        assert expert.begin(world.pose(), Grid.from_scene(scene), target)
+        return drive(job, target, world, Darkness(), expert, lambda _frame: None, lambda _step: None)
+
+
+@pytest.mark.parametrize("start", [(-1.5, 0.5, 0.0), (-1.0, 0.0, 2.8), (-2.5, 1.5, -1.6)])
+def test_planner_drives_around_a_wall_and_stops_without_a_touch(start):
+    scene = box_room([WALL])
+    done = drive_from(scene, start)
+    assert done.end_reason is EndReason.SUCCESS, done.end
+    assert done.contact_steps == 0
+    end = done.arrays.poses[-1, :2]
+    assert 0.85 < np.linalg.norm(end - [2.5, 1.3]) < 1.0
+    assert done.arrays.actions_continuous[:, 0].min() >= 0.0
+    job = planner_job(scene)
+    assert motion_findings(done.arrays, job.robot, job.task.control_hz, done.contact_steps) == []
+
+
+def test_the_same_drive_twice_is_the_same_to_the_bit():
+    first, second = (drive_from(box_room([WALL]), (-1.5, 0.5, 0.0)) for _ in range(2))
+    assert np.array_equal(first.arrays.poses, second.arrays.poses)
+
+
+def test_planner_finds_no_path_through_a_fence():
+    scene = box_room([FENCE])
+    job = planner_job(scene)
+    expert = make_expert(job)
+    assert expert.begin(Pose.planar(-1.5, 0.0, 0.0), Grid.from_scene(scene), scene.info.target(job.target_id)) is None
+    assert list(draw_poses(job, scene.info.target(job.target_id), prepare_scene(scene), job.rng())) == []
+
+
+def test_far_starts_of_the_planner_have_a_short_way_and_may_lie_behind_walls():
+    scene = box_room([WALL])
+    place = prepare_scene(scene)
+    target = scene.info.target(planner_job(scene).target_id)
+    starts = []
+    for attempt in range(1, 30):
+        job = planner_job(scene, attempt=attempt, planner=PlannerConfig(max_path_m=4.5))
+        starts += list(draw_poses(job, target, place, job.rng()))
+    ways = [geodesic_m(place.grid, (start.x, start.y), target, 1.0) for start in starts]
+    assert starts
+    assert max(way for way in ways if way is not None) <= 4.6
+    assert None not in ways
+    assert any(not place.grid.has_sight((start.x, start.y), target) for start in starts)

@@ -1,0 +1,57 @@
+"""The planner expert: plans a forward-only path on the occupancy grid and follows it by pure pursuit (DESIGN 3.20).
+
+Knows the map and never looks at the image; near the goal it has the proportional expert's speed law and stop.
+"""
+
+from __future__ import annotations
+
+from schemas.job import Job
+from schemas.scene import Target
+from workers.experts.base import Observation
+from workers.grid import Grid
+from workers.plan import Waypoint, plan_path
+from workers.plan.follow import Follower
+from workers.pose import Pose
+from workers.slew import Twist
+
+__all__ = ["PlannerExpert"]
+
+_LAST_MARGIN_M = 0.01
+"""How far within the circle the end of a path must lie for a stop there."""
+
+
+class PlannerExpert:
+    """Plans once, then follows."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._stop_m = job.task.success_radius_m - job.planner.stop_margin_m
+        self._follower: Follower | None = None
+        self._has_stopped = False
+
+    def begin(self, start: Pose, grid: Grid, target: Target) -> tuple[Waypoint, ...] | None:
+        """Plans from a start pose; returns the path, or `None` where there is none."""
+        self._grid, self._target = grid, target
+        pose = Waypoint(start.x, start.y, start.yaw)
+        path = plan_path(grid, pose, target, self._job.task.success_radius_m, self._job.planner)
+        self._follower = None if path is None else Follower(path, self._job.robot, self._job.planner)
+        return path
+
+    def act(self, seen: Observation) -> Twist:
+        """Returns the wanted twist; stands still once inside the success circle with sight of the target.
+
+        Raises:
+            RuntimeError: `begin` has not been called or found no path.
+        """
+        if self._follower is None:
+            raise RuntimeError("act() without a path; call begin() first and drive only where it finds one")
+        self._has_stopped = self._has_stopped or self._has_arrived(seen)
+        if self._has_stopped:
+            return Twist(0.0, 0.0)
+        return self._follower.act(seen.pose, self._job.gains.speed_gain * seen.distance_m)
+
+    def _has_arrived(self, seen: Observation) -> bool:
+        """Distance alone would stop the robot behind a wall that the target leans on."""
+        is_done = self._follower is not None and self._follower.is_done
+        near_enough_m = self._job.task.success_radius_m - _LAST_MARGIN_M if is_done else self._stop_m
+        return seen.distance_m <= near_enough_m and self._grid.has_sight((seen.pose.x, seen.pose.y), self._target)
