@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from coordinator.apportion import apportion
 from coordinator.builtin_plans import BUILTIN_PLANS
 from schemas.errors import InvalidPlan, UsageError
-from schemas.plan import Plan
+from schemas.plan import Plan, ScenePlan
 from schemas.terms import ExpertName
 
 __all__ = ["load_plan", "parse_plan", "shrink"]
@@ -48,7 +48,7 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
     Args:
         data: as TOML gives it.
         where: what to call it in errors.
-        base: the folder relative `usd` paths start at.
+        base: the folder relative paths start at.
 
     Raises:
         InvalidPlan: with a line for every mistake, each naming its key.
@@ -59,11 +59,12 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
         raise InvalidPlan(f"{where} is no valid plan", _say_all(error)) from error
     if base is None:
         return plan
-    scenes = tuple(
-        scene if scene.usd is None else scene.model_copy(update={"usd": str((base / scene.usd).resolve())})
-        for scene in plan.scenes
-    )
-    return plan.model_copy(update={"scenes": scenes})
+    return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
+
+
+def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
+    files = {"usd": scene.usd, "rules": scene.rules, "targets": scene.targets}
+    return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
 
 
 def shrink(

@@ -8,14 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from coordinator.archive import SCENES
+from coordinator.archive import SCENES, STAGING
 from coordinator.catalog import Catalog, SceneEntry, read_entry
 from coordinator.draw import require_possible
-from factory.scenes.build import build_scene, import_scene
-from schemas.errors import ArchiveCorrupt
+from factory.scenes.build import build_scene, import_scene, load_edits
+from factory.scenes.limits import StageLimits
+from factory.scenes.target_list import list_file_name, spell_target_list
+from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan, ScenePlan
 
-__all__ = ["find_package", "open_catalog"]
+__all__ = ["find_package", "open_catalog", "write_target_lists"]
 
 Listener = Callable[[str], None]
 
@@ -55,7 +57,28 @@ def find_package(root: Path, name: str, sha256: str) -> SceneEntry:
     raise ArchiveCorrupt(f"{root / SCENES} holds no package of {name} with SHA-256 {sha256}; run `factory verify`")
 
 
+def write_target_lists(catalog: Catalog, root: Path) -> None:
+    """Writes `targets_<scene>.yaml` beside the packages of a dataset, for people; leaves those that are there alone.
+
+    Raises:
+        WorldError: it cannot be written.
+    """
+    for name, entry in catalog.items():
+        path = root / SCENES / list_file_name(name)
+        if path.exists():
+            continue
+        beside = root / STAGING / path.name
+        try:
+            beside.write_text(spell_target_list(entry.info), encoding="utf-8")
+            beside.replace(path)
+        except OSError as error:
+            raise WorldError(f"cannot write {path} ({error.strerror}); free space and run the command again") from error
+
+
 def _make(scene: ScenePlan, cache: Path) -> Path:
-    if scene.usd is not None:
-        return import_scene(Path(scene.usd), scene.name, cache)
-    return build_scene(scene.name, scene.seed, cache)
+    rules, targets = (None if path is None else Path(path) for path in (scene.rules, scene.targets))
+    book, chosen = load_edits(rules, targets)
+    if scene.usd is None:
+        return build_scene(scene.name, scene.seed, cache, book, chosen)
+    limits = StageLimits(allow_outside=scene.allow_outside)
+    return import_scene(Path(scene.usd), scene.name, cache, book, chosen, limits)

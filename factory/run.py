@@ -21,6 +21,7 @@ from coordinator.catalog import Catalog
 from coordinator.disk import require_room
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from factory.catalog import write_target_lists
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.terms import RendererKind
@@ -70,6 +71,7 @@ def run_locally(
     require_expert(run.plan.expert)
     require_room(run.root, settings.reserve_bytes)
     with Coordinator(run.root, run.plan, run.catalog, _LISTEN, settings=settings) as coordinator:
+        write_target_lists(run.catalog, run.root)
         progress = coordinator.progress()
         tell(progress)
         if progress.finished:

@@ -24,6 +24,7 @@ from coordinator.dataset_tables import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.draw import cells
 from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
+from factory.scenes.target_list import list_file_name
 from factory.verify_episode import EpisodeCheck, check_episode, target_of
 from factory.verify_report import Finding, Kind, Report
 from schemas.errors import ArchiveCorrupt, InvalidBundle
@@ -162,8 +163,9 @@ def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
 def _check_scenes(root: Path, meta: DatasetMeta, report: Report) -> dict[str, SceneEntry]:
     found: dict[str, SceneEntry] = {}
     expected = {f"{name}-{sha256[:16]}.scene.zip": (name, sha256) for name, sha256 in meta.scenes.items()}
+    for_people = {list_file_name(name) for name in meta.scenes}
     for entry in _entries(root / SCENES):
-        if entry.name not in expected:
+        if entry.name not in expected and entry.name not in for_people:
             report.add(Kind.FOREIGN, f"{SCENES}/{entry.name}", f"{META_FILE} does not name it")
     for file, (name, sha256) in expected.items():
         try:

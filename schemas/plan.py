@@ -11,7 +11,14 @@ import json
 from types import MappingProxyType
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from schemas.base import Fraction, Model, Name
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
@@ -30,6 +37,7 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
+_LATER_KEYS = frozenset({"rules", "targets", "allow_outside"})
 
 
 class ScenePlan(Model):
@@ -46,6 +54,18 @@ class ScenePlan(Model):
     """Categories of the in-distribution splits; empty takes the paper's table."""
     held_out: tuple[Name, ...] = ()
     """Categories only `test_ood_obj` names; empty takes the paper's table."""
+    rules: str | None = None
+    """Path of an own table of category rules; relative paths start at the plan file."""
+    targets: str | None = None
+    """Path of an edited `targets_<scene>.yaml`; relative paths start at the plan file."""
+    allow_outside: bool = False
+    """Whether an own scene's textures may lie outside of its folder."""
+
+    @model_serializer(mode="wrap")
+    def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
+        # a plan that does not use the later keys keeps its digest, and so its datasets
+        data: dict[str, object] = spell(self)
+        return {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
 
     @property
     def categories(self) -> SceneCategories:

@@ -11,7 +11,7 @@ from coordinator.disk import require_room
 from coordinator.plan_file import load_plan
 from coordinator.service import DEFAULT_LISTEN, Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.catalog import open_catalog
+from factory.catalog import open_catalog, write_target_lists
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
 from factory.ledger import plan_of
 from factory.listen import require_loopback
@@ -67,6 +67,7 @@ def start(
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
         with Coordinator(root, plan, catalog, listen, ledger, settings) as coordinator:
+            write_target_lists(catalog, root)
             click.echo(
                 f"run {coordinator.run} in {root}: {plan.episodes} episodes, listening on loopback only", err=True
             )

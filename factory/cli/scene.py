@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
 import click
 
-from factory.cli import scene_inspect, scene_survey
+from factory.cli import scene_inspect, scene_survey, scene_targets
 from factory.cli.options import verbose_option
 from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.cli.scene_choice import chosen_scene, open_scene, scene_argument, seed_option
@@ -26,6 +27,7 @@ def command() -> None:
 
 command.add_command(scene_inspect.command)
 command.add_command(scene_survey.command)
+command.add_command(scene_targets.command)
 
 
 @command.command("list")
@@ -45,38 +47,65 @@ def list_(as_json: bool) -> None:
         print_table("", ("scene", "summary", "seen", "held out"), rows)
 
 
+def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
+    """`--rules --targets --cache`: what is called how, and where the package goes."""
+    file = click.Path(path_type=Path)
+    for option in (
+        click.option("--cache", type=file, help="Folder for the package; default: the user's cache."),
+        click.option("--targets", type=file, help="An edited list of targets (see `factory scene targets`)."),
+        click.option("--rules", type=file, help="Your own table of category rules (YAML)."),
+    ):
+        verb = option(verb)
+    return verb
+
+
 @command.command("build")
 @click.argument("name")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Layout seed.")
-@click.option("--cache", type=click.Path(path_type=Path), help="Folder for the package; default: the user's cache.")
+@_edit_options
 @json_option
 @verbose_option
-def build(name: str, seed: int, cache: Path | None, as_json: bool, verbose: bool) -> None:
+def build(
+    name: str, seed: int, rules: Path | None, targets: Path | None, cache: Path | None, as_json: bool, verbose: bool
+) -> None:
     """Author and compile the built-in scene NAME; does nothing when it is in the cache."""
-    from factory.scenes.build import build_scene
+    from factory.scenes.build import build_scene, load_edits
 
     configure_logs(verbose)
+    book, chosen = load_edits(rules, targets)
     with stderr.status(f"building {name}, seed {seed}"):
-        path = build_scene(name, seed, cache or scene_cache())
+        path = build_scene(name, seed, cache or scene_cache(), book, chosen)
     _print_scene(path, as_json)
 
 
 @command.command("import")
 @click.argument("usd", type=click.Path(path_type=Path))
 @click.option("--name", help="Name of the scene; default: the file's.")
-@click.option("--rules", type=click.Path(path_type=Path), help="Your own table of category rules (YAML).")
-@click.option("--cache", type=click.Path(path_type=Path), help="Folder for the package; default: the user's cache.")
+@click.option("--max-triangles", type=click.IntRange(1), help="Refuse larger stages.  [default: 10000000]")
+@click.option("--allow-outside", is_flag=True, help="Also read textures from outside of the stage's folder.")
+@_edit_options
 @json_option
 @verbose_option
-def import_(usd: Path, name: str | None, rules: Path | None, cache: Path | None, as_json: bool, verbose: bool) -> None:
+def import_(
+    usd: Path,
+    name: str | None,
+    max_triangles: int | None,
+    allow_outside: bool,
+    rules: Path | None,
+    targets: Path | None,
+    cache: Path | None,
+    as_json: bool,
+    verbose: bool,
+) -> None:
     """Compile your own stage (usd, usda, usdc, usdz)."""
-    from factory.scenes.build import import_scene  # needs usd-core
-    from factory.scenes.rules import load_rules
+    from factory.scenes.build import import_scene, load_edits  # needs usd-core
+    from factory.scenes.limits import MAX_TRIANGLES, StageLimits
 
     configure_logs(verbose)
-    table = None if rules is None else load_rules(rules)
+    book, chosen = load_edits(rules, targets)
+    limits = StageLimits(max_triangles or MAX_TRIANGLES, allow_outside)
     with stderr.status(f"importing {usd}"):
-        path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache(), table)
+        path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache(), book, chosen, limits)
     _print_scene(path, as_json)
 
 

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from factory.scenes.collider import solid_triangles, weld
 from factory.scenes.floor import find_floor_height
 from factory.scenes.geometry import lay_out_geometry
+from factory.scenes.honour import honour_candidates, honour_targets, recoloured
 from factory.scenes.importer import Extraction, Part, extract_stage
 from factory.scenes.importer.assets import read_asset
 from factory.scenes.importer.targets import Candidate, find_candidates
+from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.listing import list_targets, with_colours, with_far_tier
 from factory.scenes.objects import assign_objects, number_objects
 from factory.scenes.occupancy import build_occupancy
@@ -27,6 +29,7 @@ from factory.scenes.reach import Terrain, sees_matrix
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.shade import triangle_areas
 from factory.scenes.survey import MIN_SPAWNS, survey_spawns
+from factory.scenes.target_list import TargetList
 from factory.scenes.textures import TextureBook, load_textures
 from factory.scenes.version import COMPILER_VERSION
 from schemas.config import SpawnConfig
@@ -54,6 +57,8 @@ class _Shown:
     owners: tuple[str, ...]
     ids: dict[str, int]
     book: TextureBook
+    chosen: TargetList | None
+    """The user's list of targets, if there is one."""
 
     def triangles(self) -> Floats:
         return np.concatenate([part.triangles for part in self.parts])
@@ -68,7 +73,14 @@ class _Survey:
     sees: NDArray[np.uint8]
 
 
-def compile_stage(path: Path, name: str, source: str, rules: RuleBook | None = None) -> CompiledScene:
+def compile_stage(
+    path: Path,
+    name: str,
+    source: str,
+    rules: RuleBook | None = None,
+    chosen: TargetList | None = None,
+    limits: StageLimits = USUAL_LIMITS,
+) -> CompiledScene:
     """Compiles a USD stage.
 
     Args:
@@ -76,16 +88,18 @@ def compile_stage(path: Path, name: str, source: str, rules: RuleBook | None = N
         name: what the scene is called.
         source: what it is, in words, for the record.
         rules: what is called how; the built-in table when `None`.
+        chosen: the user's list of targets; all that the rules find when `None`.
+        limits: what is refused.
 
     Raises:
-        UsageError: there is no such file.
+        UsageError: there is no such file, or the list names prims that the stage lacks.
         WorldError: it is no stage, shows no mesh, has no floor, or no thing of a category can be reached.
     """
     rules = rules or load_rules()
-    extraction = extract_stage(path)
+    extraction = extract_stage(path, limits)
     notes = list(extraction.notes)
     parts = _without_outliers(path.name, extraction, notes)
-    shown = _show(path.name, extraction, parts, rules, notes)
+    shown = _show(path.name, extraction, parts, (rules, chosen), notes)
     floor_m = find_floor_height(shown.triangles())
     solid = solid_triangles(
         [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
@@ -97,7 +111,7 @@ def compile_stage(path: Path, name: str, source: str, rules: RuleBook | None = N
     info = SceneInfo(
         name=name,
         source=source,
-        source_sha256=_digest(extraction, rules),
+        source_sha256=_digest(extraction, rules, chosen),
         metres_per_unit=extraction.metres_per_unit,
         bounds_m=_bounds(shown.triangles()),
         grid_origin_m=frame.origin_m,
@@ -132,18 +146,25 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
     return tuple(sorted(kept, key=lambda part: part.path))
 
 
-def _show(file: str, extraction: Extraction, parts: Sequence[Part], rules: RuleBook, notes: list[str]) -> _Shown:
+def _show(
+    file: str,
+    extraction: Extraction,
+    parts: Sequence[Part],
+    wishes: tuple[RuleBook, TargetList | None],
+    notes: list[str],
+) -> _Shown:
     visible = tuple(part for part in parts if not part.is_collider and part.surface.opacity >= _SEE_THROUGH)
     clear = sum(not part.is_collider for part in parts) - len(visible)
     if clear:
         notes.append(f"{clear} see-through parts are solid but not shown")
     if not visible:
         raise WorldError(f"{file} shows no mesh but {clear} see-through ones; check their opacity")
-    candidates = find_candidates(extraction, visible, rules)
+    rules, chosen = wishes
+    candidates = honour_candidates(find_candidates(extraction, visible, rules), visible, chosen)
     owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
     book = load_textures(_texture_areas(visible), read_asset)
     notes += book.notes
-    return _Shown(visible, candidates, owners, number_objects(owners), book)
+    return _Shown(visible, candidates, owners, number_objects(owners), book, chosen)
 
 
 def _texture_areas(parts: Sequence[Part]) -> dict[str, float]:
@@ -159,10 +180,10 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
     spawns = survey_spawns(terrain)
     if len(spawns) < MIN_SPAWNS:
         notes.append(f"only {len(spawns)} spawn points fit on {_area(terrain)} m2 of connected floor")
-    targets = list_targets(terrain, shown.candidates, shown.ids, floor_m, notes)
+    targets = honour_targets(list_targets(terrain, shown.candidates, shown.ids, floor_m, notes), shown.chosen)
     if not targets:
         raise WorldError(_why_no_target(file, shown, terrain, notes))
-    targets = with_colours(targets, shown.parts, shown.owners, shown.book)
+    targets = recoloured(with_colours(targets, shown.parts, shown.owners, shown.book), shown.chosen)
     points = spawns.astype(np.float64)
     sees = sees_matrix(terrain, points, targets)
     return _Survey(with_far_tier(targets, points, sees), spawns, sees)
@@ -187,8 +208,9 @@ def _area(terrain: Terrain) -> float:
     return round(float(terrain.floor.sum()) * terrain.grid.resolution_m**2, 3)
 
 
-def _digest(extraction: Extraction, rules: RuleBook) -> str:
+def _digest(extraction: Extraction, rules: RuleBook, chosen: TargetList | None) -> str:
     text = f"{extraction.sha256}\n{rules.model_dump_json()}\ncompiler {COMPILER_VERSION}"
+    text += "" if chosen is None else f"\n{chosen.digest}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 

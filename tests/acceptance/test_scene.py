@@ -38,3 +38,33 @@ def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factor
     closet = TEXT.box("Floor", (0, 0, -0.1), (2, 2, 0)) + TEXT.box("SM_Crate_01", (0.2, 0.2, 0), (0.5, 0.5, 0.4))
     _, small = room(factory, tmp_path / "small", closet)
     assert "spawn points of 40" in factory("scene", "survey", small, expect=1).stderr
+
+
+def test_an_edited_list_of_targets_is_honoured_by_import_and_by_a_plan(factory, tmp_path):
+    plant = TEXT.box("SM_Plant_01", (-2.2, -1.2, 0), (-1.8, -0.8, 0.6), (0.02, 0.4, 0.02))
+    stage, package = room(factory, tmp_path, room_body(TEXT, plant))
+    edits = tmp_path / "targets_room.yaml"
+    factory("scene", "targets", package, "-o", edits)
+    assert "--force" in factory("scene", "targets", package, "-o", edits, expect=2).stderr
+    edits.write_text(edits.read_text().replace("colour: red", "colour: blue").replace("id: plant_001", "id: ficus_7"))
+    facts = factory.json("scene", "import", stage, "--targets", edits, "--cache", tmp_path / "cache")
+    found = factory.json("scene", "inspect", facts["package"])["targets"]
+    assert [(target["id"], target["colour"]) for target in found] == [("chair_001", "blue"), ("ficus_7", "green")]
+    plan = tmp_path / "mine.toml"
+    plan.write_text(
+        '[splits]\ntrain_id = 1.0\n[tiers]\nnear = 1.0\n[[scenes]]\nname = "my_room"\nusd = "room.usda"\n'
+        'targets = "targets_room.yaml"\nseen = ["plant"]\nepisodes = 1\n'
+    )
+    factory("run", plan, "--out", tmp_path / "data", "--workers", 1)
+    written = (tmp_path / "data" / "scenes" / "targets_my_room.yaml").read_text()
+    assert "id: ficus_7" in written
+    assert "colour: blue" in written
+    assert factory.json("verify", tmp_path / "data", "--deep")["findings"] == []
+
+
+def test_a_list_with_a_prim_that_is_not_there_is_refused_by_its_path(factory, tmp_path):
+    stage, package = room(factory, tmp_path)
+    edits = tmp_path / "targets_room.yaml"
+    factory("scene", "targets", package, "-o", edits)
+    edits.write_text(edits.read_text().replace("SM_Chair_01", "SM_Throne_01"))
+    assert "/World/SM_Throne_01" in factory("scene", "import", stage, "--targets", edits, expect=2).stderr

@@ -20,7 +20,9 @@ def asset_path(value: Any) -> str:
 
 def read_asset(path: str) -> bytes | None:
     """Returns the bytes of a resolved asset, or `None` when there are none."""
-    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path)) if path else None
+    if not Path(path).is_absolute():  # USD could not resolve it; the working directory is none of its business
+        return None
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
     if asset is None:
         return None
     with asset:

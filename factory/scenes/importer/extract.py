@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,12 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.fence import Fence
 from factory.scenes.importer.material import Surface, bound_material, read_surface
 from factory.scenes.importer.mesh import Mesh, corner_values, material_subsets, read_mesh, uv_values
 from factory.scenes.importer.stage import BROKEN_PRIM, Placement, open_stage, walk_stage
+from factory.scenes.limits import USUAL_LIMITS, StageLimits
+from schemas.errors import WorldError
 
 __all__ = ["Extraction", "Part", "extract_stage"]
 
@@ -76,6 +80,7 @@ class _Piece:
 @dataclass
 class _Extractor:
     notes: list[str]
+    fence: Fence
     surfaces: dict[str, Surface | None] = field(default_factory=dict)
     pieces: dict[tuple[str, str], list[_Piece]] = field(default_factory=dict)
     parts: list[Part] = field(default_factory=list)
@@ -83,26 +88,29 @@ class _Extractor:
     groups: set[str] = field(default_factory=set)
     models: set[str] = field(default_factory=set)
     components: set[str] = field(default_factory=set)
+    triangles: int = 0
 
 
-def extract_stage(path: Path) -> Extraction:
+def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
     """Reads all that a stage shows.
 
     Args:
         path: the root layer.
+        limits: what is refused.
 
     Raises:
         UsageError: there is no such file.
-        WorldError: it is no stage, or its units make no sense.
+        WorldError: it is no stage, its units make no sense, or it has too many triangles.
     """
     notes: list[str] = []
     scene = open_stage(path, notes)
-    work = _Extractor(notes)
+    work = _Extractor(notes, Fence(path, limits.allow_outside))
     for placement in walk_stage(scene, notes):
         try:
             _take(work, placement)
         except BROKEN_PRIM as error:
             notes.append(f"{placement.path}: skipped, {' '.join(str(error).split())[:200]}")
+        _require_few_triangles(path.name, work, placement.path, limits.max_triangles)
     return Extraction(
         parts=tuple(work.parts),
         metres_per_unit=scene.metres_per_unit,
@@ -132,7 +140,20 @@ def _take(work: _Extractor, placement: Placement) -> None:
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
     collides = purpose == UsdGeom.Tokens.guide and _is_collider(prim)
     if purpose in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render) or collides:
-        work.parts += [_placed(piece, placement, collides) for piece in _pieces(work, prim)]
+        pieces = _pieces(work, prim)
+        work.triangles += sum(len(piece.triangles) for piece in pieces)
+        work.parts += [_placed(piece, placement, collides) for piece in pieces]
+
+
+def _require_few_triangles(file: str, work: _Extractor, path: str, limit: int) -> None:
+    if work.triangles <= limit:
+        return
+    counts = Counter({part.path: len(part.triangles) for part in work.parts})
+    largest = ", ".join(f"{prim} ({count})" for prim, count in counts.most_common(3))
+    raise WorldError(
+        f"{file} has more than {limit} triangles, passed at {path}; the largest prims so far are {largest}; "
+        "decimate or deactivate them, split the stage, or raise --max-triangles if memory allows"
+    )
 
 
 def _label(prim: Any) -> str:
@@ -189,7 +210,8 @@ def _surface(work: _Extractor, binder: Any) -> Surface | None:
         return None
     path = _source_path(material.GetPrim())
     if path not in work.surfaces:
-        work.surfaces[path] = read_surface(material, work.notes)
+        surface = read_surface(material, work.notes)
+        work.surfaces[path] = None if surface is None else work.fence.kept_inside(surface, path, work.notes)
     return work.surfaces[path]
 
 

@@ -96,3 +96,20 @@ def test_two_plans_that_ask_for_the_same_have_one_digest():
     demo = BUILTIN_PLANS["demo"]
     assert demo.digest == shrink(demo, episodes=demo.episodes).digest
     assert demo.digest != shrink(demo, seed=1).digest
+
+
+def test_rules_and_targets_of_a_scene_start_at_the_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD.replace("episodes = 12", 'episodes = 12\nrules = "r.yaml"\ntargets = "t.yaml"'))
+    office, lab = load_plan(str(path)).scenes
+    assert (office.rules, office.targets) == (str(tmp_path / "r.yaml"), str(tmp_path / "t.yaml"))
+    assert (lab.rules, lab.targets) == (None, None)
+
+
+def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    plan = load_plan(str(path))
+    assert not {"rules", "targets", "allow_outside"} & set(plan.model_dump()["scenes"][0])
+    other = plan.scenes[0].model_copy(update={"targets": "t.yaml"})
+    assert plan.model_copy(update={"scenes": (other, plan.scenes[1])}).digest != plan.digest

@@ -1,0 +1,37 @@
+"""`factory scene targets`: writes the list of a scene's targets for a person to edit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["command"]
+
+
+@click.command("targets")
+@scene_argument
+@seed_option
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="File; default targets_<scene>.yaml; - prints.")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+def command(scene: str, seed: int, out: Path | None, force: bool) -> None:
+    """Write the targets of SCENE (a built-in name or a compiled package) as YAML: edit it, then build or import with
+    --targets FILE.
+    """
+    from factory.scenes.target_list import list_file_name, spell_target_list
+
+    info = chosen_scene(scene, seed).info
+    path = out or Path(list_file_name(info.name))
+    if str(path) == "-":
+        click.echo(spell_target_list(info), nl=False)
+        return
+    if path.exists() and not force:
+        raise UsageError(f"{path} is there already and may hold your edits; give --force to replace it")
+    try:
+        path.write_text(spell_target_list(info), encoding="utf-8")
+    except OSError as error:
+        raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
+    click.echo(str(path))

@@ -1,0 +1,120 @@
+"""The file `targets_<scene>.yaml`: the targets of a scene, to be read and edited by people.
+
+Reads and writes the file; how an edited one is honoured stands in `honour.py`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Annotated
+
+import yaml
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from factory.scenes.colour import COLOUR_NAMES
+from schemas.base import Model, Name
+from schemas.errors import UsageError
+from schemas.scene import SceneInfo
+
+__all__ = ["TargetEntry", "TargetList", "list_file_name", "load_target_list", "spell_target_list"]
+
+_HEAD = """\
+# The targets of {scene}. Set `enabled: false` to leave one out, change its category, colour or id, delete what is to
+# be no target, or add a prim by its path; then `factory scene {verb} ... --targets FILE`, or `targets = "FILE"` below
+# the scene in a plan. Centroid and size (metres) are for your eyes and are not read back.
+"""
+
+
+class TargetEntry(Model):
+    """One row: a prim and what it is to be called."""
+
+    id: Name
+    """Name of the target in the dataset, e.g. `chair_007`."""
+    category: Name
+    colour: str = "unknown"
+    """One of the eleven basic colours, or `unknown`."""
+    enabled: bool = True
+    prim_path: Annotated[str, Field(pattern="^/")]
+    centroid_m: tuple[float, float, float] | None = None
+    size_m: tuple[float, float, float] | None = None
+
+    @field_validator("colour")
+    @classmethod
+    def _is_a_colour(cls, colour: str) -> str:
+        if colour not in (*COLOUR_NAMES, "unknown"):
+            raise ValueError(f"no basic colour; known are {', '.join(COLOUR_NAMES)}, unknown")
+        return colour
+
+
+class TargetList(Model):
+    """The whole file; a prim that it does not name is no target."""
+
+    scene: Name
+    targets: tuple[TargetEntry, ...]
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> TargetList:
+        for what, values in (("id", [e.id for e in self.targets]), ("prim_path", [e.prim_path for e in self.targets])):
+            twice = sorted({value for value in values if values.count(value) > 1})
+            if twice:
+                raise ValueError(f"{what} stands twice: {', '.join(twice)}")
+        if not any(entry.enabled for entry in self.targets):
+            raise ValueError("no target is enabled; a scene needs at least one")
+        return self
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what is honoured; comments, centroids and sizes do not count."""
+        rows = (f"{e.prim_path}\n{e.id}\n{e.category}\n{e.colour}\n{e.enabled}" for e in self.targets)
+        return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()
+
+
+def list_file_name(scene: str) -> str:
+    """Returns the name of a scene's file."""
+    return f"targets_{scene}.yaml"
+
+
+def spell_target_list(info: SceneInfo) -> str:
+    """Returns the file of a compiled scene, all targets enabled."""
+    rows = [
+        {
+            "id": target.target_id,
+            "category": target.category,
+            "colour": target.colour,
+            "enabled": True,
+            "centroid_m": list(target.centroid_m),
+            "size_m": list(target.size_m),
+            "prim_path": target.prim_path,
+        }
+        for target in info.targets
+    ]
+    verb = "build" if info.source.startswith("built-in ") else "import"
+    body = yaml.safe_dump({"scene": info.name, "targets": rows}, sort_keys=False, default_flow_style=None, width=120)
+    return _HEAD.format(scene=info.name, verb=verb) + body
+
+
+def load_target_list(path: Path) -> TargetList:
+    """Reads an edited file.
+
+    Raises:
+        UsageError: it is not there or is no such file; every mistake is named with its row.
+    """
+    try:
+        return TargetList.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"no targets file at {path} ({error}); write one with `factory scene targets`") from error
+    except yaml.YAMLError as error:
+        raise UsageError(f"{path} is no YAML: {error}") from error
+    except ValidationError as error:
+        mistakes = "\n".join(f"  - {_key(item['loc'])}{_message(item['msg'])}" for item in error.errors())
+        raise UsageError(f"{path} is no targets file:\n{mistakes}") from error
+
+
+def _key(place: tuple[int | str, ...]) -> str:
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+    return f"{key}: " if key else ""
+
+
+def _message(text: str) -> str:
+    return text.removeprefix("Value error, ")
