@@ -28,6 +28,7 @@ _COMMANDS: Mapping[str, str] = MappingProxyType(
         "verify": "factory.cli.verify",
         "replay": "factory.cli.replay",
         "show": "factory.cli.show",
+        "gate": "factory.cli.gate",
         "stats": "factory.cli.stats",
         "scene": "factory.cli.scene",
         "completion": "factory.cli.completion",

@@ -1,0 +1,104 @@
+"""`factory gate`: a pilot of first attempts in one scene; exit 1 when too few succeed."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import cast
+
+import click
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from coordinator.plan_file import load_plan
+from factory.catalog import open_catalog
+from factory.cli.options import shrunk_plan, verbose_option
+from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.gate import GateReport, Pilot, judge, run_pilot
+from factory.logs import configure_logs
+from factory.settings import scene_cache
+from factory.stats.model import Share
+from schemas.plan import Plan
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, RendererKind
+from workers.experts import require_expert
+from workers.settings import WorkerSettings
+from workers.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+
+@click.command("gate")
+@click.option("--scene", required=True, metavar="SCENE", help=f"Of the plan ({', '.join(BUILTIN_CATEGORIES)}, ...).")
+@click.option("--plan", "plan_name", default="paper", show_default=True, help="A built-in name or a TOML file.")
+@click.option("--episodes", type=click.IntRange(1), default=50, show_default=True, help="First attempts to make.")
+@click.option("--min-success", type=click.FloatRange(0.0, 1.0), default=0.8, show_default=True, help="Share asked for.")
+@click.option("--expert", type=click.Choice([str(name) for name in ExpertName]), help="Another expert.")
+@click.option("--seed", type=click.IntRange(min=0), help="Another root seed.")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Simulation processes; default: one a core.")
+@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@json_option
+@verbose_option
+def command(
+    scene: str,
+    plan_name: str,
+    episodes: int,
+    min_success: float,
+    expert: str | None,
+    seed: int | None,
+    workers: int | None,
+    renderer: str,
+    as_json: bool,
+    verbose: bool,
+) -> int:
+    """Try --episodes first attempts in --scene, archive nothing, and fail under --min-success.
+
+    The paper asks for 80 % of 50 before a scene is generated in full.
+    """
+    configure_logs(verbose)
+    changes = {"scene": scene, "episodes": episodes, "expert": expert, "seed": seed}
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    require_expert(plan.expert)
+    report = _try(plan, cast(RendererKind, renderer), workers or os.cpu_count() or 1, min_success)
+    if report is None:
+        click.echo("interrupted; nothing was kept", err=True)
+        return 130
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        _print(report)
+    return 0 if report.passed else 1
+
+
+def _try(plan: Plan, renderer: RendererKind, processes: int, min_success: float) -> GateReport | None:
+    """Returns the verdict, or `None` when interrupted."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    simulation = WorkerSettings(connect=(), renderer=renderer).simulation_command
+    name = plan.scenes[0].name
+    with stop_on_signals() as (stop, _), Progress(*columns, console=stderr) as bar:
+        task = bar.add_task(f"gate {name}", total=plan.episodes)
+        with tempfile.TemporaryDirectory(prefix="gate-") as nowhere:
+            catalog = open_catalog(plan, Path(nowhere), scene_cache())
+        pilot = Pilot.of(plan, catalog, simulation, processes)
+        trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
+    return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)
+
+
+def _print(report: GateReport) -> None:
+    rows = [*((str(tier), share) for tier, share in report.by_tier.items()), ("all", report.success)]
+    body = [(name, share.of, share.count, _percent(share), _interval(share)) for name, share in rows]
+    print_table("", ("tier", "attempts", "succeeded", "share", "95 % interval"), body)
+    if report.reasons:
+        click.echo("failed by: " + ", ".join(f"{count} {reason}" for reason, count in report.reasons.items()))
+    for row in report.lost:
+        click.echo(f"  {row.episode_id} {row.tier} {row.target_id}: {row.reason}: {row.detail}")
+    verdict = "passed" if report.passed else "failed"
+    asked = f"{100 * report.min_success:g} % of first attempts asked for"
+    click.echo(f"{report.scene}, {report.expert} expert: {verdict}; {_percent(report.success)} succeeded, {asked}")
+
+
+def _percent(share: Share) -> str:
+    return "-" if share.share is None else f"{100 * share.share:.1f} %"
+
+
+def _interval(share: Share) -> str:
+    return "-" if share.low is None or share.high is None else f"{100 * share.low:.1f} to {100 * share.high:.1f} %"
