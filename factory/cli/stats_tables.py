@@ -12,7 +12,7 @@ from factory.stats.model import AttemptRow, CountRow, ErrorRow, Fit, RolloutRow,
 
 __all__ = ["print_statistics"]
 
-_ROLLOUT = ("N", "NE", "TL", "TL med", "steps", "steps med")
+_ROLLOUT = ("N", "share", "NE", "TL", "TL med", "steps", "steps med")
 _DASH = "-"
 
 
@@ -48,7 +48,7 @@ def _print_rollouts(name: str, rows: Sequence[RolloutRow]) -> None:
 
 def _rollout_cells(row: RolloutRow) -> tuple[str, ...]:
     means = (_number(row.ne_mean_m, 3), _number(row.tl_mean_m), _number(row.tl_median_m))
-    return (str(row.n), *means, _number(row.steps_mean, 1), _number(row.steps_median, 1))
+    return (str(row.n), _percent(row.share), *means, _number(row.steps_mean, 1), _number(row.steps_median, 1))
 
 
 def _published_cells(row: RolloutRow) -> tuple[str, ...]:
@@ -56,7 +56,13 @@ def _published_cells(row: RolloutRow) -> tuple[str, ...]:
     if said is None:
         return (_DASH,) * len(_ROLLOUT)
     means = (_number(said.ne_mean_m, 3), _number(said.tl_mean_m), _number(said.tl_median_m))
-    return (_number(said.n, 0), *means, _number(said.steps_mean, 1), _number(said.steps_median, 1))
+    return (
+        _number(said.n, 0),
+        _percent(said.share),
+        *means,
+        _number(said.steps_mean, 1),
+        _number(said.steps_median, 1),
+    )
 
 
 def _print_counts(name: str, rows: Sequence[CountRow]) -> None:
@@ -101,11 +107,11 @@ def _print_errors(rows: Sequence[ErrorRow], radius_m: float) -> None:
     body = []
     for row in rows:
         quantiles = [_number(row.quantiles.get(level), 3) for level in levels]
-        said = _number(row.paper.ne_mean_m, 3) if row.paper else _DASH
+        said = (_number(row.paper.ne_mean_m, 3), _number(row.paper.ne_std_m, 4)) if row.paper else (_DASH, _DASH)
         within = _percent(row.within_radius.share)
-        body.append((row.group, str(row.n), _number(row.mean, 3), _number(row.std, 4), *quantiles, within, said))
+        body.append((row.group, str(row.n), _number(row.mean, 3), _number(row.std, 4), *quantiles, within, *said))
     within_name = f"<= {radius_m:g} m"
-    _table(("NE by scene", "N", "mean", "std", *levels, within_name, "paper mean"), body)
+    _table(("NE by scene", "N", "mean", "std", *levels, within_name, "paper mean", "paper std"), body)
 
 
 def _print_fits(fits: Sequence[Fit]) -> None:

@@ -32,6 +32,7 @@ class Published(Model):
     """Table, figure or section."""
     n: Count | None = None
     ne_mean_m: float | None = None
+    ne_std_m: float | None = None
     tl_mean_m: float | None = None
     tl_median_m: float | None = None
     steps_mean: float | None = None
@@ -56,6 +57,8 @@ class RolloutRow(Model):
 
     group: str
     n: Count
+    share: Fraction | None
+    """Of all episodes."""
     ne_mean_m: float | None
     tl_mean_m: float | None
     tl_median_m: float | None

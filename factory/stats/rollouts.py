@@ -79,17 +79,18 @@ def _rows(
     published: Mapping[str, Published],
 ) -> tuple[RolloutRow, ...]:
     return tuple(
-        _rollout_row(name, group, paper.OVERALL if name == ALL else published.get(name))
+        _rollout_row(name, group, len(episodes), paper.OVERALL if name == ALL else published.get(name))
         for name, group in _groups(episodes, names, name_of)
     )
 
 
-def _rollout_row(name: str, group: Episodes, published: Published | None) -> RolloutRow:
+def _rollout_row(name: str, group: Episodes, total: int, published: Published | None) -> RolloutRow:
     lengths = [row.trajectory_length_m for row in group]
     steps = [row.num_steps for row in group]
     return RolloutRow(
         group=name,
         n=len(group),
+        share=len(group) / total if total else None,
         ne_mean_m=mean_of([row.final_ne_m for row in group]),
         tl_mean_m=mean_of(lengths),
         tl_median_m=median_of(lengths),

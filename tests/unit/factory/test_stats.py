@@ -61,7 +61,8 @@ def test_rollouts_are_grouped_by_scene_split_and_tier() -> None:
 
 def test_the_papers_values_stand_beside_ours() -> None:
     found = measure([episode_row()])
-    assert row_of(found.tiers, "near").paper.steps_mean == 128.5
+    near = row_of(found.tiers, "near")
+    assert (near.paper.steps_mean, near.share, near.paper.share) == (128.5, 1.0, 0.545)
     assert row_of(found.splits, "test_id").paper.n == 121
     assert row_of(found.scenes, "all").paper.steps_median == 177
 
