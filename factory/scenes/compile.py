@@ -100,7 +100,7 @@ def compile_stage(
     notes = list(extraction.notes)
     parts = _without_outliers(path.name, extraction, notes)
     shown = _show(path.name, extraction, parts, (rules, chosen), notes)
-    floor_m = find_floor_height(shown.triangles())
+    floor_m = _floor_height(path.name, shown.triangles())
     solid = solid_triangles(
         [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
     )
@@ -165,6 +165,13 @@ def _show(
     book = load_textures(_texture_areas(visible), read_asset)
     notes += book.notes
     return _Shown(visible, candidates, owners, number_objects(owners), book, chosen)
+
+
+def _floor_height(file: str, triangles: Floats) -> float:
+    try:
+        return find_floor_height(triangles)
+    except WorldError as error:
+        raise WorldError(f"{file}: {error}") from error
 
 
 def _texture_areas(parts: Sequence[Part]) -> dict[str, float]:

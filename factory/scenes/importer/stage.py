@@ -6,7 +6,7 @@ Sees instances, payloads and point instancers; skips what is invisible. Never re
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ BROKEN_PRIM = (ValueError, TypeError, LookupError, ArithmeticError, AttributeErr
 """What a malformed prim raises, from USD (`Tf.ErrorException` is a RuntimeError) or from numpy."""
 
 _Y_UP_TO_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+_SANE_METRES = (1e-6, 1e3)
 _LATEST_START = Usd.TimeCode.EarliestTime()
 
 Matrix = NDArray[np.float64]
@@ -52,6 +53,8 @@ class Placement:
 class _Walk:
     stage: Any
     notes: list[str]
+    inside: tuple[str, ...] = ()
+    """Point instancers that are being copied just now, outermost first."""
     transforms: Any = field(default_factory=lambda: UsdGeom.XformCache(_LATEST_START))
 
     def matrix(self, prim: Any) -> Matrix:
@@ -84,11 +87,18 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
         raise WorldError(f"{path.name} is no readable USD stage ({reason}); check it with usdchecker") from error
     notes += [_one_line(diagnostic.commentary) for diagnostic in listener.TakeUncoalescedDiagnostics()]
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
-    if not (np.isfinite(metres) and metres > 0):
-        raise WorldError(f"{path.name} says metersPerUnit = {metres}; author a positive value on its root layer")
+    if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
+        raise WorldError(
+            f"{path.name} says metersPerUnit = {metres:g}; author the length of its unit on the root layer, "
+            "such as 1 (metres), 0.01 (centimetres) or 0.0254 (inches)"
+        )
     if not UsdGeom.StageHasAuthoredMetersPerUnit(stage):
         notes.append(f"no metersPerUnit authored; taken as {metres} metres")
+    if not stage.HasDefaultPrim():
+        roots = ", ".join(str(prim.GetPath()) for prim in stage.GetPseudoRoot().GetChildren()) or "none"
+        notes.append(f"no defaultPrim authored; all root prims are taken: {roots[:200]}")
     notes += _foreign_units(stage, metres)
+    notes += _foreign_layers(stage, path)
     return SceneStage(stage, metres, _to_metres(stage, metres))
 
 
@@ -110,6 +120,15 @@ def _foreign_units(stage: Any, metres: float) -> Iterator[str]:
         found = float(layer.pseudoRoot.GetInfo("metersPerUnit"))
         if abs(found - metres) > 1e-9:
             yield f"{layer.GetDisplayName()} has metersPerUnit {found}, the stage {metres}; taken as authored"
+
+
+def _foreign_layers(stage: Any, root: Path) -> Iterator[str]:
+    """Says which layers lie outside of the stage's folder: the scene changes when they do."""
+    folder = root.resolve().parent
+    for layer in sorted(stage.GetUsedLayers(), key=lambda layer: str(layer.GetDisplayName())):
+        file = Path(str(layer.realPath).partition("[")[0])
+        if layer.realPath and not file.resolve().is_relative_to(folder):
+            yield f"layer {layer.GetDisplayName()} lies outside of the stage's folder; read from where it is"
 
 
 def walk_stage(scene: SceneStage, notes: list[str]) -> Iterator[Placement]:
@@ -143,9 +162,14 @@ def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matri
 
 def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[Placement]:
     """The prims of every visible copy of a point instancer."""
+    if str(prim.GetPath()) in walk.inside:
+        raise ValueError("a point instancer that copies itself; take it out of its own prototypes")
+    walk = replace(walk, inside=(*walk.inside, str(prim.GetPath())))
     instancer = UsdGeom.PointInstancer(prim)
     prototypes = [walk.stage.GetPrimAtPath(target) for target in instancer.GetPrototypesRel().GetForwardedTargets()]
     indices = instancer.GetProtoIndicesAttr().Get(_LATEST_START) or []
+    if len(indices) and not 0 <= min(indices) <= max(indices) < len(prototypes):
+        raise ValueError(f"protoIndices {min(indices)} to {max(indices)}, but {len(prototypes)} prototypes")
     mask = list(instancer.ComputeMaskAtTime(_LATEST_START))
     copies = instancer.ComputeInstanceTransformsAtTime(
         _LATEST_START, _LATEST_START, UsdGeom.PointInstancer.IncludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
