@@ -125,15 +125,24 @@ class Follower:
         if leg.length_m - self._along_m < _LEG_END_M and self._number < len(self._legs) - 1:
             self._number, self._along_m, self._turning = self._number + 1, 0.0, True
             leg = self._legs[self._number]
+        if self._turning:
+            error = self._left_to_turn(leg, pose)
+            self._turning = abs(error) > _ALIGNED_RAD
+            if self._turning:
+                return self._turn(error)
         aim_x, aim_y = leg.at(self._along_m + self._config.look_ahead_m)
         distance = math.hypot(aim_x - pose.x, aim_y - pose.y)
         error = math.remainder(math.atan2(aim_y - pose.y, aim_x - pose.x) - pose.yaw, 2 * math.pi)
-        self._turning = abs(error) > (_ALIGNED_RAD if self._turning else _LOST_RAD)
-        return self._turn(leg, error) if self._turning else self._pursue(leg, error, distance, speed_limit_mps)
+        return self._turn(error) if abs(error) > _LOST_RAD else self._pursue(leg, error, distance, speed_limit_mps)
 
-    def _turn(self, leg: Leg, error: float) -> Twist:
+    def _left_to_turn(self, leg: Leg, pose: Pose) -> float:
+        """Angle to the leg's first heading, and no farther: beyond it the tail may not be free."""
+        error = math.remainder(float(leg.yaw[0]) - pose.yaw, 2 * math.pi)
         if error * leg.turn_rad < 0 and abs(error) > math.pi / 2:
             error += math.copysign(2 * math.pi, leg.turn_rad)  # the short way round may be blocked
+        return error
+
+    def _turn(self, error: float) -> Twist:
         rate = min(self._robot.max_yaw_rate_rps, math.sqrt(2 * _TURN_BRAKING_RPS2 * abs(error)))
         return Twist(0.0, math.copysign(rate, error))
 
