@@ -1,9 +1,9 @@
-# The whole interface of a checkout: make setup | run | test | check. Everything lives in .venv.
+# The whole interface of a checkout: make setup | run | test | check | scenes-check. Everything lives in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check clean
+.PHONY: setup run test check scenes-check clean
 
 setup: $(READY)
 
@@ -25,6 +25,10 @@ check: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+
+# compiles seeds 0-19 of all built-in scenes and holds each to the contract: ten minutes, not in CI
+scenes-check: $(READY)
+	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis

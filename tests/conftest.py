@@ -7,6 +7,11 @@ from pathlib import Path
 import pytest
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--scene-seeds N`: the contract suite of the built-in scenes on N seeds of each."""
+    parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to hold to the contract")
+
+
 @pytest.fixture(scope="session")
 def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compiled scenes shared by the tests of one session."""

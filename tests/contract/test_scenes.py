@@ -14,12 +14,19 @@ from schemas.scene import CompiledScene, decode_scene
 from schemas.terms import BUILTIN_CATEGORIES, Tier
 from workers.grid import CONNECT_CLEARANCE_M, Grid
 
-SEED = 0
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Every built-in scene at seed 0; with `--scene-seeds N` at seeds 0 to N - 1 (`make scenes-check`)."""
+    if "package" in metafunc.fixturenames:
+        seeds = range(metafunc.config.getoption("--scene-seeds"))
+        kinds = [(name, seed) for name in sorted(BUILTIN_SCENES) for seed in seeds]
+        metafunc.parametrize("package", kinds, ids=[f"{name}-{seed}" for name, seed in kinds], indirect=True)
 
 
-@pytest.fixture(scope="module", params=sorted(BUILTIN_SCENES))
+@pytest.fixture(scope="module")
 def package(request: pytest.FixtureRequest, scene_cache: Path) -> Path:
-    return build_scene(request.param, SEED, scene_cache)
+    name, seed = request.param
+    return build_scene(name, seed, scene_cache)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +36,8 @@ def scene(package: Path) -> CompiledScene:
 
 
 def test_the_package_lies_where_it_is_looked_for_and_is_small(package: Path, scene: CompiledScene) -> None:
-    assert package == package_path(scene.info.name, SEED, package.parent)
+    seed = int(scene.info.source.rpartition(" ")[2])
+    assert package == package_path(scene.info.name, seed, package.parent)
     assert package.stat().st_size < 40e6
 
 
@@ -86,8 +94,9 @@ def test_what_a_spawn_sees_it_can_drive_to_straight(scene: CompiledScene) -> Non
 
 
 def test_most_things_have_an_honest_colour(scene: CompiledScene) -> None:
-    named = [target.colour != "unknown" for target in scene.info.targets]
-    assert sum(named) >= 0.6 * len(named)
+    """But for racks and shelves: half of what they show is their mixed load."""
+    things = [target for target in scene.info.targets if target.category not in ("rack", "shelf")]
+    assert sum(target.colour != "unknown" for target in things) >= 0.8 * len(things)
 
 
 def test_targets_are_listed_in_the_order_of_their_prims(scene: CompiledScene) -> None:
@@ -98,7 +107,8 @@ def test_targets_are_listed_in_the_order_of_their_prims(scene: CompiledScene) ->
 
 def test_building_again_takes_it_from_the_cache(package: Path, scene: CompiledScene) -> None:
     before = package.stat().st_mtime_ns
-    assert build_scene(scene.info.name, SEED, package.parent) == package
+    seed = int(scene.info.source.rpartition(" ")[2])
+    assert build_scene(scene.info.name, seed, package.parent) == package
     assert package.stat().st_mtime_ns == before
 
 

@@ -1,0 +1,76 @@
+"""What every seed of every built-in scene promises before it is compiled: one floor, and each category beside it.
+
+Pieces count as boxes, which is coarser than what the compiler sees; `make scenes-check` compiles the seeds themselves.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
+from factory.scenes.author.placement import Plan
+from factory.scenes.occupancy import BAND_M
+from factory.scenes.rules import load_rules
+from schemas.terms import BUILTIN_CATEGORIES
+from workers.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
+
+CELL_M = 0.05
+REACH_M = 0.97 + 0.2335 + CELL_M  # arrival radius, and the body's centre behind base_link
+RULES = load_rules()
+
+Floats = NDArray[np.float64]
+
+
+def piece_boxes(plan: Plan) -> Floats:
+    """(N, 2, 3) corners of all pieces in the world, metres."""
+    boxes = [piece.mesh.points for structure in plan.structures for piece in structure.pieces]
+    for placement in plan.placements:
+        cos, sin = np.cos(placement.yaw), np.sin(placement.yaw)
+        turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        place = np.array([placement.x, placement.y, placement.z])
+        boxes += [piece.mesh.points @ turn + place for piece in placement.model.pieces]
+    return np.array([[points.min(axis=0), points.max(axis=0)] for points in boxes])
+
+
+def floor_of(plan: Plan) -> Grid:
+    """The grid of what reaches into the robot's height band."""
+    boxes = piece_boxes(plan)
+    solid = boxes[(boxes[:, 1, 2] > BAND_M[0]) & (boxes[:, 0, 2] < BAND_M[1])]
+    origin = solid[:, 0, :2].min(axis=0)
+    columns, rows = np.ceil((solid[:, 1, :2].max(axis=0) - origin) / CELL_M).astype(int)
+    occupancy = np.full((rows, columns), FREE, np.uint8)
+    for low, high in solid[:, :, :2]:
+        (x0, y0), (x1, y1) = (
+            np.floor((low - origin) / CELL_M).astype(int),
+            np.ceil((high - origin) / CELL_M).astype(int),
+        )
+        occupancy[y0:y1, x0:x1] = OCCUPIED
+    return Grid(occupancy, (float(origin[0]), float(origin[1])), CELL_M)
+
+
+def reached_categories(plan: Plan, grid: Grid) -> dict[str, int]:
+    """How many things of each category stand within reach of the connected floor."""
+    floor = cKDTree(grid.centre_of(np.argwhere(grid.connected_floor())))
+    reached: dict[str, int] = {}
+    for placement in plan.placements:
+        rule = RULES.match(re.sub(r"_\d+$", "", placement.name))
+        if rule is not None and floor.query((placement.x, placement.y))[0] <= REACH_M:
+            reached[rule.category] = reached.get(rule.category, 0) + 1
+    return reached
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("name", BUILTIN_SCENES)
+def test_every_seed_has_one_floor_with_each_category_beside_it(name: str, seed: int) -> None:
+    plan = lay_out_scene(BUILTIN_SCENES[name], seed)
+    grid = floor_of(plan)
+    wide = (grid.clearance >= CONNECT_CLEARANCE_M).sum()
+    assert grid.connected_floor().sum() >= 0.9 * wide
+    reached = reached_categories(plan, grid)
+    wanted = {*BUILTIN_CATEGORIES[name].seen, *BUILTIN_CATEGORIES[name].held_out}
+    assert {category: count for category in wanted if (count := reached.get(category, 0)) < 3} == {}
