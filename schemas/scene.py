@@ -21,6 +21,7 @@ from schemas.ndarray import decode_npy_zst, encode_npy_zst
 from schemas.terms import Tier
 
 __all__ = [
+    "MAX_LIGHT_MAP_PX",
     "SCENE_ARRAYS",
     "SCENE_FORMAT",
     "TEXTURE_SIZE_PX",
@@ -32,9 +33,11 @@ __all__ = [
     "encode_scene",
 ]
 
-SCENE_FORMAT = 1
+SCENE_FORMAT = 2
 """Version of the compiled package; a reader refuses every other."""
 TEXTURE_SIZE_PX = 512
+MAX_LIGHT_MAP_PX = 2048
+"""Longest side of a light map."""
 MAX_SCENE_BYTES = 512 << 20
 _LIMITS = Limits(members=64, member_bytes=MAX_SCENE_BYTES)
 
@@ -132,7 +135,12 @@ class CompiledScene:
     uvs: NDArray[np.float32]
     """(V, 2) texture coordinates, repeating; v = 0 is the bottom row of the texture."""
     colours: NDArray[np.uint8]
-    """(V, 3) sRGB; multiplies the texture, baked light included."""
+    """(V, 3) sRGB; multiplies the texture."""
+    light_uvs: NDArray[np.float32]
+    """(V, 2) place in the light map, 0..1; (0, 2) in a scene without one."""
+    light_map: NDArray[np.uint8]
+    """(H, W, 3) baked light, gamma-encoded like sRGB, 255 is full light; multiplies the colours; v = 0 is the edge of
+    row 0. (0, 0, 3) in a scene without light, which is shown at full brightness."""
     part_first: NDArray[np.int32]
     """(P,) first vertex of each part."""
     part_count: NDArray[np.int32]
@@ -164,6 +172,8 @@ SCENE_ARRAYS = {
         ArraySpec("positions", (None, 3), np.float32, "m", -1e4, 1e4),
         ArraySpec("uvs", (None, 2), np.float32, "1"),
         ArraySpec("colours", (None, 3), np.uint8, "sRGB"),
+        ArraySpec("light_uvs", (None, 2), np.float32, "1", 0, 1),
+        ArraySpec("light_map", (None, None, 3), np.uint8, "gamma 1/2.2"),
         ArraySpec("part_first", (None,), np.int32, "vertex", 0),
         ArraySpec("part_count", (None,), np.int32, "vertices", 0),
         ArraySpec("part_instance", (None,), np.uint16, "instance id", 1),
@@ -226,6 +236,9 @@ def _contradictions(scene: CompiledScene) -> list[str]:
     vertices = len(scene.positions)
     checks = {
         "uvs and colours have one row a vertex": len(scene.uvs) == len(scene.colours) == vertices,
+        "light map and light_uvs, one row a vertex, stand together": len(scene.light_uvs)
+        == (vertices if scene.light_map.size else 0),
+        f"light map is at most {MAX_LIGHT_MAP_PX} texels a side": max(scene.light_map.shape[:2]) <= MAX_LIGHT_MAP_PX,
         "parts have one row each": len({len(scene.part_first), len(scene.part_count), len(scene.part_instance)}) == 1
         and len(scene.part_texture) == len(scene.part_first),
         "parts lie within the vertices": bool((scene.part_first.astype(np.int64) + scene.part_count <= vertices).all()),

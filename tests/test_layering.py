@@ -21,6 +21,7 @@ DOORS = {
     "zenoh": {"workers/link.py", "coordinator/router.py", "coordinator/zenoh_config.py", "coordinator/ask.py"},
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
+    "embreex": {"factory/scenes/light/rays.py"},
     "pyarrow": {"coordinator/dataset_tables.py", "factory/"},
 }
 

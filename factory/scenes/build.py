@@ -123,7 +123,7 @@ def load_edits(rules: Path | None, targets: Path | None) -> tuple[RuleBook | Non
 
 
 def _require_usd() -> None:
-    missing = [package for package in ("pxr", "mapbox_earcut") if find_spec(package) is None]
+    missing = [package for package in ("pxr", "mapbox_earcut", "embreex") if find_spec(package) is None]
     if missing:
         raise UsageError(
             f"USD needs {' and '.join(missing)}; install them with `pip install 'minivla-factory[scenes]'`"

@@ -248,7 +248,7 @@ def _assemble(
     terrain: Terrain,
     survey: _Survey,
 ) -> CompiledScene:
-    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book)
+    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, info.floor_height_m)
     return CompiledScene(
         info=info,
         **{field.name: getattr(geometry, field.name) for field in fields(geometry)},

@@ -1,6 +1,6 @@
 """Lays the visible parts out as the renderer wants them: un-welded vertices in runs of one instance and one texture.
 
-Pure; decides no colour, no id and no order of its own.
+Pure, baked light included; decides no colour, no id and no order of its own.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.importer import Part
-from factory.scenes.shade import corner_colours, glows_by_name, texture_layer
+from factory.scenes.light import bake_light
+from factory.scenes.shade import corner_colours, glow_brightness, glows_by_name, texture_layer
 from factory.scenes.textures import TextureBook
 
 __all__ = ["Geometry", "lay_out_geometry"]
@@ -26,6 +27,8 @@ class Geometry:
     positions: NDArray[np.float32]
     uvs: NDArray[np.float32]
     colours: NDArray[np.uint8]
+    light_uvs: NDArray[np.float32]
+    light_map: NDArray[np.uint8]
     part_first: NDArray[np.int32]
     part_count: NDArray[np.int32]
     part_instance: NDArray[np.uint16]
@@ -33,32 +36,43 @@ class Geometry:
 
 
 def lay_out_geometry(
-    parts: Sequence[Part], owners: Sequence[str], ids: Mapping[str, int], book: TextureBook
+    parts: Sequence[Part], owners: Sequence[str], ids: Mapping[str, int], book: TextureBook, floor_m: float
 ) -> Geometry:
-    """Groups parts by instance and texture.
+    """Groups parts by instance and texture, and bakes the light that falls on them.
 
     Args:
         parts: the visible parts.
         owners: the object of each part.
         ids: instance id of each object.
         book: the textures.
+        floor_m: height of the floor.
     """
     keys = [(ids[owner], texture_layer(part, book)) for part, owner in zip(parts, owners, strict=True)]
     order = sorted(range(len(parts)), key=lambda row: (keys[row], parts[row].path))
     runs = [(key, sum(3 * len(parts[row].triangles) for row in rows)) for key, rows in groupby(order, keys.__getitem__)]
     counts = np.array([count for _, count in runs], np.int32)
-    states_glow = any(part.surface.emits for part in parts)
-    glows = [part.surface.emits if states_glow else glows_by_name(part.path) for part in parts]
-    colours = [corner_colours(parts[row], book, glows[row]).reshape(-1, 3) for row in order]
+    triangles = np.concatenate([parts[row].triangles for row in order])
+    groups = np.repeat(np.arange(len(counts)), counts // 3)
+    light = bake_light(triangles, groups, _brightness([parts[row] for row in order], book), floor_m)
     return Geometry(
-        positions=np.concatenate([parts[row].triangles.reshape(-1, 3) for row in order]).astype(np.float32),
+        positions=triangles.reshape(-1, 3).astype(np.float32),
         uvs=np.concatenate([_uvs(parts[row], keys[row][1]) for row in order]).astype(np.float32),
-        colours=np.concatenate(colours),
+        colours=np.concatenate([corner_colours(parts[row], book).reshape(-1, 3) for row in order]),
+        light_uvs=light.uvs.reshape(-1, 2),
+        light_map=light.picture,
         part_first=(np.cumsum(counts) - counts).astype(np.int32),
         part_count=counts,
         part_instance=np.array([key[0] for key, _ in runs], np.uint16),
         part_texture=np.array([key[1] for key, _ in runs], np.int16),
     )
+
+
+def _brightness(parts: Sequence[Part], book: TextureBook) -> NDArray[np.float64]:
+    """How brightly each triangle glows: as authored, or where nothing in the scene is, by its name."""
+    is_authored = any(part.surface.emits for part in parts)
+    glows = [part.surface.emits if is_authored else glows_by_name(part.path) for part in parts]
+    values = [glow_brightness(part, book) if glow else 0.0 for part, glow in zip(parts, glows, strict=True)]
+    return np.repeat(values, [len(part.triangles) for part in parts])
 
 
 def _uvs(part: Part, layer: int) -> NDArray[np.float64]:

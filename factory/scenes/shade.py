@@ -1,6 +1,6 @@
-"""The look of a part's corners: base colour times baked light, as the sRGB values the renderer multiplies.
+"""The look of a part's corners, as the sRGB values the renderer multiplies, and how brightly it glows by itself.
 
-Pure; light is an even sky, a soft key and what glows by itself, with no shadows.
+Pure; how much light falls on it is baked elsewhere.
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
 from factory.scenes.textures import TextureBook
 
-__all__ = ["corner_colours", "glows_by_name", "target_colour", "texture_layer", "triangle_areas"]
+__all__ = ["corner_colours", "glow_brightness", "glows_by_name", "target_colour", "texture_layer", "triangle_areas"]
 
-_KEY = np.array([0.38, 0.26, 0.89])
-"""Direction to the key light, world frame."""
-_SIDE_LIGHT, _SKY, _KEY_LIGHT = 0.56, 0.16, 0.28
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _LAMP_WORDS = re.compile(r"(^|_)(lamp|light|screen|window)s?(_|$)")
 _SAMPLES = 2000
 
@@ -56,26 +54,19 @@ def glows_by_name(path: str) -> bool:
     return any(_LAMP_WORDS.search(split_name(name)) for name in path.split("/")[-2:])
 
 
-def corner_colours(part: Part, book: TextureBook, glows: bool) -> NDArray[np.uint8]:
-    """Returns (T, 3, 3) the sRGB colours of a part's corners with light baked in.
-
-    Args:
-        part: its triangles, tints and surface.
-        book: the textures.
-        glows: whether it is shown at full brightness whatever way it faces.
-    """
-    crosses = _crosses(part.triangles)
-    normals = crosses / np.maximum(np.linalg.norm(crosses, axis=1, keepdims=True), 1e-20)
-    light = np.ones(len(normals)) if glows else _light(normals)
-    linear = _base(part, book) * light[:, None, None] + np.array(part.surface.emission)
+def corner_colours(part: Part, book: TextureBook) -> NDArray[np.uint8]:
+    """Returns (T, 3, 3) the sRGB colours of a part's corners in full light."""
+    linear = _base(part, book) + np.array(part.surface.emission)
     srgb = np.broadcast_to(srgb_of(linear), part.triangles.shape)
     return np.rint(srgb * 255).astype(np.uint8)
 
 
-def _light(normals: Floats) -> Floats:
-    """Brightness 0..1 of faces by where they look."""
-    key = np.maximum(normals @ (_KEY / np.linalg.norm(_KEY)), 0.0)
-    return np.asarray(_SIDE_LIGHT + _SKY * normals[:, 2] + _KEY_LIGHT * key)
+def glow_brightness(part: Part, book: TextureBook) -> float:
+    """Returns the linear luminance 0..1 that a glowing part shines with: its emission's, else its picture's."""
+    colour = np.array(part.surface.emission)
+    if not colour.any():
+        colour = np.array(part.surface.colour) * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
+    return float(np.clip(colour @ _LUMINANCE, 0.01, 1.0))
 
 
 def target_colour(parts: list[Part], book: TextureBook, rng: np.random.Generator) -> str:

@@ -2,5 +2,5 @@
 
 __all__ = ["COMPILER_VERSION"]
 
-COMPILER_VERSION = 1
+COMPILER_VERSION = 2
 """Rises whenever the same stage compiles to other bytes."""

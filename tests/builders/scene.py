@@ -97,6 +97,8 @@ def build_scene(
         positions=np.concatenate(triangles).astype(np.float32),
         uvs=np.concatenate([_planar_uvs(corners) for corners in triangles]).astype(np.float32),
         colours=np.repeat(np.array([box.colour for box in boxes], np.uint8), 36, axis=0),
+        light_uvs=np.empty((0, 2), np.float32),
+        light_map=np.empty((0, 0, 3), np.uint8),
         part_first=np.arange(len(boxes), dtype=np.int32) * 36,
         part_count=np.full(len(boxes), 36, np.int32),
         part_instance=np.arange(1, len(boxes) + 1, dtype=np.uint16),

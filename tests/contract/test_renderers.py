@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -132,6 +133,28 @@ def test_textures_stand_upright_and_multiply_the_colour(renderer: Renderer) -> N
     rows = np.nonzero(frame.ids[:, 320])[0]
     assert frame.rgb[rows[3], 320].tolist() == pytest.approx([200, 100, 50], abs=2)
     assert frame.rgb[rows[-4], 320].tolist() == [0, 0, 0]
+
+
+def test_baked_light_multiplies_the_colour(renderer: Renderer) -> None:
+    scene = build_scene([wall(3.0)])
+    light = np.full((2, 2, 3), (51, 102, 255), np.uint8)
+    uvs = np.full((len(scene.positions), 2), 0.5, np.float32)
+    renderer.load(replace(scene, light_uvs=uvs, light_map=light), CAMERA)
+    frame = renderer.render(ORIGIN)
+    assert frame.rgb[320, 320].tolist() == pytest.approx([RED[0] * 0.2, RED[1] * 0.4, RED[2]], abs=1)
+
+
+@pytest.mark.gl
+def test_light_is_read_from_the_first_row_down_and_between_texels() -> None:
+    scene = build_scene([wall(3.0)])
+    light = np.array([[[0] * 3, [100] * 3], [[200] * 3, [200] * 3]], np.uint8)
+    seen = []
+    with open_renderer("gl") as opened:
+        for place in ((0.25, 0.25), (0.75, 0.25), (0.5, 0.25), (0.25, 0.75)):
+            uvs = np.tile(np.array(place, np.float32), (len(scene.positions), 1))
+            opened.load(replace(scene, light_uvs=uvs, light_map=light), CAMERA)
+            seen.append(opened.render(ORIGIN).rgb[320, 320, 0] / RED[0] * 255)
+    assert seen == pytest.approx([0, 100, 50, 200], abs=2)
 
 
 def test_the_same_pose_gives_the_same_bytes(renderer: Renderer) -> None:

@@ -27,6 +27,7 @@ from workers.render.shelf import SceneShelf
 __all__ = ["GlRenderer"]
 
 _KEPT_SCENES = 4
+_TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """libEGL hands out every function of OpenGL by itself; asking for no libGL spares the user a package."""
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base", "u4"), ("unused", "u4")])
@@ -128,6 +129,7 @@ class _Program:
         self._context = context
         self._pair = pair
         self._program: Any = context.program(vertex_shader=pair.vertex, fragment_shader=pair.fragment)
+        self._program["light"] = _LIGHT_UNIT
 
     def set_view(self, clip: NDArray[np.float64]) -> None:
         self._program["clip_from_world"].write(clip.T.astype(np.float32).tobytes())
@@ -137,7 +139,7 @@ class _Program:
 
 
 class _GpuScene:
-    """A scene on the device: its vertices, its textures and the bounds of its parts."""
+    """A scene on the device: its vertices, its textures, its light map and the bounds of its parts."""
 
     def __init__(self, context: moderngl.Context, plain: _Program, textured: _Program, scene: CompiledScene) -> None:
         self._is_textured = scene.part_texture >= 0
@@ -149,6 +151,7 @@ class _GpuScene:
         self._vertices = context.buffer(_interleave(scene).tobytes() or bytes(VERTEX.itemsize))
         self._plain, self._textured = plain.reading(self._vertices), textured.reading(self._vertices)
         self._textures = _upload_textures(context, scene.textures)
+        self._light = _upload_light(context, scene.light_map)
 
     def draw(self, parts: NDArray[np.intp]) -> None:
         """Draws parts in the order given, the plain ones first: what they hide needs no texture looked up."""
@@ -157,15 +160,16 @@ class _GpuScene:
         plain = len(parts) - int(is_textured.sum())
         if len(order):
             self._commands.write(self._draws[order].tobytes())
+        self._light.use(_LIGHT_UNIT)
         if plain:
             self._plain.render_indirect(self._commands, count=plain)
         if plain < len(order):
-            self._textures.use(0)
+            self._textures.use(_TEXTURE_UNIT)
             self._textured.render_indirect(self._commands, count=len(order) - plain, first=plain)
 
     def close(self) -> None:
         """Frees the device memory."""
-        for held in (self._plain, self._textured, self._vertices, self._commands, self._textures):
+        for held in (self._plain, self._textured, self._vertices, self._commands, self._textures, self._light):
             held.release()
 
 
@@ -174,6 +178,8 @@ def _interleave(scene: CompiledScene) -> NDArray[np.void]:
     vertices = np.zeros(len(scene.positions), VERTEX)
     vertices["position"], vertices["uv"] = scene.positions, scene.uvs
     vertices["colour"][:, :3] = scene.colours
+    if len(scene.light_uvs):
+        vertices["light_uv"] = scene.light_uvs
     for first, count, instance, layer in zip(
         scene.part_first, scene.part_count, scene.part_instance, scene.part_texture, strict=True
     ):
@@ -183,13 +189,28 @@ def _interleave(scene: CompiledScene) -> NDArray[np.void]:
 
 
 def _upload_textures(context: moderngl.Context, textures: NDArray[np.uint8]) -> moderngl.TextureArray:
-    """Uploads the layers upside down, because v = 0 is the bottom row, and makes their mipmaps."""
+    """Uploads the layers upside down, because v = 0 is the bottom row, and makes their mipmaps.
+
+    The nearest mipmap alone is sampled: mixing two of them looks the same here and costs as much as the light map.
+    """
     layers = textures[:, ::-1] if len(textures) else np.full((1, 1, 1, 3), 255, np.uint8)
     count, height, width, _ = layers.shape
     array = context.texture_array((width, height, count), 3, np.ascontiguousarray(layers).tobytes())
     array.build_mipmaps()
-    array.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    array.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
     return array
+
+
+def _upload_light(context: moderngl.Context, light_map: NDArray[np.uint8]) -> moderngl.Texture:
+    """Uploads the light map, with a fourth channel that llvmpipe is faster with; without one, all is fully lit."""
+    rows, columns = light_map.shape[:2] if light_map.size else (1, 1)
+    texels = np.full((rows, columns, 4), 255, np.uint8)
+    if light_map.size:
+        texels[:, :, :3] = light_map
+    texture = context.texture((columns, rows), 4, texels.tobytes())
+    texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
 
 
 def _open_context() -> moderngl.Context:

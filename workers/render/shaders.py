@@ -12,7 +12,16 @@ import numpy as np
 
 __all__ = ["PLAIN", "TEXTURED", "VERTEX", "ShaderPair"]
 
-VERTEX = np.dtype([("position", "3f4"), ("uv", "2f4"), ("colour", "4u1"), ("instance", "u2"), ("layer", "i2")])
+VERTEX = np.dtype(
+    [
+        ("position", "3f4"),
+        ("uv", "2f4"),
+        ("light_uv", "2f4"),
+        ("colour", "4u1"),
+        ("instance", "u2"),
+        ("layer", "i2"),
+    ]
+)
 """One vertex; instance and texture layer are those of its part."""
 
 
@@ -29,52 +38,54 @@ class ShaderPair(NamedTuple):
 PLAIN = ShaderPair(
     """
 #version 330
-in vec3 position; in vec4 colour; in int instance;
+in vec3 position; in vec2 light_uv; in vec4 colour; in int instance;
 uniform mat4 clip_from_world;
-out vec3 frag_colour; flat out int frag_instance;
+out vec2 frag_light; out vec3 frag_colour; flat out int frag_instance;
 void main() {
     gl_Position = clip_from_world * vec4(position, 1.0);
-    frag_colour = colour.rgb; frag_instance = instance;
+    frag_light = light_uv; frag_colour = colour.rgb; frag_instance = instance;
 }
 """,
     """
 #version 330
-in vec3 frag_colour; flat in int frag_instance;
+in vec2 frag_light; in vec3 frag_colour; flat in int frag_instance;
+uniform sampler2D light;
 layout(location = 0) out vec4 rgb; layout(location = 1) out float depth; layout(location = 2) out uint id;
 void main() {
-    rgb = vec4(frag_colour, 1.0);
+    rgb = vec4(frag_colour * texture(light, frag_light).rgb, 1.0);
     depth = 1.0 / gl_FragCoord.w;
     id = uint(frag_instance);
 }
 """,
-    "3f4 8x 4f1 1u2 2x",
-    ("position", "colour", "instance"),
+    "3f4 8x 2f4 4f1 1u2 2x",
+    ("position", "light_uv", "colour", "instance"),
 )
 """For parts of plain colour. Depth is clip w, the distance along the optical axis."""
 
 TEXTURED = ShaderPair(
     """
 #version 330
-in vec3 position; in vec2 uv; in vec4 colour; in int instance; in int layer;
+in vec3 position; in vec2 uv; in vec2 light_uv; in vec4 colour; in int instance; in int layer;
 uniform mat4 clip_from_world;
-out vec2 frag_uv; out vec3 frag_colour; flat out int frag_instance; flat out int frag_layer;
+out vec2 frag_uv; out vec2 frag_light; out vec3 frag_colour; flat out int frag_instance; flat out int frag_layer;
 void main() {
     gl_Position = clip_from_world * vec4(position, 1.0);
-    frag_uv = uv; frag_colour = colour.rgb; frag_instance = instance; frag_layer = layer;
+    frag_uv = uv; frag_light = light_uv; frag_colour = colour.rgb; frag_instance = instance; frag_layer = layer;
 }
 """,
     """
 #version 330
-in vec2 frag_uv; in vec3 frag_colour; flat in int frag_instance; flat in int frag_layer;
-uniform sampler2DArray layers;
+in vec2 frag_uv; in vec2 frag_light; in vec3 frag_colour; flat in int frag_instance; flat in int frag_layer;
+uniform sampler2DArray layers; uniform sampler2D light;
 layout(location = 0) out vec4 rgb; layout(location = 1) out float depth; layout(location = 2) out uint id;
 void main() {
-    rgb = vec4(frag_colour * texture(layers, vec3(frag_uv, float(frag_layer))).rgb, 1.0);
+    vec3 surface = frag_colour * texture(layers, vec3(frag_uv, float(frag_layer))).rgb;
+    rgb = vec4(surface * texture(light, frag_light).rgb, 1.0);
     depth = 1.0 / gl_FragCoord.w;
     id = uint(frag_instance);
 }
 """,
-    "3f4 2f4 4f1 1u2 1i2",
-    ("position", "uv", "colour", "instance", "layer"),
+    "3f4 2f4 2f4 4f1 1u2 1i2",
+    ("position", "uv", "light_uv", "colour", "instance", "layer"),
 )
 """For parts with a texture."""

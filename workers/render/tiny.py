@@ -1,6 +1,6 @@
 """The fallback renderer: PyBullet's TinyRenderer, which needs nothing but pip, at about a twentieth of the speed.
 
-It shows each part in its mean colour, because TinyRenderer has no vertex colours; it never simulates.
+It shows each part in its mean colour and light, because TinyRenderer has neither by vertex; it never simulates.
 """
 
 from __future__ import annotations
@@ -104,8 +104,9 @@ class _TinyScene:
         instances: dict[int, int] = {}
         with tempfile.TemporaryDirectory() as folder:
             textures = [self.client.load_texture(path) for path in _write_textures(scene.textures, Path(folder))]
+        light = _light_at_vertices(scene)
         for part, run in _runs(scene):
-            rgb = scene.colours[run].mean(axis=0) / 255
+            rgb = scene.colours[run].mean(axis=0) / 255 * light[run].mean(axis=0)
             body = self.client.add_visual(scene.positions[run], scene.uvs[run], (rgb[0], rgb[1], rgb[2]))
             instances[body] = int(scene.part_instance[part])
             if scene.part_texture[part] >= 0:
@@ -124,6 +125,15 @@ def _runs(scene: CompiledScene) -> Iterator[tuple[int, slice]]:
     for part, (first, count) in enumerate(zip(scene.part_first.tolist(), scene.part_count.tolist(), strict=True)):
         for start in range(first, first + count, 3 * MESH_TRIANGLES):
             yield part, slice(start, min(start + 3 * MESH_TRIANGLES, first + count))
+
+
+def _light_at_vertices(scene: CompiledScene) -> NDArray[np.float64]:
+    """Returns (V, 3) the baked light, 0..1, at the texel nearest to each vertex."""
+    if not scene.light_map.size:
+        return np.ones((len(scene.positions), 3))
+    rows, columns = scene.light_map.shape[:2]
+    texels = (scene.light_uvs * (columns, rows)).astype(np.int64).clip(0, (columns - 1, rows - 1))
+    return np.asarray(scene.light_map[texels[:, 1], texels[:, 0]] / 255.0)
 
 
 def _write_textures(textures: NDArray[np.uint8], folder: Path) -> Iterator[Path]:

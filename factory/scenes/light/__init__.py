@@ -1,0 +1,5 @@
+"""Light baked into a picture: unwrap the visible surfaces, cast rays at their texels, tone the result."""
+
+from factory.scenes.light.bake import LightMap, bake_light
+
+__all__ = ["LightMap", "bake_light"]

@@ -1,0 +1,52 @@
+"""Rays against the triangles of a scene; the only user of embreex."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+from numpy.typing import NDArray
+
+__all__ = ["Caster"]
+
+Floats = NDArray[np.float64]
+
+
+class Caster:
+    """Answers what a ray meets first."""
+
+    def __init__(self, triangles: Floats) -> None:
+        """Builds the search tree over triangles (T, 3, 3), metres."""
+        corners = np.ascontiguousarray(triangles, np.float32)
+        self._scene: Any = rtcore_scene.EmbreeScene()
+        self._mesh: Any = TriangleMesh(self._scene, corners)
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._normals = cross
+
+    def first_hits(
+        self, origins: Floats, directions: Floats, reach_m: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Returns for N rays the distance to what they meet, at most `reach_m`, and whether they met its back.
+
+        Args:
+            origins: (N, 3) metres.
+            directions: (N, 3) unit vectors.
+            reach_m: how far to look.
+        """
+        start, way = (np.ascontiguousarray(values, np.float32) for values in (origins, directions))
+        limit = np.full(len(start), reach_m, np.float32)
+        hit = self._scene.run(start, way, limit, query="INTERSECT", output=1)
+        triangle = np.asarray(hit["primID"])
+        has_met = triangle >= 0
+        facing = np.einsum("nk,nk->n", self._normals[np.where(has_met, triangle, 0)], way)
+        distance = np.where(has_met, np.asarray(hit["tfar"], np.float32), np.float32(reach_m))
+        return distance, has_met & (facing > 0)
+
+    def is_free(self, origins: Floats, directions: Floats, lengths_m: Floats) -> NDArray[np.bool_]:
+        """Says for N rays whether they meet nothing within their length."""
+        start, way = (np.ascontiguousarray(values, np.float32) for values in (origins, directions))
+        limit = np.ascontiguousarray(lengths_m, np.float32)
+        met = np.asarray(self._scene.run(start, way, limit, query="OCCLUDED"))  # 0 where something was met, else -1
+        return np.asarray(met != 0, np.bool_)

@@ -1,0 +1,90 @@
+"""Gives every flat piece of a scene its own rectangle of texels in the light map; pure.
+
+The outermost texel centres lie on the edges of the piece, so bilinear sampling never reads a neighbour's texel and no
+padding is needed. Curved surfaces become many small pieces: their light is as faceted as their shading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.light.charts import Charts
+
+__all__ = ["Unwrap", "unwrap"]
+
+_TEXELS_PER_M = 12.0
+_FLOOR_GAIN, _CEILING_GAIN = 1.5, 0.5
+_LARGE_M2 = 4.0
+_BUDGET = 480_000
+_MAX_SIDE = 1024
+_TINY = 0.75
+"""Pieces narrower than this share of a texel get a single one."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Unwrap:
+    """Where the charts lie in the light map."""
+
+    shape: tuple[int, int]
+    """Rows and columns."""
+    place: Ints
+    """(C, 2) first column and first row of each chart."""
+    size: Ints
+    """(C, 2) columns and rows of each chart."""
+    uvs: Floats
+    """(T, 3, 2) coordinates of the corners, 0..1."""
+
+
+def unwrap(charts: Charts, width: int = 1024, max_height: int = 2048) -> Unwrap:
+    """Packs the charts into one map, as dense as budget and height allow.
+
+    Args:
+        charts: the flat pieces.
+        width: columns of the map.
+        max_height: most rows it may have.
+    """
+    wanted = _density(charts)
+    scale = 1.0
+    while True:
+        size = _sizes(charts.extent, wanted * scale, min(width, _MAX_SIDE))
+        place, height = _pack(size, width)
+        if height <= max_height and size.prod(axis=1).sum() <= max(_BUDGET, 2 * len(size)):
+            break
+        if size.max() == 1:
+            raise ValueError(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
+        scale *= 0.9
+    span = np.maximum(charts.extent, 1e-9)[charts.of_triangle][:, None]
+    chart = charts.of_triangle
+    texel = place[chart][:, None] + 0.5 + (charts.corners / span) * (size[chart] - 1)[:, None]
+    return Unwrap((height, width), place, size, texel / (width, height))
+
+
+def _density(charts: Charts) -> Floats:
+    """Texels a metre: more on large floors, where contact shadows fall, fewer on ceilings."""
+    up, is_large = charts.axes[:, 2, 2], charts.area >= _LARGE_M2
+    gain = np.where(is_large & (up > 0.9), _FLOOR_GAIN, np.where(is_large & (up < -0.9), _CEILING_GAIN, 1.0))
+    return np.asarray(_TEXELS_PER_M * gain)
+
+
+def _sizes(extent: Floats, density: Floats, most: int) -> Ints:
+    texels = extent * density[:, None]
+    return np.where(texels < _TINY, 1, np.minimum(np.ceil(texels) + 1, most)).astype(np.int64)
+
+
+def _pack(size: Ints, width: int) -> tuple[Ints, int]:
+    """Fills shelves from left to right, the highest charts first; returns places and the height used."""
+    place = np.zeros_like(size)
+    column = row = shelf = 0
+    for chart in np.lexsort((-size[:, 0], -size[:, 1])).tolist():
+        wide, high = size[chart]
+        if column + wide > width:
+            column, row, shelf = 0, row + shelf, 0
+        place[chart] = column, row
+        column, shelf = column + int(wide), max(shelf, int(high))
+    return place, row + shelf

@@ -1,0 +1,114 @@
+"""Baked light on rooms of boxes: where it is darker and where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from factory.scenes.light import LightMap, bake_light
+from factory.scenes.light.smooth import fill_hidden, smooth_charts
+from tests.builders.scene import Box, room_walls
+from tests.builders.solids import box_triangles
+
+CEILING = Box((-3.2, -3.2, 2.5), (3.2, 3.2, 2.6))
+LAMP = Box((-0.6, -0.6, 2.45), (0.6, 0.6, 2.49))
+ROOM = (*room_walls((-3.0, -3.0), (3.0, 3.0)), CEILING, LAMP)
+LAMP_NUMBER = 6
+TABLE = Box((1.0, -0.5, 0.6), (2.0, 0.5, 0.65))
+CRATE = Box((-2.2, -0.4, 0.0), (-1.4, 0.4, 0.6))
+
+
+def bake(boxes: Sequence[Box], lamps: Sequence[int] = (LAMP_NUMBER,)) -> LightMap:
+    brightness = np.zeros(len(boxes))
+    brightness[list(lamps)] = 1.0
+    groups = np.arange(len(boxes))
+    return bake_light(box_triangles(boxes), np.repeat(groups, 12), np.repeat(brightness, 12), 0.0)
+
+
+def light_at(light: LightMap, boxes: Sequence[Box], box: int, axis: int, sign: int, place: tuple[float, ...]) -> float:
+    """The mean of the three channels at a place on the face of a box that looks along an axis."""
+    triangles = box_triangles(boxes)
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    for row in range(12 * box, 12 * box + 12):
+        if cross[row, axis] * sign > 0.9 * np.linalg.norm(cross[row]):
+            a, b, c = triangles[row]
+            s, t = np.linalg.lstsq(np.column_stack((b - a, c - a)), np.asarray(place) - a, rcond=None)[0]
+            if s >= -1e-9 and t >= -1e-9 and s + t <= 1 + 1e-9:
+                uv = light.uvs[row, 0] * (1 - s - t) + light.uvs[row, 1] * s + light.uvs[row, 2] * t
+                rows, columns = light.picture.shape[:2]
+                return float(light.picture[int(uv[1] * rows), int(uv[0] * columns)].mean())
+    raise AssertionError(f"no face of box {box} has {place}")
+
+
+def floor_light(light: LightMap, boxes: Sequence[Box], x: float, y: float) -> float:
+    return light_at(light, boxes, 0, 2, 1, (x, y, 0.0))
+
+
+def test_a_corner_is_darker_than_the_open_floor() -> None:
+    light = bake(ROOM)
+    assert floor_light(light, ROOM, -2.9, -2.9) < 0.8 * floor_light(light, ROOM, 0.0, 0.0)
+
+
+def test_under_a_table_is_darker_than_beside_it() -> None:
+    boxes = (*ROOM, TABLE)
+    light = bake(boxes)
+    assert floor_light(light, boxes, 1.5, 0.0) < 0.75 * floor_light(light, boxes, 1.5, 1.3)
+
+
+def test_a_crate_throws_a_contact_shadow_that_fades() -> None:
+    boxes = (*ROOM, CRATE)
+    light = bake(boxes)
+    beside, near, open_floor = (floor_light(light, boxes, -2.2 - gap, 0.0) for gap in (0.04, 0.3, 0.6))
+    assert beside < near
+    assert beside < 0.9 * floor_light(bake(ROOM), ROOM, -2.24, 0.0)
+    assert open_floor > 0
+
+
+def test_what_is_hidden_under_a_thing_does_not_leak_out_as_black() -> None:
+    boxes = (*ROOM, CRATE)
+    assert floor_light(bake(boxes), boxes, -1.38, 0.0) > 40
+
+
+def test_light_does_not_pass_walls() -> None:
+    wall = Box((0.9, -3.0, 0.0), (1.1, 3.0, 2.5))
+    boxes = (*ROOM, wall)
+    light = bake(boxes)
+    assert floor_light(light, boxes, 2.0, 0.0) < 0.75 * floor_light(light, boxes, -0.5, 0.0)
+
+
+def test_what_glows_is_fully_bright() -> None:
+    light = bake(ROOM)
+    assert light_at(light, ROOM, LAMP_NUMBER, 2, -1, (0.0, 0.0, 2.45)) == 255
+
+
+def test_a_scene_without_lamps_is_lit_all_the_same() -> None:
+    light = bake(ROOM[:-2], lamps=())
+    assert 120 < floor_light(light, ROOM, 0.5, 0.5) < 255
+
+
+def test_no_visible_surface_is_black() -> None:
+    boxes = (*ROOM, TABLE, CRATE)
+    light = bake(boxes)
+    assert light_at(light, boxes, 7, 2, -1, (1.5, 0.0, 0.6)) > 40
+    assert light.picture[light.picture.max(axis=2) > 0].min() > 20
+
+
+def test_the_same_scene_gives_the_same_light() -> None:
+    one, other = bake(ROOM), bake(ROOM)
+    assert one.picture.tobytes() == other.picture.tobytes()
+    assert one.uvs.tobytes() == other.uvs.tobytes()
+
+
+def test_smoothing_never_mixes_charts() -> None:
+    owner = np.repeat([[0, 0, 1, 1]], 3, axis=0)
+    values = np.where(owner == 0, 1.0, 5.0)
+    assert smooth_charts(values, np.ones_like(owner, bool), owner) == pytest.approx(values)
+
+
+def test_unknown_texels_are_filled_from_their_own_chart() -> None:
+    owner = np.array([[0, 0, 0, 1, 1, -1]])
+    known = np.array([[True, False, False, False, False, False]])
+    filled = fill_hidden(np.array([[2.0, 9, 9, 9, 9, 0]]), known, owner)
+    assert filled.tolist() == [[2.0, 2.0, 2.0, pytest.approx(0.6), pytest.approx(0.6), 0.0]]

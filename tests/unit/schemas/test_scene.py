@@ -1,0 +1,50 @@
+"""The codec of compiled scenes, where it concerns baked light."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.errors import InvalidBundle
+from schemas.scene import MAX_LIGHT_MAP_PX, CompiledScene, decode_scene, encode_scene
+from tests.builders.scene import box_room
+
+
+def lit_room(shape: tuple[int, int] = (8, 16)) -> CompiledScene:
+    room = box_room()
+    light = np.arange(shape[0] * shape[1] * 3).reshape(*shape, 3) % 251
+    uvs = np.full((len(room.positions), 2), 0.25, np.float32)
+    return replace(room, light_uvs=uvs, light_map=light.astype(np.uint8))
+
+
+def again(scene: CompiledScene) -> CompiledScene:
+    return decode_scene(io.BytesIO(encode_scene(scene)))
+
+
+def test_light_survives_the_package() -> None:
+    scene = lit_room()
+    assert (again(scene).light_map == scene.light_map).all()
+    assert (again(scene).light_uvs == scene.light_uvs).all()
+
+
+def test_a_scene_may_have_no_light() -> None:
+    assert again(box_room()).light_map.shape == (0, 0, 3)
+
+
+def test_light_without_a_place_for_each_vertex_is_refused() -> None:
+    with pytest.raises(InvalidBundle, match="light_uvs"):
+        again(replace(lit_room(), light_uvs=np.empty((0, 2), np.float32)))
+
+
+def test_places_outside_the_light_map_are_refused() -> None:
+    scene = lit_room()
+    with pytest.raises(InvalidBundle, match="light_uvs"):
+        again(replace(scene, light_uvs=scene.light_uvs + 1))
+
+
+def test_a_light_map_beyond_its_limit_is_refused() -> None:
+    with pytest.raises(InvalidBundle, match="light map"):
+        again(lit_room((1, MAX_LIGHT_MAP_PX + 1)))
