@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from schemas.config import RobotConfig
 
 __all__ = ["Twist", "slew"]
@@ -25,7 +27,9 @@ def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
     """Returns the twist to command next: `wanted`, held to the accelerations the robot can do.
 
     Without the limit the wheels slip by half a metre a second and the robot drifts 25 cm over 6 m
-    (notes/scenes.md 4.2). The limits of speed itself are not applied here.
+    (notes/scenes.md 4.2). The limits of speed itself are not applied here. The twist is rounded to float32, the
+    precision it is recorded in, so that what was recorded is what was carried out, and carrying it out again gives
+    the same poses: slewing towards a recorded twist returns it unchanged.
 
     Args:
         current: the twist commanded in the period before.
@@ -35,7 +39,7 @@ def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
     """
     yaw_step = robot.max_yaw_acceleration_rps2 * dt
     turned = min(max(wanted.w_rps, current.w_rps - yaw_step), current.w_rps + yaw_step)
-    return Twist(_slew_speed(current.v_mps, wanted.v_mps, robot, dt), turned)
+    return Twist(float(np.float32(_slew_speed(current.v_mps, wanted.v_mps, robot, dt))), float(np.float32(turned)))
 
 
 def _slew_speed(current: float, wanted: float, robot: RobotConfig, dt: float) -> float:
