@@ -81,7 +81,7 @@ class SpawnConfig(Model):
     physics_draws: Annotated[int, Field(ge=1, le=64)] = 8
     """How many poses an attempt tries in physics before it counts as a failed spawn."""
     grid_draws: Annotated[int, Field(ge=1, le=10000)] = 400
-    """How many poses a draw tries on the occupancy grid."""
+    """How many distances (far: surveyed points) a draw tries on the occupancy grid."""
     warmup_steps: Annotated[int, Field(ge=1)] = 3
     max_displacement_m: Positive = 0.08
     """Largest planar displacement during the warm-up, metres."""

@@ -6,7 +6,7 @@ Draws come from the attempt's generator only; the grid part is pure.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,12 @@ ARRIVAL_RADIUS_M = 0.97
 """Where the robot comes to rest within the success circle, metres from the centroid."""
 _CLOSEST_FAR_M = 1.5
 """Least distance to the target's centroid of the planner's far starts, metres."""
+_BEARINGS = 384
+"""Bearings that are tried at a distance before it is given up."""
+
+Bools = NDArray[np.bool_]
+Poses = NDArray[np.float64]
+"""(N, 3) x, y in metres and yaw in radians, world frame."""
 
 __all__ = ["draw_poses", "is_spawn_firm"]
 
@@ -31,9 +37,11 @@ __all__ = ["draw_poses", "is_spawn_firm"]
 def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Pose]:
     """Yields start poses that fit on the grid, at most `job.spawn.physics_draws` of them.
 
-    Near and mid: uniform distance and bearing around the target, facing it within the heading noise. Far: a
-    surveyed floor point and a uniform heading. Experts that drive straight get starts whose straight line to the
-    success circle is free; the planner gets any start on the connected floor and, far, one whose way is not too long.
+    Near and mid: a uniform distance, then bearings at that distance until one fits, facing the target within the
+    heading noise; another distance only when none of `_BEARINGS` fits. What is blocked thus costs bearings and not
+    distances, whose distribution stays the paper's. Far: a surveyed floor point and a uniform heading. Experts that
+    drive straight get starts whose straight line to the success circle is free; the planner gets any start on the
+    connected floor and, far, one whose way is not too long.
 
     Args:
         job: gives tier, expert and spawn settings.
@@ -71,24 +79,28 @@ def _draw_on_grid(
     if surveyed is not None and len(surveyed) == 0:
         return None
     for _ in range(job.spawn.grid_draws):
-        x, y, yaw = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
-        if place.grid.is_pose_free(x, y, yaw, job.spawn.margin_m) and _can_start(job, target, place, x, y, yaw):
-            return x, y, yaw
+        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
+        fits = np.flatnonzero(_can_start(job, target, place, poses))
+        if len(fits):
+            x, y, yaw = poses[fits[0]]
+            return float(x), float(y), float(yaw)
     return None
 
 
-def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> tuple[float, float, float]:
-    low, high = TIER_RANGE_M[job.tier]
-    distance, bearing = rng.uniform(low, high), rng.uniform(-math.pi, math.pi)
-    noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad)
-    x = target.centroid_m[0] + distance * math.cos(bearing)
-    y = target.centroid_m[1] + distance * math.sin(bearing)
-    return float(x), float(y), math.remainder(bearing + math.pi + noise, 2 * math.pi)
+def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
+    """Poses (N, 3) at one distance, in the order in which they are to be tried."""
+    distance = rng.uniform(*TIER_RANGE_M[job.tier])
+    bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
+    noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
+    yaw = bearing + math.pi + noise
+    x = target.centroid_m[0] + distance * np.cos(bearing)
+    y = target.centroid_m[1] + distance * np.sin(bearing)
+    return np.stack([x, y, np.arctan2(np.sin(yaw), np.cos(yaw))], axis=1)
 
 
-def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> tuple[float, float, float]:
+def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> Poses:
     x, y = points[int(rng.integers(len(points)))]
-    return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
+    return np.array([[x, y, rng.uniform(-math.pi, math.pi)]])
 
 
 def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
@@ -107,15 +119,26 @@ def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArra
     return np.asarray(points[is_short & is_outside])
 
 
-def _can_start(job: Job, target: Target, place: LoadedScene, x: float, y: float, yaw: float) -> bool:
-    if not place.is_connected(x, y, yaw):
-        return False
+def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
+    """Tells for poses (N, 3) whether an episode of the job may start there; each test sees those left by the former."""
+    tests: list[Callable[[Poses], Bools]] = [
+        lambda at: place.grid.are_poses_free(at[:, 0], at[:, 1], at[:, 2], job.spawn.margin_m),
+        lambda at: place.are_connected(at[:, 0], at[:, 1], at[:, 2]),
+    ]
     is_planner = job.expert is ExpertName.PLANNER
-    if is_planner and not pose_table(place.grid, job.planner.tight_margin_m).holds(x, y, yaw):
-        return False
-    if job.tier is Tier.FAR:
-        return True  # its points were chosen by their way
-    if not place.grid.has_sight((x, y), target):
-        return False
-    end = straight_end((x, y), target.centroid_m[:2], ARRIVAL_RADIUS_M)
-    return is_planner or place.grid.is_line_free((x, y), end, job.spawn.approach_clearance_m)
+    if is_planner:
+        table = pose_table(place.grid, job.planner.tight_margin_m)
+        tests.append(lambda at: np.array([table.holds(*pose) for pose in at], bool))
+    if job.tier is not Tier.FAR:  # far points were chosen by their way
+        tests.append(lambda at: place.grid.have_sight(at[:, :2], target))
+        if not is_planner:
+            tests.append(lambda at: _is_way_free(job, target, place, at[:, :2]))
+    rest = np.arange(len(poses))
+    for passes in tests:
+        rest = rest[passes(poses[rest])]
+    return np.isin(np.arange(len(poses)), rest)
+
+
+def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
+    ends = straight_end(starts, target.centroid_m[:2], ARRIVAL_RADIUS_M)
+    return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)

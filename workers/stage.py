@@ -11,6 +11,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
 from schemas.terms import RendererKind
@@ -33,9 +36,9 @@ class LoadedScene:
     grid: Grid
     collider: ColliderMesh
 
-    def is_connected(self, x: float, y: float, yaw: float) -> bool:
-        """Whether the body centre of a base_link pose stands on the connected floor."""
-        return bool(self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0))
+    def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
+        """Tells for base_link poses whether the body centre stands on the connected floor."""
+        return self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0).astype(bool)
 
 
 class Stage:
