@@ -1,0 +1,86 @@
+"""Builds a small real dataset for evaluation: attempts of the real simulation in a room of boxes, archived."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import io
+from pathlib import Path
+
+from coordinator.archive import Archive
+from coordinator.dataset_tables import write_tables
+from coordinator.summary import summary_of
+from schemas.config import TaskConfig
+from schemas.episode import EpisodeMeta
+from schemas.job import Job
+from schemas.language import instruction
+from schemas.scene import encode_scene
+from schemas.terms import ExpertName, Split, Tier
+from tests.builders.bundle import job_for
+from tests.builders.dataset import NOW
+from tests.builders.plan import small_plan
+from tests.builders.scene import box_room
+from workers.attempt import Success, run_attempt
+from workers.stage import Stage
+
+__all__ = ["archive_drives", "room_job", "room_package"]
+
+SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
+
+
+@functools.cache
+def room_package() -> bytes:
+    """Returns the room of boxes, compiled, under the name of the scene of the small plan."""
+    scene = box_room()
+    return encode_scene(dataclasses.replace(scene, info=scene.info.model_copy(update={"name": "office"})))
+
+
+def room_job(index: int, **changes: object) -> Job:
+    """Returns a job in the room; odd ones go to the crate, even ones to the barrel."""
+    package = room_package()
+    category = "crate" if index % 2 else "barrel"
+    target = next(target for target in box_room().info.targets if target.category == category)
+    values = {
+        "scene_sha256": hashlib.sha256(package).hexdigest(),
+        "scene_bytes": len(package),
+        "category": category,
+        "target_id": target.target_id,
+        "colour": "unknown",
+        "instruction": instruction("train_01", category, "unknown"),
+        "split": SPLITS[(index - 1) % len(SPLITS)],
+        "tier": Tier.NEAR,
+        "expert": ExpertName.PROPORTIONAL,
+        "task": TaskConfig(),
+    }
+    return job_for(index, **values | changes)
+
+
+def archive_drives(root: Path, episodes: int = 3) -> Path:
+    """Drives and archives episodes 1 to `episodes`, first success each, and returns the dataset."""
+    plan = small_plan(episodes).model_copy(update={"task": TaskConfig()})
+    source = root.with_name(f"{root.name}.scene")
+    source.write_bytes(room_package())
+    sha256 = hashlib.sha256(room_package()).hexdigest()
+    with Archive(root) as archive, Stage("auto") as stage:
+        archive.add_scene(source, "office", sha256)
+        stage.load(source, sha256)
+        rows = []
+        for index in range(1, episodes + 1):
+            data, meta = _first_success(index, stage, plan.run, plan.digest)
+            with archive.stage(index) as staged:
+                staged.write(data)
+                archive.publish(staged, index)
+            rows.append(summary_of(meta, hashlib.sha256(data).hexdigest(), len(data)))
+        write_tables(archive, plan, {"office": sha256}, rows, [], NOW)
+    return root
+
+
+def _first_success(index: int, stage: Stage, run: str, plan_digest: str) -> tuple[bytes, EpisodeMeta]:
+    for attempt in range(1, 20):
+        out = io.BytesIO()
+        job = room_job(index, attempt=attempt, run=run, plan_digest=plan_digest)
+        outcome = run_attempt(job, stage, out, "host-1", lambda _step: None)
+        if isinstance(outcome, Success):
+            return out.getvalue(), outcome.meta
+    raise AssertionError(f"no attempt at {index} succeeds")

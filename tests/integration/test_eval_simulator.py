@@ -1,0 +1,123 @@
+"""The stepping simulator against the archive: the same drive, to the last bit; and the limits of its use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from factory.dataset import Dataset
+from factory.eval.from_dataset import Places, specs_of_dataset
+from factory.eval.simulator import Simulator
+from factory.eval.spec import SpecSet
+from schemas.errors import UsageError, WorldError
+from schemas.terms import EndReason, Split
+from tests.builders.evaluation import archive_drives
+from workers.experts import make_expert
+from workers.slew import Twist
+from workers.stage import LoadedScene, Stage
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return Dataset(archive_drives(tmp_path_factory.mktemp("drives") / "dataset"))
+
+
+@pytest.fixture(scope="module")
+def specs(dataset: Dataset) -> SpecSet:
+    return specs_of_dataset(dataset, [Split.TRAIN_ID, Split.TEST_ID])
+
+
+@pytest.fixture(scope="module")
+def stage() -> Iterator[Stage]:
+    with Stage("auto") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def place(dataset: Dataset, specs: SpecSet) -> LoadedScene:
+    return Places(dataset.root).load("office", specs.specs[0].scene_sha256)
+
+
+def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
+    dataset: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+) -> None:
+    for spec in specs.specs:
+        episode = dataset[spec.spec_id]
+        with Simulator(stage, specs.settings) as simulator:
+            view = simulator.reset(spec, place)
+            for v, w in episode.actions:
+                assert view.end is None
+                view = simulator.step(Twist(float(v), float(w)))
+            assert view.end is EndReason.SUCCESS
+            np.testing.assert_array_equal(simulator.arrays().poses, episode.poses)
+            np.testing.assert_array_equal(simulator.arrays().actions_continuous, episode.actions)
+            np.testing.assert_array_equal(view.frame.rgb, episode.rgb(-1))
+
+
+def test_an_expert_in_the_loop_drives_what_it_drove_for_the_archive(
+    dataset: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+) -> None:
+    spec = specs.specs[1]
+    with Simulator(stage, specs.settings) as simulator:
+        view = simulator.reset(spec, place)
+        expert = make_expert(spec.job(specs.settings))
+        assert expert.begin(view.pose, place.grid, simulator.target) is not None
+        while view.end is None:
+            view = simulator.step(expert.act(simulator.observe()))
+        np.testing.assert_array_equal(simulator.arrays().poses, dataset[spec.spec_id].poses)
+
+
+def test_specs_hold_the_start_as_it_was_drawn_and_what_is_in_view(dataset: Dataset, specs: SpecSet) -> None:
+    for spec in specs.specs:
+        meta = dataset[spec.spec_id].meta
+        assert spec.spawn_source == "job"
+        assert spec.spawn_pose == pytest.approx(meta.rollout.spawn_pose, abs=5e-3)
+        assert spec.is_target_in_view
+        assert spec.category in spec.categories_in_view
+        assert set(spec.categories_in_view) <= {"crate", "barrel"}
+
+
+def test_an_episode_of_another_version_starts_at_its_first_frame(
+    dataset: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+) -> None:
+    x, y, yaw = dataset["ep_000001"].meta.rollout.spawn_pose
+    spec = specs.specs[0].model_copy(update={"spawn_pose": (x, y, yaw), "spawn_source": "frame"})
+    with Simulator(stage, specs.settings) as simulator:
+        pose = simulator.reset(spec, place).pose
+        assert (pose.x, pose.y) == pytest.approx((x, y), abs=2e-3)
+
+
+def test_speeds_out_of_range_are_cut_and_reached_slowly(specs: SpecSet, stage: Stage, place: LoadedScene) -> None:
+    with Simulator(stage, specs.settings) as simulator:
+        simulator.reset(specs.specs[0], place)
+        simulator.step(Twist(-3.0, 9.0))
+        assert simulator.command.v_mps == 0.0
+        assert simulator.command.w_rps == pytest.approx(3.2 / 60)
+        for _ in range(40):
+            simulator.step(Twist(0.0, 9.0))
+        assert simulator.command.w_rps == 1.5
+
+
+def test_standing_still_ends_at_the_limit_of_steps(specs: SpecSet, stage: Stage, place: LoadedScene) -> None:
+    settings = specs.settings.model_copy(update={"task": specs.settings.task.model_copy(update={"max_steps": 7})})
+    with Simulator(stage, settings) as simulator:
+        view = simulator.reset(specs.specs[0], place)
+        while view.end is None:
+            view = simulator.step(Twist(0.0, 0.0))
+        assert view.end is EndReason.TIMEOUT
+        assert simulator.steps == 7
+        with pytest.raises(RuntimeError, match="reset"):
+            simulator.step(Twist(0.0, 0.0))
+
+
+def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: Stage, place: LoadedScene) -> None:
+    spec = specs.specs[0].model_copy(update={"spawn_pose": (-3.95, 0.0, 0.0)})
+    with Simulator(stage, specs.settings) as simulator, pytest.raises(WorldError, match=r"ep_000001: no firm stand"):
+        simulator.reset(spec, place)
+
+
+def test_a_split_without_episodes_is_named(dataset: Dataset) -> None:
+    with pytest.raises(UsageError, match=r"no episodes in val_id; splits with episodes: test_id, train_id"):
+        specs_of_dataset(dataset, [Split.TEST_ID, Split.VAL_ID])
