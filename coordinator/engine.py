@@ -9,14 +9,15 @@ import sqlite3
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Engine, create_engine, event, make_url
+from sqlalchemy import Engine, create_engine, event, inspect, make_url
 from sqlalchemy.engine import Connection
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
+from coordinator.tables import METADATA
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["checkpoint_log", "open_reader", "open_writer", "sqlite_url"]
+__all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "sqlite_files", "sqlite_url"]
 
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
 
@@ -49,13 +50,44 @@ def open_reader(url: str) -> Engine:
         UsageError: the URL names a database this installation cannot open.
         WorldError: there is no such SQLite file.
     """
-    parsed = make_url(url)
-    if parsed.get_backend_name() != "sqlite":
+    if make_url(url).get_backend_name() != "sqlite":
         return _create(url)
-    file = Path(parsed.database or "")
+    file = _sqlite_file(url)
     if not file.is_file():
         raise WorldError(f"no ledger at {file}; start a run there with `factory run` or `factory coordinator start`")
     return create_engine("sqlite://", creator=lambda: _connect_readonly(file), poolclass=NullPool)
+
+
+def ledger_trouble(url: str) -> str:
+    """Returns why a ledger cannot be used, in words; empty when it is whole as far as its database can tell.
+
+    Raises:
+        UsageError: the URL names a database this installation cannot open.
+    """
+    if make_url(url).get_backend_name() == "sqlite" and not _sqlite_file(url).is_file():
+        return "is not there"
+    engine = open_reader(url)
+    try:
+        with engine.connect() as connection:
+            if connection.dialect.name == "sqlite":
+                said = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar_one()
+                if said != "ok":
+                    return f"is damaged: {said}"
+            tables = set(inspect(connection).get_table_names())
+            missing = sorted(METADATA.tables.keys() - tables)
+            return f"lacks the tables {', '.join(missing)}" if missing else ""
+    except DatabaseError as error:
+        return f"cannot be read: {error.orig}"
+    finally:
+        engine.dispose()
+
+
+def sqlite_files(url: str) -> list[Path]:
+    """Returns the files of an SQLite ledger that are there, its log first; none for another database."""
+    if make_url(url).get_backend_name() != "sqlite":
+        return []
+    file = _sqlite_file(url)
+    return [path for suffix in ("-shm", "-wal", "") if (path := file.with_name(file.name + suffix)).exists()]
 
 
 def checkpoint_log(connection: Connection) -> None:
@@ -64,6 +96,10 @@ def checkpoint_log(connection: Connection) -> None:
         raw = connection.connection.driver_connection
         if isinstance(raw, sqlite3.Connection):
             raw.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
+def _sqlite_file(url: str) -> Path:
+    return Path(make_url(url).database or "")
 
 
 def _create(url: str) -> Engine:

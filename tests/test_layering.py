@@ -22,7 +22,7 @@ DOORS = {
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
     "embreex": {"factory/scenes/light/rays.py"},
-    "pyarrow": {"coordinator/dataset_tables.py", "factory/"},
+    "pyarrow": {"coordinator/dataset_tables.py", "coordinator/table_reader.py", "factory/"},
 }
 
 

@@ -1,0 +1,65 @@
+"""`factory repair`: puts a damaged dataset directory right, or says what would have to be done."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+from rich.progress import Progress
+
+from coordinator.plan_file import load_plan
+from coordinator.repair import repair
+from coordinator.repair_report import RepairReport
+from coordinator.validator import Validator
+from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.logs import configure_logs
+from factory.patient import examine
+from factory.settings import scene_cache
+
+__all__ = ["command"]
+
+
+@click.command("repair")
+@dataset_argument
+@click.option(
+    "--dry-run", is_flag=True, help="Say what would be done and change nothing; exit 1 when there is something."
+)
+@click.option("--plan", "plan_name", metavar="PLAN", help="The plan it was begun with, when nothing left names it.")
+@click.option("--ledger", metavar="URL", help="The ledger, when it is not DIR/ledger.db.")
+@json_option
+def command(root: Path, dry_run: bool, plan_name: str | None, ledger: str | None, as_json: bool) -> int:
+    """Make files, ledger and tables of DIR agree again; no coordinator may run on it.
+
+    Whole episodes that the ledger does not know are adopted; files that are no sound episode go to DIR/quarantine;
+    episodes that are gone are queued again and come back with the same content; a lost or damaged ledger is rebuilt
+    from the plan and the episodes; the tables are written anew. Every file is hashed.
+    """
+    configure_logs()
+    plan = load_plan(plan_name) if plan_name is not None else None
+    with Progress(console=stderr, transient=True) as bar, Validator() as validator:
+        task = bar.add_task("examining", total=None)
+        patient = examine(root, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        report = repair(
+            patient,
+            validator,
+            datetime.now(UTC),
+            apply=not dry_run,
+            tell=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        _print(report)
+    return 1 if dry_run and not report.is_sound else 0
+
+
+def _print(report: RepairReport) -> None:
+    if report.actions:
+        print_table("", ("action", "what", "why"), [(a.kind, a.what, a.why) for a in report.actions])
+    done = "done" if report.applied else "to be done (dry run, nothing was changed)"
+    verdict = f"{len(report.actions)} actions {done}" if report.actions else "nothing to repair"
+    click.echo(f"{report.dataset}: {verdict}; {report.episodes} of {report.planned} episodes whole")
+    if report.applied and report.episodes < report.planned:
+        click.echo(f"make the rest with: factory run --out {report.dataset}", err=True)

@@ -1,0 +1,120 @@
+"""Finds out what a damaged dataset directory was: its plan and its scenes, from what is still whole. Writes nothing.
+
+What is missing is built again in the user's cache, and used only when it comes out bit for bit as recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from coordinator.archive import SCENES
+from coordinator.catalog import Catalog, SceneEntry, read_entry
+from coordinator.dataset_meta import read_dataset_meta
+from coordinator.engine import ledger_trouble
+from coordinator.ledger import ledger_url_of, read_info
+from coordinator.look import look_into
+from coordinator.repair import Patient
+from factory.catalog import open_catalog
+from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
+from schemas.plan import Plan
+
+__all__ = ["examine"]
+
+Listener = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What some witness says of the run."""
+
+    plan: Plan
+    scenes: Mapping[str, str]
+    """Scene name -> SHA-256 of its package; empty when only the plan is known."""
+
+
+def examine(root: Path, plan: Plan | None, url: str | None, cache: Path, tell: Listener) -> Patient:
+    """Returns what a repair has to know.
+
+    Args:
+        root: of the dataset.
+        plan: as the user gives it; `None` takes what ledger or `dataset_meta.json` say.
+        url: of the ledger, when not in the directory.
+        cache: where missing scenes are built.
+        tell: told the name of a scene that has to be built.
+
+    Raises:
+        UsageError: there is no such directory, or nothing says what was planned.
+        WorldError: a scene is not as recorded and cannot be built so again.
+    """
+    if not root.is_dir():
+        raise UsageError(f"no directory {root}; give the --out of a run")
+    ledger = ledger_url_of(root, url)
+    record = _from_ledger(ledger) or _from_meta(root)
+    if plan is not None:
+        record = _Record(plan, record.scenes if record is not None and record.plan.digest == plan.digest else {})
+    if record is None:
+        raise UsageError(
+            f"neither the ledger nor dataset_meta.json of {root} says what was planned: give the plan it was begun "
+            "with, by --plan FILE.toml or --plan NAME"
+        )
+    catalog, troubles = _catalog(record, root, cache, tell)
+    return Patient(root, ledger, record.plan, catalog, troubles)
+
+
+def _from_ledger(url: str) -> _Record | None:
+    if ledger_trouble(url):
+        return None
+    with look_into(url) as connection:
+        info = read_info(connection)
+    return _Record(info.plan, info.scenes)
+
+
+def _from_meta(root: Path) -> _Record | None:
+    try:
+        meta = read_dataset_meta(root)
+    except WorldError:
+        return None
+    return _Record(meta.plan, meta.scenes)
+
+
+def _catalog(record: _Record, root: Path, cache: Path, tell: Listener) -> tuple[Catalog, Mapping[str, str]]:
+    if not record.scenes:
+        return open_catalog(record.plan, root, cache, tell), {}
+    kept: dict[str, SceneEntry] = {}
+    troubles: dict[str, str] = {}
+    for name, sha256 in record.scenes.items():
+        found = _kept(root / SCENES / f"{name}-{sha256[:16]}.scene.zip", sha256)
+        if isinstance(found, str):
+            troubles[name] = found
+        else:
+            kept[name] = found
+    if troubles:
+        kept |= _built_again(record, troubles, cache, tell)
+    return kept, troubles
+
+
+def _kept(path: Path, sha256: str) -> SceneEntry | str:
+    try:
+        entry = read_entry(path)
+    except FileNotFoundError:
+        return f"{path.name} is not there"
+    except (InvalidBundle, OSError) as error:
+        return f"{path.name} is damaged: {error}"
+    return entry if entry.sha256 == sha256 else f"{path.name} has SHA-256 {entry.sha256}, recorded {sha256}"
+
+
+def _built_again(record: _Record, troubles: Mapping[str, str], cache: Path, tell: Listener) -> dict[str, SceneEntry]:
+    wanted = tuple(scene for scene in record.plan.scenes if scene.name in troubles)
+    try:
+        made = open_catalog(record.plan.model_copy(update={"scenes": wanted}), cache / "nowhere", cache, tell)
+    except FactoryError as error:
+        raise WorldError(f"{'; '.join(troubles.values())}; and it cannot be built again: {error}") from error
+    for name in troubles:
+        if made[name].sha256 != record.scenes[name]:
+            raise WorldError(
+                f"{troubles[name]}; built again it has SHA-256 {made[name].sha256}, so other software made it: bring "
+                f"the package back from a backup into {SCENES}/"
+            )
+    return dict(made)

@@ -1,0 +1,35 @@
+"""`factory repair` as a user calls it, on a copy of a real dataset."""
+
+from __future__ import annotations
+
+import shutil
+
+
+def test_a_dataset_that_lost_ledger_scene_and_tables_is_whole_again(factory, calm, tmp_path):
+    root = tmp_path / "dataset"
+    shutil.copytree(calm, root)
+    digest = factory.json("verify", calm)["digest"]
+    for path in (root / "ledger.db", root / "metadata.parquet", next((root / "scenes").glob("hospital-*.zip"))):
+        path.unlink()
+    done = factory.json("repair", root)
+    assert [action["kind"] for action in done["actions"]] == ["rebuild", "restore", *["adopt"] * 5, "rewrite"]
+    assert factory.json("repair", root, "--dry-run")["actions"] == []
+    assert factory.json("verify", root, "--deep")["digest"] == digest
+    assert factory.json("status", root)["finished"]
+
+
+def test_without_ledger_and_description_the_plan_is_asked_for(factory, calm, plan, tmp_path):
+    root = tmp_path / "dataset"
+    shutil.copytree(calm, root)
+    for name in ("ledger.db", "dataset_meta.json"):
+        (root / name).unlink()
+    for path in sorted((root / "episodes").iterdir())[1:]:
+        path.unlink()
+    assert "--plan" in factory("repair", root, "--dry-run", expect=2).stderr
+    done = factory.json("repair", root, "--plan", plan)
+    assert (done["episodes"], done["planned"]) == (1, 5)
+
+
+def test_a_directory_that_is_not_there_is_said_so(factory, tmp_path):
+    assert "no directory" in factory("repair", tmp_path / "nowhere", expect=2).stderr
+    assert not (tmp_path / "nowhere").exists()

@@ -1,0 +1,104 @@
+"""A finished run of the smallest episodes: real ledger file, real archive, real tables; nothing simulated."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from coordinator import ledger_outcomes
+from coordinator.archive import Archive
+from coordinator.checkpoint import write_checkpoint
+from coordinator.draw import to_job
+from coordinator.ledger import ledger_url_of, planned_of
+from coordinator.ledger_claims import lease_of
+from coordinator.repair import Patient
+from coordinator.summary import summary_of
+from schemas.terms import FailReason
+from schemas.wire import Done
+from tests.builders.bundle import parts_for
+from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
+
+__all__ = ["ArchivedRun"]
+
+
+class ArchivedRun:
+    """A dataset directory whose run has brought `done` of its episodes; the desk speaks to its ledger.
+
+    Args:
+        root: where to make it.
+        planned: episodes of the plan.
+        done: how many are archived.
+        misses: how many attempts of the first episode the world refused before; two use up a draw.
+    """
+
+    def __init__(self, root: Path, planned: int = 3, done: int = 3, misses: int = 0) -> None:
+        self.root = root
+        root.mkdir()
+        self.plan = room_plan(planned, attempts_per_draw=2, draws=3)
+        self.catalog = room_catalog(root.parent)
+        self.url = ledger_url_of(root)
+        self.desk = Desk(self.plan, self.url)
+        self.desk.catalog = self.catalog
+        with Archive(root) as archive:
+            for name, entry in self.catalog.items():
+                archive.add_scene(entry.path, name, entry.sha256)
+            for _ in range(misses):
+                assert self.desk.fail(self.lease_of(1), FailReason.TIMEOUT)
+            for index in range(1, done + 1):
+                self._bring(archive, index)
+            self._write_tables(archive)
+        self.desk.engine.dispose()
+
+    def lease_of(self, index: int):  # type: ignore[no-untyped-def]
+        """Claims until the episode of that number is held, gives the others back."""
+        others = []
+        while True:
+            row = self.desk.claim()
+            assert row is not None
+            if row.idx == index:
+                break
+            others.append(lease_of(row))
+        for lease in others:
+            self.desk.fail(lease, FailReason.RELEASED)
+        return lease_of(row)
+
+    def bundle(self, index: int) -> bytes:
+        """Returns the bundle that the episode's attempt in force asks for."""
+        row = self.desk.rows(index)[-1]
+        return parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt)).write()
+
+    def patient(self, scenes: Sequence[str] = ()) -> Patient:
+        """Returns the directory as a repair is told of it."""
+        return Patient(self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
+
+    def file(self, index: int) -> Path:
+        return self.root / "episodes" / f"ep_{index:06d}.zip"
+
+    def digests(self) -> dict[int, str]:
+        """Returns the SHA-256 of every episode on disk."""
+        paths = sorted((self.root / "episodes").glob("ep_*.zip"))
+        return {int(path.stem[3:]): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+
+    def states(self) -> dict[int, str]:
+        """Returns the state of each episode's current draw."""
+        return {row.idx: row.state for row in self.desk.rows() if not row.superseded}
+
+    def _bring(self, archive: Archive, index: int) -> None:
+        lease = self.lease_of(index)
+        data = self.bundle(index)
+        digest = hashlib.sha256(data).hexdigest()
+        row = self.desk.rows(index)[-1]
+        parts = parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt))
+        with archive.stage(index) as staged:
+            staged.write(data)
+            archive.publish(staged, index)
+        done = Done(sid="host-1", lease=lease, sha256=digest, size=len(data))
+        with self.desk.open() as connection:
+            ledger_outcomes.announce(connection, done, self.desk.now, TTL_S)
+            summary = summary_of(parts.sealed(), digest, len(data))
+            assert ledger_outcomes.archive(connection, lease, summary, self.desk.now)
+
+    def _write_tables(self, archive: Archive) -> None:
+        with self.desk.engine.connect() as connection:
+            write_checkpoint(archive, connection, self.plan, self.catalog, self.desk.now)
