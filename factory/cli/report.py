@@ -1,0 +1,51 @@
+"""`factory report`: the paper's figures of a dataset and one HTML page that opens offline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json, stderr
+from factory.logs import configure_logs
+
+if TYPE_CHECKING:
+    from factory.report import Summary
+
+__all__ = ["command"]
+
+
+@click.command("report")
+@dataset_argument
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the report.")
+@click.option("--force", is_flag=True, help="Write into a folder that is not empty; what else it holds is kept.")
+@json_option
+def command(root: Path, out: Path, force: bool, as_json: bool) -> int:
+    """Draw the paper's figures of the dataset DIR into OUT/figures and the page OUT/report.html.
+
+    The page needs no network. Exit 1 when something was left out for damage; the page says what and why.
+    """
+    configure_logs()
+    summary = _make(root, out, force)
+    if as_json:
+        print_json({"page": str(out / "report.html"), **summary.model_dump(mode="json")})
+    else:
+        figures = sum(name.endswith(".svg") for name in summary.files)
+        click.echo(f"{out / 'report.html'}: {summary.episodes} of {summary.planned} episodes, {figures} drawings")
+    for remark in summary.remarks:
+        click.echo(f"{'damage' if remark.is_damage else 'note'}: {remark.file}: {remark.text}", err=True)
+    return 1 if any(remark.is_damage for remark in summary.remarks) else 0
+
+
+def _make(root: Path, out: Path, force: bool) -> Summary:
+    from factory.report import make_report  # matplotlib takes half a second and may be missing
+
+    columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=stderr) as bar:
+        tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}
+        return make_report(
+            root, out, force, lambda what, done, total: bar.update(tasks[what], completed=done, total=total)
+        )

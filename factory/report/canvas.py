@@ -1,0 +1,134 @@
+"""The only door to matplotlib: paints a panel and returns it as SVG text and PNG bytes. Touches no path.
+
+The same drawing gives the same bytes: no dates, no random ids, no font but the one matplotlib brings along.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.report.palette import colour
+from schemas.errors import WorldError
+
+try:
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+except ImportError as error:
+    raise WorldError(
+        "the report is drawn by matplotlib, which is not installed; install it with "
+        "`pip install 'minivla-factory[report]'`"
+    ) from error
+
+__all__ = ["WIDTH_IN", "Axes", "Panel", "draw_panel", "fill_outlines", "write_legend"]
+
+WIDTH_IN = 5.0
+"""Of every panel: wide enough for a column of the page, narrow enough to be read on a phone."""
+_PNG_DPI = 200
+_NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+_STYLE = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": colour("muted"),
+    "axes.facecolor": colour("card"),
+    "axes.grid": True,
+    "axes.labelcolor": colour("ink"),
+    "axes.labelsize": 9,
+    "axes.linewidth": 0.8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": colour("ink"),
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.unicode_minus": True,
+    "figure.facecolor": colour("card"),
+    "font.family": ["DejaVu Sans"],
+    "font.size": 9,
+    "grid.color": colour("line"),
+    "grid.linewidth": 0.6,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "legend.labelcolor": colour("ink"),
+    "lines.linewidth": 1.6,
+    "patch.linewidth": 0.8,
+    "path.simplify": True,
+    "savefig.facecolor": colour("card"),
+    "svg.fonttype": "none",
+    "text.color": colour("ink"),
+    "xtick.color": colour("muted"),
+    "xtick.labelcolor": colour("ink"),
+    "xtick.labelsize": 8.5,
+    "ytick.color": colour("muted"),
+    "ytick.labelcolor": colour("ink"),
+    "ytick.labelsize": 8.5,
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One drawing."""
+
+    name: str
+    """File name without ending; unique within a report."""
+    alt: str
+    """What is to be seen, for those who do not see it."""
+    svg: str
+    png: bytes
+
+
+def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: float = 3.0) -> Panel:
+    """Returns a panel.
+
+    Args:
+        name: file name without ending.
+        alt: what is to be seen, in words.
+        paint: draws on the axes it is given.
+        height_in: of the drawing, inches; it is `WIDTH_IN` wide.
+    """
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+        FigureCanvasAgg(figure)
+        paint(figure.add_subplot())
+        return Panel(name, alt, _as_svg(figure), _as_png(figure))
+
+
+def write_legend(axes: Axes, columns: int = 3, **more: object) -> None:
+    """Writes the legend above the drawing, where it hides nothing."""
+    axes.legend(  # type: ignore[call-overload]
+        loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.2, **more
+    )
+
+
+def fill_outlines(axes: Axes, loops: Sequence[NDArray[np.float64]], fill: str, zorder: float) -> None:
+    """Fills closed loops of (K, 2) points, holes left open, as one path."""
+    if loops:
+        # a closed path repeats its first point, which is drawn as the closing stroke
+        parts = [Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops]
+        whole = Outline.make_compound_path(*parts)
+        axes.add_patch(PathPatch(whole, facecolor=fill, edgecolor="none", zorder=zorder))
+
+
+def _as_svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    # names of groups repeat from panel to panel, which one page must not have; nothing refers to them
+    text = re.sub(r'<g id="[^"]*">', "<g>", text)
+    return text.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif")
+
+
+def _as_png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_PNG_DPI, metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,84 @@
+"""Object categories (paper Fig. 6), stacked by scene."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.exhibit import Exhibit, Table
+from factory.report.exhibits.words import DASH, count, name, percent
+from factory.report.material import Material
+from factory.report.palette import colour, scene_colours
+
+__all__ = ["draw"]
+
+
+def draw(material: Material) -> Exhibit:
+    """Returns bars by category, and the counts by category and scene."""
+    title, source = "Object categories", "Fig. 6"
+    if not material.episodes:
+        return Exhibit("categories", title, source, "No episodes to show.")
+    rows = material.statistics.categories
+    held_out = sum(row.n for row in rows if row.kind == "held out")
+    caption = (
+        f"Categories that {count(len(material.episodes), 'episode')} name, most frequent first, stacked by scene; "
+        f"a star marks held-out ones ({count(held_out, 'episode')}), which occur in test_ood_obj alone. Diamonds are "
+        "the three shares that the paper prints."
+    )
+    panel = draw_panel(
+        "categories", "Bars of the categories by scene", lambda axes: _paint(axes, material), 1.2 + 0.27 * len(rows)
+    )
+    return Exhibit("categories", title, source, caption, (panel,), (_table(material),))
+
+
+def _counts(material: Material) -> Counter[tuple[str, str]]:
+    return Counter((row.scene, row.target_category) for row in material.episodes)
+
+
+def _paint(axes: Axes, material: Material) -> None:
+    rows, counts, total = material.statistics.categories, _counts(material), len(material.episodes)
+    places, left = np.arange(len(rows)), np.zeros(len(rows))
+    for scene, fill in scene_colours(material.scenes).items():
+        widths = np.array([100 * counts[scene, row.group] / total for row in rows])
+        if widths.any():
+            axes.barh(places, widths, 0.66, left, color=fill, edgecolor=colour("card"), label=name(scene))
+        left += widths
+    said = [(100 * row.paper.share, place) for place, row in enumerate(rows) if row.paper and row.paper.share]
+    if said:
+        axes.scatter(
+            *zip(*said, strict=True),
+            marker="D",
+            s=34,
+            facecolor=colour("card"),
+            edgecolor=colour("paper"),
+            linewidth=1.5,
+            label="paper",
+            zorder=4,
+        )
+    for place, row in enumerate(rows):
+        axes.text(left[place] + 0.5, place, str(row.n), va="center", fontsize=8, color=colour("muted"))
+    axes.set_yticks(places, [name(row.group) + (" *" if row.kind == "held out" else "") for row in rows])
+    axes.invert_yaxis()
+    axes.margins(y=0.02)
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("share of the episodes, %")
+    write_legend(axes, columns=2)
+
+
+def _table(material: Material) -> Table:
+    counts = _counts(material)
+    rows = tuple(
+        (
+            name(row.group),
+            row.kind,
+            *(str(counts[scene, row.group] or DASH) for scene in material.scenes),
+            str(row.n),
+            percent(row.share),
+        )
+        for row in material.statistics.categories
+    )
+    return Table(
+        ("category", "kind", *map(name, material.scenes), "all", "share"), rows, "Episodes by category and scene"
+    )

@@ -1,0 +1,61 @@
+"""Trajectory lengths (paper Fig. 7)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.exhibit import Exhibit
+from factory.report.exhibits.words import count, name, number
+from factory.report.material import Material
+from factory.report.palette import colour, scene_colours
+from factory.stats import paper
+
+__all__ = ["draw"]
+
+_BIN_M = 0.5
+
+
+def draw(material: Material) -> Exhibit:
+    """Returns the histogram."""
+    title, source = "Trajectory length", "Fig. 7, Table V"
+    if not material.episodes:
+        return Exhibit("lengths", title, source, "No episodes to show.")
+    everything = material.statistics.scenes[-1]
+    caption = (
+        f"Length driven (TL) of {count(everything.n, 'episode')}, stacked by scene in bins of {_BIN_M:g} m; the outline "
+        f"is the sum. Mean {number(everything.tl_mean_m)} m, median {number(everything.tl_median_m)} m; the dashed line "
+        f"is the paper's mean, {number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes."
+    )
+    panel = draw_panel(
+        "tl_histogram", "Histogram of trajectory lengths by scene", lambda axes: _paint(axes, material), 3.2
+    )
+    return Exhibit("lengths", title, source, caption, (panel,))
+
+
+def _paint(axes: Axes, material: Material) -> None:
+    lengths = {scene: [row.trajectory_length_m for row in material.of(scene)] for scene in material.scenes}
+    everything = [length for group in lengths.values() for length in group]
+    edges = np.arange(0, max(everything) + _BIN_M, _BIN_M)
+    fills = scene_colours(material.scenes)
+    axes.hist(
+        list(lengths.values()),
+        edges,
+        stacked=True,
+        color=list(fills.values()),
+        edgecolor=colour("card"),
+        linewidth=0.4,
+        label=[f"{name(scene)} ({len(group)})" for scene, group in lengths.items()],
+    )
+    axes.hist(everything, edges, histtype="step", color=colour("ink"), linewidth=1.2)
+    mean = material.statistics.scenes[-1].tl_mean_m
+    if mean is not None:
+        axes.axvline(mean, color=colour("ink"), linewidth=1.3, label=f"mean {mean:.2f} m")
+    if paper.OVERALL.tl_mean_m is not None:
+        said = paper.OVERALL.tl_mean_m
+        axes.axvline(said, color=colour("paper"), linewidth=1.3, linestyle=(0, (4, 2)), label=f"paper {said:.2f} m")
+    axes.set_xlim(left=0)
+    axes.set_xlabel("trajectory length, m")
+    axes.set_ylabel("episodes")
+    axes.yaxis.get_major_locator().set_params(integer=True)
+    write_legend(axes, columns=2)

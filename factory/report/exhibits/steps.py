@@ -1,0 +1,114 @@
+"""Episode lengths in steps by scene (paper Fig. 9)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.exhibit import Exhibit, Table
+from factory.report.exhibits.words import count, name, number, scene_label
+from factory.report.facts import facts_of
+from factory.report.material import Material
+from factory.report.palette import colour, scene_colours
+from factory.stats import paper
+
+__all__ = ["draw"]
+
+
+def draw(material: Material) -> Exhibit:
+    """Returns the boxes."""
+    title, source = "Steps by scene", "Fig. 9"
+    if not material.episodes:
+        return Exhibit("steps", title, source, "No episodes to show.")
+    caption = (
+        f"Steps of {count(len(material.episodes), 'episode')} at {material.meta.plan.task.control_hz} Hz. Box: quartiles "
+        "with the median; whiskers: 1.5 times the quartiles' distance; dots: outliers; the white dot is the mean μ. "
+        "Diamonds are the paper's medians."
+    )
+    panel = draw_panel(
+        "steps_by_scene",
+        "Box plots of the steps by scene",
+        lambda axes: _paint(axes, material),
+        1.3 + 0.5 * len(material.scenes),
+    )
+    return Exhibit("steps", title, source, caption, (panel,), (_geometry(material),))
+
+
+def _paint(axes: Axes, material: Material) -> None:
+    groups = [[row.num_steps for row in material.of(scene)] for scene in material.scenes]
+    boxes = axes.boxplot(
+        groups,
+        orientation="vertical" if not groups else "horizontal",
+        widths=0.55,
+        patch_artist=True,
+        showmeans=True,
+        medianprops={"color": colour("ink"), "linewidth": 1.6},
+        meanprops={
+            "marker": "o",
+            "markersize": 4.5,
+            "markerfacecolor": colour("card"),
+            "markeredgecolor": colour("ink"),
+        },
+        flierprops={"marker": "o", "markersize": 3, "markeredgecolor": colour("muted"), "markerfacecolor": "none"},
+        whiskerprops={"color": colour("muted")},
+        capprops={"color": colour("muted")},
+        boxprops={"edgecolor": colour("muted"), "linewidth": 0.8},
+    )
+    for box, fill in zip(boxes["boxes"], scene_colours(material.scenes).values(), strict=True):
+        box.set_facecolor(fill)
+    for place, group in enumerate(groups, 1):
+        if group:
+            axes.text(
+                max(group), place + 0.36, f"μ {np.mean(group):.0f}  N {len(group)}", fontsize=8, ha="right", va="top"
+            )
+    said = [
+        (paper.SCENES[scene].steps_median, place)
+        for place, scene in enumerate(material.scenes, 1)
+        if scene in paper.SCENES
+    ]
+    if said:
+        axes.scatter(
+            *zip(*said, strict=True),
+            marker="D",
+            s=36,
+            facecolor=colour("card"),
+            edgecolor=colour("paper"),
+            linewidth=1.5,
+            zorder=4,
+            label="paper, median",
+        )
+        write_legend(axes)
+    axes.set_yticks(range(1, len(groups) + 1), [scene_label(scene) for scene in material.scenes])
+    axes.set_ylim(len(groups) + 0.6, 0.4)
+    axes.set_xlim(left=0)
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("steps")
+
+
+def _geometry(material: Material) -> Table:
+    """What lies behind the steps of a scene."""
+    rows = []
+    for scene in material.scenes:
+        facts, floor = facts_of(material.of(scene)), material.maps.get(scene)
+        if facts is not None:
+            rows.append(
+                (
+                    name(scene),
+                    number(facts.spawn_m),
+                    number(facts.geodesic_m),
+                    number(facts.tl_m),
+                    number(facts.detour_m),
+                    number(facts.steps_per_m, 1),
+                    number(None if floor is None else floor.free_area_m2, 0),
+                )
+            )
+    columns = (
+        "scene",
+        "start to target, m",
+        "shortest way, m",
+        "TL, m",
+        "detour, m",
+        "steps a metre",
+        "free floor, m²",
+    )
+    return Table(columns, tuple(rows), "The geometry behind it, means")

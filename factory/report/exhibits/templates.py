@@ -1,0 +1,76 @@
+"""Instruction templates (paper Fig. 12)."""
+
+from __future__ import annotations
+
+from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.exhibit import Exhibit, Table
+from factory.report.exhibits.words import count, percent
+from factory.report.material import Material
+from factory.report.palette import colour
+from factory.stats.model import CountRow
+from schemas.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
+
+__all__ = ["draw"]
+
+
+def draw(material: Material) -> Exhibit:
+    """Returns one panel for the training pool, one for the paraphrases."""
+    title, source = "Instruction templates", "Fig. 12, Table III"
+    if not material.episodes:
+        return Exhibit("templates", title, source, "No episodes to show.")
+    rows = {row.group: row for row in material.statistics.templates}
+    coloured = sum(row.n for row in rows.values() if row.group in TEMPLATES and needs_colour(row.group))
+    caption = (
+        f"Templates behind the instructions of {count(len(material.episodes), 'episode')}. T1 to T18 are for training "
+        f"and its tests, O1 to O12 for test_paraphrase_ood alone. Yellow bars have a slot for a colour "
+        f"({count(coloured, 'episode')}); in the paper these have none."
+    )
+    pools = (
+        ("templates_train", "training templates", "T", list(TRAIN_TEMPLATES)),
+        ("templates_paraphrase", "paraphrases", "O", list(OOD_TEMPLATES)),
+    )
+    panels = tuple(
+        draw_panel(
+            name,
+            f"Episodes by {words}",
+            lambda axes, words=words, letter=letter, pool=pool: _paint(
+                axes, [rows[key] for key in pool], letter, words
+            ),
+            2.5,
+        )
+        for name, words, letter, pool in pools
+    )
+    return Exhibit("templates", title, source, caption, panels, (_table(rows),))
+
+
+def _paint(axes: Axes, rows: list[CountRow], letter: str, words: str) -> None:
+    fills = [colour("timeout") if needs_colour(row.group) else colour("won") for row in rows]
+    axes.bar(range(1, len(rows) + 1), [row.n for row in rows], 0.7, color=fills)
+    plain = [row.n for row in rows if not needs_colour(row.group)]
+    if plain:
+        mean = sum(plain) / len(plain)
+        axes.axhline(
+            mean,
+            color=colour("muted"),
+            linewidth=1,
+            linestyle=(0, (4, 2)),
+            label=f"mean of those without colour, {mean:.1f}",
+        )
+    for place, row in enumerate(rows, 1):
+        axes.text(place, row.n, str(row.n), ha="center", va="bottom", fontsize=8)
+    axes.set_xticks(range(1, len(rows) + 1), [f"{letter}{place}" for place in range(1, len(rows) + 1)], fontsize=7.5)
+    axes.grid(visible=False, axis="x")
+    axes.tick_params(axis="x", length=0)
+    axes.set_ylabel("episodes")
+    axes.margins(y=0.14)
+    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.set_title(words, pad=20)
+    write_legend(axes)
+
+
+def _table(rows: dict[str, CountRow]) -> Table:
+    body = tuple(
+        (key, TEMPLATES.get(key, "not a template of the paper"), str(row.n), percent(row.share))
+        for key, row in rows.items()
+    )
+    return Table(("id", "template", "N", "share"), body, "All templates")

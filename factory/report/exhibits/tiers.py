@@ -1,0 +1,86 @@
+"""Spawn tiers (paper Fig. 2): their shares, and the distances that episodes start at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.exhibit import Exhibit
+from factory.report.exhibits.words import count, percent
+from factory.report.material import Material
+from factory.report.palette import TIER_COLOURS, colour
+from factory.stats import paper
+from schemas.terms import TIER_RANGE_M, Tier
+
+__all__ = ["draw"]
+
+_BIN_M = 0.5
+
+
+def draw(material: Material) -> Exhibit:
+    """Returns the shares and the histogram of distances."""
+    total = len(material.episodes)
+    title, source = "Spawn tiers", "Fig. 2"
+    if not total:
+        return Exhibit("tiers", title, source, "No episodes to show.")
+    rows = {row.group: row for row in material.statistics.tiers}
+    counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
+    caption = (
+        f"Above: share of each tier among {count(total, 'episode')} ({counts}), with what the plan asks for and what "
+        "the paper ended with. Below: planar distance of the start from the target's centroid; the dotted lines are "
+        "the tiers' limits at 1.5, 3.5 and 7.0 m (far starts are surveyed points and have none)."
+    )
+    shares = draw_panel("spawn_tiers", f"Shares of the tiers: {counts}", lambda axes: _shares(axes, material), 2.6)
+    distances = draw_panel(
+        "spawn_distances", "Histogram of start distances by tier", lambda axes: _distances(axes, material), 2.8
+    )
+    return Exhibit("tiers", title, source, caption, (shares, distances))
+
+
+def _shares(axes: Axes, material: Material) -> None:
+    rows = {row.group: row for row in material.statistics.tiers}
+    places = np.arange(len(Tier))
+    ours = [100 * (rows[tier].share or 0) for tier in Tier]
+    axes.barh(places, ours, 0.6, color=[colour(TIER_COLOURS[tier]) for tier in Tier])
+    planned = [100 * material.meta.plan.tiers.get(tier, 0) for tier in Tier]
+    axes.scatter(planned, places, marker="|", s=260, color=colour("ink"), linewidth=1.6, label="plan", zorder=3)
+    said = [100 * (paper.TIERS[tier].share or 0) for tier in Tier]
+    axes.scatter(
+        said,
+        places,
+        marker="D",
+        s=42,
+        facecolor=colour("card"),
+        edgecolor=colour("paper"),
+        linewidth=1.6,
+        label="paper",
+        zorder=4,
+    )
+    for place, tier in enumerate(Tier):
+        axes.text(1.5, place, f"{percent(rows[tier].share)}", va="center", fontsize=8.5, zorder=5)
+    axes.set_yticks(places, list(Tier))
+    axes.set_xlim(0, max(100 * 0.62, *(value + 6 for value in ours), *(value + 6 for value in planned)))
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("share of the episodes, %")
+    write_legend(axes)
+
+
+def _distances(axes: Axes, material: Material) -> None:
+    farthest = max(row.spawn_dist_m for row in material.episodes)
+    edges = np.arange(0, farthest + _BIN_M, _BIN_M)
+    values = [[row.spawn_dist_m for row in material.episodes if row.spawn_tier is tier] for tier in Tier]
+    axes.hist(
+        values,
+        edges,
+        stacked=True,
+        color=[colour(TIER_COLOURS[tier]) for tier in Tier],
+        label=[f"{tier} ({len(group)})" for tier, group in zip(Tier, values, strict=True)],
+    )
+    for limit in sorted({limit for ends in TIER_RANGE_M.values() for limit in ends}):
+        axes.axvline(limit, color=colour("ink"), linewidth=0.9, linestyle=(0, (1.5, 2)))
+    axes.set_xlabel("start to target, m")
+    axes.set_ylabel("episodes")
+    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.set_xlim(left=0)
+    write_legend(axes)

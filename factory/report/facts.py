@@ -1,0 +1,68 @@
+"""What explains a group's lengths: how far off it starts, how straight it goes, how fast. Pure; averages come from stats.
+
+A drive's detour is its length less the straight line from its start to its end at NE from the target.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from coordinator.summary import EpisodeSummary
+from factory.stats.measures import deviation_of, mean_of
+from schemas.terms import Tier
+
+__all__ = ["CONTROL_HZ", "Facts", "facts_of"]
+
+CONTROL_HZ = 60
+"""Of the paper's recordings."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Means over a group of episodes; metres and seconds."""
+
+    n: int
+    spawn_m: float
+    """Planar distance of the start from the target."""
+    spawn_std_m: float | None
+    ne_m: float
+    tl_m: float
+    steps: float
+    detour_m: float
+    detour_std_m: float | None
+    geodesic_m: float | None
+    """Shortest way along the floor to the success circle, over the episodes that have one."""
+    tiers: dict[str, float]
+    """Share of each tier."""
+
+    @property
+    def steps_per_m(self) -> float | None:
+        """Steps per metre of way."""
+        return self.steps / self.tl_m if self.tl_m > 0 else None
+
+
+def facts_of(episodes: Sequence[EpisodeSummary]) -> Facts | None:
+    """Returns the facts of a group, or `None` of nothing."""
+    spawn = mean_of([row.spawn_dist_m for row in episodes])
+    error = mean_of([row.final_ne_m for row in episodes])
+    length = mean_of([row.trajectory_length_m for row in episodes])
+    steps = mean_of([row.num_steps for row in episodes])
+    detours = [row.trajectory_length_m - (row.spawn_dist_m - row.final_ne_m) for row in episodes]
+    detour = mean_of(detours)
+    if spawn is None or error is None or length is None or steps is None or detour is None:
+        return None
+    found = Counter(str(row.spawn_tier) for row in episodes)
+    return Facts(
+        n=len(episodes),
+        spawn_m=spawn,
+        spawn_std_m=deviation_of([row.spawn_dist_m for row in episodes]),
+        ne_m=error,
+        tl_m=length,
+        steps=steps,
+        detour_m=detour,
+        detour_std_m=deviation_of(detours),
+        geodesic_m=mean_of([row.geodesic_m for row in episodes if row.geodesic_m is not None]),
+        tiers={str(tier): found[tier] / len(episodes) for tier in Tier},
+    )

@@ -1,0 +1,114 @@
+"""Reads all that a report shows from a dataset; what cannot be read is left out and said. Reads only, draws nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coordinator.archive import EPISODES, SCENES
+from coordinator.summary import EpisodeSummary, file_name_of
+from factory.catalog import find_package
+from factory.episode import Episode
+from factory.report.material import Drives, FloorMap, Material, Sample
+from factory.report.sampling import choose_samples
+from factory.stats import compute_statistics
+from factory.stats.rows import Rows, read_rows
+from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.scene import CompiledScene, decode_scene
+
+__all__ = ["gather"]
+
+Progress = Callable[[int, int], None]
+_TRACK_POINTS = 48
+"""Of a thinned track; a bend of the robot spans several."""
+_FRAMES_TRIED = 6
+_SHARE_WANTED = 0.08
+"""Share of the picture that the target of a good sample covers."""
+
+
+def gather(root: Path, on_progress: Progress = lambda _done, _all: None, samples: int = 8) -> Material:
+    """Returns all that a report of the dataset shows.
+
+    Args:
+        root: of the dataset.
+        on_progress: called with the number of episodes read and their total.
+        samples: frames of the panel.
+
+    Raises:
+        WorldError: there is no dataset, or it is of a newer format.
+        ArchiveCorrupt: its description or its table of episodes cannot be read at all.
+    """
+    rows = read_rows(root)
+    maps = _read_maps(root, rows)
+    drives = Drives()
+    if (root / EPISODES).is_dir():
+        wanted = {row.episode_id for row in choose_samples(rows.episodes, samples)}
+        for done, row in enumerate(rows.episodes, 1):
+            _read_drive(root, row, row.episode_id in wanted, drives, rows)
+            on_progress(done, len(rows.episodes))
+    statistics = compute_statistics(rows.meta.run, rows)
+    return Material(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
+
+
+def _read_drive(root: Path, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:
+    try:
+        with Episode(root / file_name_of(row.episode_id), row) as episode:
+            tokens, track = episode.tokens, _thin(episode.poses[:, :2])
+            sample = _best_frame(episode) if is_sample else None
+    except ArchiveCorrupt as error:
+        rows.blame(file_name_of(row.episode_id), f"left out of tracks, actions and frames: {_said(error, root)}")
+        return
+    np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
+    drives.tracks[row.episode_id] = track
+    if sample is not None:
+        drives.samples.append(sample)
+
+
+def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
+    chosen = np.unique(np.linspace(0, len(track) - 1, min(len(track), _TRACK_POINTS)).round().astype(int))
+    return track[chosen]
+
+
+def _best_frame(episode: Episode) -> Sample:
+    """Returns the frame, of some spread over the episode, whose target is large enough to know and not too close."""
+    target = episode.meta.target_instance_id
+    steps = np.unique(np.linspace(0, len(episode) - 1, _FRAMES_TRIED).round().astype(int))
+    masks = {int(t): episode.ids(int(t)) == target for t in steps}
+    t = min(masks, key=lambda step: abs(float(masks[step].mean()) - _SHARE_WANTED))
+    return Sample(episode.summary, t, episode.rgb(t), masks[t])
+
+
+def _read_maps(root: Path, rows: Rows) -> dict[str, FloorMap]:
+    found: dict[str, FloorMap] = {}
+    for name, sha256 in rows.meta.scenes.items():
+        try:
+            with find_package(root, name, sha256).path.open("rb") as file:
+                found[name] = _map_of(decode_scene(file))
+        except (ArchiveCorrupt, InvalidBundle, OSError) as error:
+            rows.blame(SCENES, f"the map of {name} is left out: {_said(error, root)}")
+    return found
+
+
+def _map_of(scene: CompiledScene) -> FloorMap:
+    info = scene.info
+    return FloorMap(
+        origin_m=info.grid_origin_m,
+        resolution_m=info.grid_resolution_m,
+        occupancy=scene.occupancy,
+        reachable=scene.reachable,
+        surveyed_m=scene.spawns,
+        targets_m=_planar(target.centroid_m for target in info.targets),
+        free_area_m2=info.free_area_m2,
+    )
+
+
+def _planar(points: Iterable[Sequence[float]]) -> NDArray[np.float64]:
+    return np.array([point[:2] for point in points], np.float64).reshape(-1, 2)
+
+
+def _said(error: Exception, root: Path) -> str:
+    """Returns what an error says on one line, without where the dataset happens to lie: the page does not know."""
+    return " ".join(str(error).replace(f"{root}/", "").split())

@@ -1,0 +1,93 @@
+"""What the figures are drawn from: statistics, rows, drives, frames and maps of one dataset. Values only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coordinator.dataset_meta import DatasetMeta
+from coordinator.dataset_tables import FailedAttempt
+from coordinator.summary import EpisodeSummary
+from factory.stats import Statistics
+from schemas.tokens import GRID_POINTS
+
+__all__ = ["Drives", "FloorMap", "Material", "Sample"]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One frame of one episode."""
+
+    row: EpisodeSummary
+    t: int
+    """Step of the frame."""
+    rgb: NDArray[np.uint8]
+    """(640, 640, 3) sRGB as recorded."""
+    target: NDArray[np.bool_]
+    """(640, 640) where the target is seen."""
+
+
+@dataclass
+class Drives:
+    """What was read out of the episodes themselves."""
+
+    tracks: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Episode id -> (K, 2) x, y of base_link in the world frame, metres, thinned."""
+    tokens: NDArray[np.int64] = field(default_factory=lambda: np.zeros((GRID_POINTS, GRID_POINTS), np.int64))
+    """Steps on each point of the action grid: [speed token, yaw rate token]."""
+    samples: list[Sample] = field(default_factory=list)
+
+    @property
+    def steps(self) -> int:
+        """All steps that were read."""
+        return int(self.tokens.sum())
+
+
+@dataclass(frozen=True)
+class FloorMap:
+    """The floor of a scene from above, world frame, metres."""
+
+    origin_m: tuple[float, float]
+    """Outer corner of cell (0, 0)."""
+    resolution_m: float
+    occupancy: NDArray[np.uint8]
+    """(H, W) 0 free, 1 occupied, 2 also hiding what stands behind; rows are y."""
+    reachable: NDArray[np.uint8]
+    """(H, W) 1 on the connected floor."""
+    surveyed_m: NDArray[np.float32]
+    """(S, 2) surveyed spawn points."""
+    targets_m: NDArray[np.float64]
+    """(K, 2) centroids of all targets."""
+    free_area_m2: float
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """West, east, south and north end of the grid."""
+        rows, columns = self.occupancy.shape
+        x, y = self.origin_m
+        return x, x + columns * self.resolution_m, y, y + rows * self.resolution_m
+
+
+@dataclass(frozen=True)
+class Material:
+    """All of it."""
+
+    meta: DatasetMeta
+    statistics: Statistics
+    """Its remarks hold those of reading the episodes too."""
+    episodes: list[EpisodeSummary]
+    failures: list[FailedAttempt] | None
+    drives: Drives
+    maps: dict[str, FloorMap]
+    """Scene -> map; those that cannot be read are missing."""
+
+    @property
+    def scenes(self) -> list[str]:
+        """Scenes of the plan, in its order."""
+        return [scene.name for scene in self.meta.plan.scenes]
+
+    def of(self, scene: str) -> list[EpisodeSummary]:
+        """Returns the rows of a scene."""
+        return [row for row in self.episodes if row.scene == scene]

@@ -1,0 +1,111 @@
+"""The colours and markers of every figure and of the page, light and dark. Data and text replacement only.
+
+Chosen after Okabe and Ito so that people who see fewer colours tell them apart; a marker or a dash says the same again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+from schemas.terms import FailReason, Split, Tier
+
+__all__ = [
+    "COLOURS",
+    "DASHES",
+    "REASON_COLOURS",
+    "SPLIT_COLOURS",
+    "TIER_COLOURS",
+    "TIER_MARKERS",
+    "colour",
+    "css_variables",
+    "scene_colours",
+    "with_variables",
+]
+
+COLOURS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "card": ("#fffffe", "#1a1f27"),
+        "ink": ("#1d2430", "#e6eaf0"),
+        "muted": ("#596474", "#9eaab9"),
+        "line": ("#dfe3e8", "#333b47"),
+        "wall": ("#a9b1bc", "#5b6675"),
+        "low": ("#d3d8de", "#414b59"),
+        "floor": ("#f2f4f6", "#222934"),
+        "paper": ("#b0246a", "#f277b0"),
+        "near": ("#c98a00", "#f0b93a"),
+        "mid": ("#1f9a8a", "#3fc4b2"),
+        "far": ("#5a48b5", "#a396ff"),
+        "scene1": ("#2c74c9", "#62a4f2"),
+        "scene2": ("#d8702a", "#f2955a"),
+        "scene3": ("#158f68", "#3cc294"),
+        "scene4": ("#a85bab", "#d48dd6"),
+        "scene5": ("#8a7b1c", "#cbb945"),
+        "scene6": ("#3aa6c4", "#6fd0ea"),
+        "scene7": ("#9a4f3a", "#d4836b"),
+        "scene8": ("#6b7480", "#a8b2bf"),
+        "train": ("#3d6fa8", "#6fa3de"),
+        "val": ("#7fa6d1", "#4c77a6"),
+        "test": ("#1f9a89", "#3fc4b1"),
+        "phrase": ("#d79a1c", "#edb94c"),
+        "object": ("#c4532d", "#ee8560"),
+        "won": ("#3b7fc0", "#68a9ea"),
+        "collision": ("#c5532c", "#ef8661"),
+        "timeout": ("#d79b1d", "#eebb4e"),
+        "spawn": ("#8b6fb0", "#b59add"),
+        "no_path": ("#5f8f3f", "#93c46f"),
+        "other": ("#858f9c", "#8b96a5"),
+    }
+)
+"""Name -> colour on light and on dark ground; no two names share a colour, so that one can be told from the other."""
+
+TIER_COLOURS = MappingProxyType({tier: str(tier) for tier in Tier})
+TIER_MARKERS = MappingProxyType({Tier.NEAR: "o", Tier.MID: "^", Tier.FAR: "s"})
+SPLIT_COLOURS = MappingProxyType(
+    {
+        Split.TRAIN_ID: "train",
+        Split.VAL_ID: "val",
+        Split.TEST_ID: "test",
+        Split.TEST_PARAPHRASE_OOD: "phrase",
+        Split.TEST_OOD_OBJ: "object",
+    }
+)
+REASON_COLOURS = MappingProxyType(
+    {
+        FailReason.COLLISION: "collision",
+        FailReason.TIMEOUT: "timeout",
+        FailReason.SPAWN: "spawn",
+        FailReason.NO_PATH: "no_path",
+    }
+)
+DASHES = ((0, ()), (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
+"""Line styles by scene, repeating."""
+_SCENE_COLOURS = tuple(name for name in COLOURS if name.startswith("scene"))
+_BY_LIGHT = {light: name for name, (light, _) in COLOURS.items()}
+_HEX = re.compile(r"#[0-9a-f]{6}\b")
+
+
+def colour(name: str) -> str:
+    """Returns the colour of that name on light ground, as `#rrggbb`."""
+    return COLOURS[name][0]
+
+
+def scene_colours(scenes: Sequence[str]) -> dict[str, str]:
+    """Returns the colour of each scene, by its place in the plan; the ninth scene begins anew."""
+    return {scene: colour(_SCENE_COLOURS[place % len(_SCENE_COLOURS)]) for place, scene in enumerate(scenes)}
+
+
+def css_variables(dark: bool) -> str:
+    """Returns CSS declarations of all colours on light or dark ground."""
+    return " ".join(f"--{name}: {pair[dark]};" for name, pair in COLOURS.items())
+
+
+def with_variables(svg: str) -> str:
+    """Returns a drawing whose colours follow the page: each colour of ours becomes its CSS variable."""
+
+    def spell(match: re.Match[str]) -> str:
+        name = _BY_LIGHT.get(match.group())
+        return f"var(--{name})" if name else match.group()
+
+    return _HEX.sub(spell, svg)
