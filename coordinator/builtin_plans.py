@@ -34,7 +34,8 @@ _BALANCED = Plan(
     scenes=tuple(ScenePlan(name=name, episodes=300) for name in BUILTIN_CATEGORIES),
     expert=ExpertName.PLANNER,
     balance="categories",
+    disjoint_instances=True,
 )
-"""Equal scenes, equal categories, the planner expert, colours on."""
+"""Equal scenes, equal categories, the planner expert, colours on, instances of training and evaluation kept apart."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})

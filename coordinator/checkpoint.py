@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 
 from sqlalchemy import select
@@ -10,8 +10,9 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive import Archive
 from coordinator.catalog import Catalog
-from coordinator.dataset_meta import DatasetMeta
+from coordinator.dataset_meta import DatasetMeta, GateOutcome
 from coordinator.dataset_tables import FailedAttempt, write_tables
+from coordinator.instances import all_sides, shared_categories
 from coordinator.ledger_outcomes import SUCCESS
 from coordinator.ledger_records import read_summaries
 from coordinator.tables import attempts, jobs
@@ -25,7 +26,12 @@ _YIELD_ROWS = 1000
 
 
 def write_checkpoint(
-    archive: Archive, connection: Connection, plan: Plan, catalog: Catalog, now: datetime
+    archive: Archive,
+    connection: Connection,
+    plan: Plan,
+    catalog: Catalog,
+    now: datetime,
+    gate: Sequence[GateOutcome] = (),
 ) -> DatasetMeta:
     """Writes the tables, each replaced as a whole.
 
@@ -33,7 +39,19 @@ def write_checkpoint(
         WorldError: the disk is full or gone; the tables are as they were.
     """
     scenes = {name: entry.sha256 for name, entry in catalog.items()}
-    return write_tables(archive, plan, scenes, read_summaries(connection), read_failures(connection), now)
+    sides = all_sides(plan, catalog)
+    shared = {name: shared_categories(found, catalog[name]) for name, found in sides.items()}
+    return write_tables(
+        archive,
+        plan,
+        scenes,
+        read_summaries(connection),
+        read_failures(connection),
+        now,
+        sides,
+        shared if plan.disjoint_instances else None,
+        gate,
+    )
 
 
 def read_failures(connection: Connection) -> Iterator[FailedAttempt]:

@@ -14,17 +14,39 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
-from schemas.base import Model, Sha256
+from schemas.base import Fraction, Model, Sha256
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 
-__all__ = ["DATASET_FORMAT", "META_FILE", "DatasetMeta", "git_commit", "read_dataset_meta", "software_versions"]
+__all__ = [
+    "DATASET_FORMAT",
+    "META_FILE",
+    "DatasetMeta",
+    "GateOutcome",
+    "git_commit",
+    "read_dataset_meta",
+    "software_versions",
+]
 
 DATASET_FORMAT = 1
 """Version of the dataset's directory. A reader opens its own version and older ones; a newer one it refuses by name."""
 META_FILE = "dataset_meta.json"
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
+
+
+class GateOutcome(Model):
+    """What a pilot of first attempts found in one scene, before the run."""
+
+    scene: str
+    expert: str
+    attempts: Annotated[int, Field(ge=1)]
+    succeeded: Annotated[int, Field(ge=0)]
+    min_success: Fraction
+    """Share asked for."""
+    passed: bool
+    reasons: dict[str, int]
+    """Fail reason -> attempts."""
 
 
 class DatasetMeta(Model):
@@ -57,6 +79,11 @@ class DatasetMeta(Model):
     """Of the coordinator's checkout, where it ran from one."""
     created_at: datetime
     updated_at: datetime
+    shared_instances: dict[str, tuple[str, ...]] | None = None
+    """Scene -> seen categories whose instances training and evaluation share, for the scene has too few of them; every
+    other instance is named by one side only. Null where the plan does not keep them apart."""
+    gate: tuple[GateOutcome, ...] = ()
+    """Pilots that ran before the plan was handed out; none where the gate was skipped."""
 
 
 def read_dataset_meta(root: Path) -> DatasetMeta:

@@ -6,12 +6,11 @@ Written anew from the ledger whenever asked, each file replaced as a whole; the 
 from __future__ import annotations
 
 import enum
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, get_args, get_origin
 
 import pyarrow as pa
@@ -23,20 +22,25 @@ from coordinator.dataset_card import CARD_FILE, dataset_card
 from coordinator.dataset_meta import (
     META_FILE,
     DatasetMeta,
+    GateOutcome,
     git_commit,
     read_dataset_meta,
     software_versions,
 )
+from coordinator.instances import Sides
 from coordinator.summary import EpisodeSummary
+from coordinator.tally import Tally
 from schemas.base import Model, Name, NonNegative
 from schemas.digest import dataset_digest
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
 
-__all__ = ["ATTEMPTS_FILE", "METADATA_FILE", "FailedAttempt", "parquet_schema", "write_tables"]
+__all__ = ["ATTEMPTS_FILE", "METADATA_FILE", "SIDE_COLUMN", "FailedAttempt", "parquet_schema", "write_tables"]
 
 METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"
+SIDE_COLUMN = "instance_side"
+"""Last column of `metadata.parquet`: who may name the target: `train`, `evaluation`, `shared`; null without promise."""
 _BATCH_ROWS = 2000
 _TYPES = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
 
@@ -64,22 +68,6 @@ class FailedAttempt(Model):
     at: datetime
 
 
-@dataclass
-class _Tally:
-    """What the rows tell while they pass by."""
-
-    digests: list[tuple[str, str]] = field(default_factory=list)
-    counts: Counter[tuple[str, str, str]] = field(default_factory=Counter)
-    renderers: set[str] = field(default_factory=set)
-
-    def watch(self, rows: Iterable[EpisodeSummary]) -> Iterator[EpisodeSummary]:
-        for row in rows:
-            self.digests.append((row.episode_id, row.content_digest))
-            self.counts[row.scene, str(row.split), str(row.spawn_tier)] += 1
-            self.renderers.add(row.renderer)
-            yield row
-
-
 def write_tables(
     archive: Archive,
     plan: Plan,
@@ -87,6 +75,9 @@ def write_tables(
     episodes: Iterable[EpisodeSummary],
     failures: Iterable[FailedAttempt],
     now: datetime,
+    sides: Mapping[str, Sides] = MappingProxyType({}),
+    shared: Mapping[str, tuple[str, ...]] | None = None,
+    gate: Sequence[GateOutcome] = (),
 ) -> DatasetMeta:
     """Writes all four files; streams the rows, so that memory grows by some hundred bytes an episode only.
 
@@ -97,6 +88,9 @@ def write_tables(
         episodes: rows of all archived episodes in ascending order.
         failures: rows of all failed attempts, in the order they shall have.
         now: the time of writing, UTC.
+        sides: scene name -> side of each instance, where the plan keeps training and evaluation apart.
+        shared: scene name -> categories whose instances they share nevertheless; `None` without such a plan.
+        gate: what the pilot found; empty keeps what the directory's description says already.
 
     Returns:
         The description as written; `complete` and `dataset_digest` tell whether and with what the dataset is whole.
@@ -104,9 +98,10 @@ def write_tables(
     Raises:
         WorldError: the disk is full or gone; the files are as they were.
     """
-    tally = _Tally()
-    written = _write_rows(archive, METADATA_FILE, EpisodeSummary, tally.watch(episodes))
-    failed = _write_rows(archive, ATTEMPTS_FILE, FailedAttempt, failures)
+    tally, former = Tally(), _former(archive.root)
+    rows = ({**_plain(row), SIDE_COLUMN: _side(sides, row)} for row in tally.watch_episodes(episodes))
+    written = _write_rows(archive, METADATA_FILE, _METADATA_SCHEMA, rows)
+    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(_plain, tally.watch_failures(failures)))
     complete = written == plan.episodes
     meta = DatasetMeta(
         run=plan.run,
@@ -122,10 +117,12 @@ def write_tables(
         renderers=tuple(sorted(tally.renderers)),
         software=software_versions(),
         git_commit=git_commit(Path(__file__).parents[1]),
-        created_at=_created_at(archive.root, now),
+        created_at=former.created_at if former else now.astimezone(UTC),
         updated_at=now,
+        shared_instances=None if shared is None else dict(shared),
+        gate=tuple(gate) or (former.gate if former else ()),
     )
-    _write_text(archive, CARD_FILE, dataset_card(meta, tally.counts))
+    _write_text(archive, CARD_FILE, dataset_card(meta, tally))
     _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last: it describes the others
     return meta
 
@@ -146,11 +143,20 @@ def _column_type(annotation: Any) -> pa.DataType:
     return _TYPES[kind]
 
 
-def _write_rows(archive: Archive, name: str, model: type[Model], rows: Iterable[Model]) -> int:
-    schema, source, count = parquet_schema(model), iter(rows), 0
+_METADATA_SCHEMA = parquet_schema(EpisodeSummary).append(pa.field(SIDE_COLUMN, pa.string()))
+_ATTEMPTS_SCHEMA = parquet_schema(FailedAttempt)
+
+
+def _side(sides: Mapping[str, Sides], row: EpisodeSummary) -> str | None:
+    side = sides.get(row.scene, {}).get(row.target_id)
+    return None if side is None else str(side)
+
+
+def _write_rows(archive: Archive, name: str, schema: pa.Schema, rows: Iterable[dict[str, Any]]) -> int:
+    source, count = iter(rows), 0
     with archive.replacing(name) as path, pq.ParquetWriter(path, schema, compression="zstd") as writer:
         while batch := list(islice(source, _BATCH_ROWS)):
-            writer.write_batch(pa.RecordBatch.from_pylist([_plain(row) for row in batch], schema=schema))
+            writer.write_batch(pa.RecordBatch.from_pylist(batch, schema=schema))
             count += len(batch)
     return count
 
@@ -165,8 +171,8 @@ def _write_text(archive: Archive, name: str, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
-def _created_at(root: Path, now: datetime) -> datetime:
+def _former(root: Path) -> DatasetMeta | None:
     try:
-        return read_dataset_meta(root).created_at
+        return read_dataset_meta(root)
     except WorldError:
-        return now.astimezone(UTC)
+        return None

@@ -6,24 +6,25 @@ Pure: the same plan and the same compiled scenes give the same jobs, on any mach
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
-from coordinator.apportion import apportion, least_used, webster_sequence
+from coordinator.apportion import least_used
 from coordinator.catalog import Catalog, SceneEntry
+from coordinator.cells import cells
+from coordinator.instances import Side, side_of, sides_of, startable_tiers
 from schemas.errors import InvalidPlan
 from schemas.job import Job
 from schemas.language import instruction, needs_colour, templates_for
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import Split, Tier
 
 __all__ = ["PlannedJob", "cells", "expand", "pool", "redraw", "require_possible", "to_job"]
 
-Share = TypeVar("Share", Split, Tier)
 Option = TypeVar("Option")
 
 _EXPAND_STREAM, _REDRAW_STREAM = 1, 2
@@ -76,29 +77,18 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
         raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
 
 
-def cells(plan: Plan, scene: ScenePlan) -> dict[tuple[Split, Tier], int]:
-    """Returns the quota of every cell of a scene; zero cells are left out."""
-    tiers = iter(webster_sequence(_positive(plan.tiers), scene.episodes))
-    quota: Counter[tuple[Split, Tier]] = Counter()
-    for split, count in apportion(_positive(plan.splits), scene.episodes).items():
-        quota.update((split, next(tiers)) for _ in range(count))
-    return dict(quota)
-
-
 def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Tier) -> tuple[Target, ...]:
-    """Returns the targets a cell may name: of the split's categories, and startable in the tier by the expert."""
+    """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
     seen, held_out = scene.categories
-    allowed = held_out if split is Split.TEST_OOD_OBJ else seen
-    planner = plan.expert is ExpertName.PLANNER
+    is_held_out = split is Split.TEST_OOD_OBJ
+    sides = {} if is_held_out else sides_of(plan, scene, entry)
     return tuple(
         target
         for target in entry.info.targets
-        if target.category in allowed and tier in (target.connected_tiers if planner else target.straight_tiers)
+        if target.category in (held_out if is_held_out else seen)
+        and tier in startable_tiers(plan, target)
+        and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
     )
-
-
-def _positive(shares: Mapping[Share, float]) -> dict[Share, float]:
-    return {key: share for key, share in shares.items() if share > 0}
 
 
 def _impossible_cells(plan: Plan, catalog: Catalog) -> Iterator[str]:
@@ -129,12 +119,14 @@ def _expand_scene(
     first_index: int,
     templates: Counter[str],
 ) -> Iterator[PlannedJob]:
-    slots = [cell for cell, count in cells(plan, scene).items() for _ in range(count)]
+    quota = cells(plan, scene)
+    slots = [cell for cell, count in quota.items() for _ in range(count)]
+    pools = {cell: pool(plan, scene, entry, *cell) for cell in quota}
     categories: Counter[str] = Counter()
     targets: Counter[str] = Counter()
     for index, slot in enumerate(rng.permutation(len(slots)), first_index):
         split, tier = slots[int(slot)]
-        options = pool(plan, scene, entry, split, tier)
+        options = pools[split, tier]
         if plan.balance == "categories":
             category = least_used(sorted({target.category for target in options}), categories, rng)
             options = tuple(target for target in options if target.category == category)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Literal
 
@@ -37,7 +38,9 @@ PAPER_SPLITS = MappingProxyType(
         Split.TEST_OOD_OBJ: 0.1,
     }
 )
-_LATER_KEYS = frozenset({"rules", "targets", "allow_outside"})
+_LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "tiers", "splits", "disjoint_instances"})
+"""Keys that were added later; a plan that does not use them keeps its digest, and so its datasets."""
+Shares = Mapping[Tier, float] | Mapping[Split, float]
 
 
 class ScenePlan(Model):
@@ -61,9 +64,13 @@ class ScenePlan(Model):
     allow_outside: bool = False
     """Whether an own scene's textures may lie outside of its folder."""
 
+    tiers: dict[Tier, Fraction] = Field(default_factory=dict)
+    """Shares of this scene's tiers; empty takes the plan's."""
+    splits: dict[Split, Fraction] = Field(default_factory=dict)
+    """Shares of this scene's splits; empty takes the plan's."""
+
     @model_serializer(mode="wrap")
     def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
-        # a plan that does not use the later keys keeps its digest, and so its datasets
         data: dict[str, object] = spell(self)
         return {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
 
@@ -126,6 +133,8 @@ class Plan(Model):
     """`off` gives the paper's v1 behaviour: every colour unknown, no colour templates."""
     balance: Literal["instances", "categories"] = "instances"
     """What is drawn evenly: the target instances (as the paper) or the categories first."""
+    disjoint_instances: bool = False
+    """Whether training and the seen categories' evaluation name different instances where a scene has enough."""
     budget: Budget = Budget()
     task: TaskConfig = TaskConfig()
     robot: RobotConfig = RobotConfig()
@@ -134,26 +143,42 @@ class Plan(Model):
     gains: ExpertConfig = ExpertConfig()
     planner: PlannerConfig = PlannerConfig()
 
+    @model_serializer(mode="wrap")
+    def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = spell(self)
+        return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
+
     @model_validator(mode="after")
     def _adds_up(self) -> Plan:
+        listed: list[tuple[str, Shares]] = [("tiers", self.tiers), ("splits", self.splits)]
+        for number, scene in enumerate(self.scenes):
+            own: list[tuple[str, Shares]] = [("tiers", scene.tiers), ("splits", scene.splits)]
+            listed += [(f"scenes[{number}].{key}", shares) for key, shares in own if shares]
         mistakes = [
             f"{key}: the shares add up to {sum(shares.values()):g}, not 1"
-            for key, shares in (("tiers", self.tiers), ("splits", self.splits))
+            for key, shares in listed
             if abs(sum(shares.values()) - 1) > 1e-6
         ]
         names = [scene.name for scene in self.scenes]
         mistakes += [f"scenes: {name!r} stands twice" for name in sorted({n for n in names if names.count(n) > 1})]
-        if self.splits.get(Split.TEST_OOD_OBJ, 0) > 0:
-            mistakes += [
-                f"scenes: {scene.name!r} holds out no category, but splits.test_ood_obj is above 0"
-                for scene in self.scenes
-                if not scene.categories.held_out
-            ]
+        mistakes += [
+            f"scenes: {scene.name!r} holds out no category, but splits.test_ood_obj is above 0"
+            for scene in self.scenes
+            if self.splits_of(scene).get(Split.TEST_OOD_OBJ, 0) > 0 and not scene.categories.held_out
+        ]
         if sum(scene.episodes for scene in self.scenes) > MAX_EPISODES:
             mistakes.append(f"scenes: more than {MAX_EPISODES} episodes")
         if mistakes:
             raise ValueError("; ".join(mistakes))
         return self
+
+    def tiers_of(self, scene: ScenePlan) -> Mapping[Tier, float]:
+        """Returns the shares of tiers in force in a scene."""
+        return scene.tiers or self.tiers
+
+    def splits_of(self, scene: ScenePlan) -> Mapping[Split, float]:
+        """Returns the shares of splits in force in a scene."""
+        return scene.splits or self.splits
 
     @property
     def episodes(self) -> int:

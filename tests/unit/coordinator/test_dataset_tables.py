@@ -11,8 +11,9 @@ import pytest
 import yaml
 
 from coordinator.archive import Archive
-from coordinator.dataset_meta import DatasetMeta, git_commit, read_dataset_meta
-from coordinator.dataset_tables import write_tables
+from coordinator.dataset_meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta
+from coordinator.dataset_tables import SIDE_COLUMN, write_tables
+from coordinator.instances import Side
 from coordinator.summary import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
 from schemas.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
@@ -36,12 +37,13 @@ def test_published_columns_come_first_and_in_order(tmp_path: Path) -> None:
     write(tmp_path, 3, 3)
     table = pq.read_table(tmp_path / "metadata.parquet")
     assert tuple(table.column_names[:13]) == PUBLISHED_COLUMNS
-    assert table.column_names == list(EpisodeSummary.model_fields)
+    assert table.column_names == [*EpisodeSummary.model_fields, SIDE_COLUMN]
 
 
 def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
     write(tmp_path, 3, 3)
-    rows = [EpisodeSummary.model_validate(found) for found in pq.read_table(tmp_path / "metadata.parquet").to_pylist()]
+    table = pq.read_table(tmp_path / "metadata.parquet", columns=list(EpisodeSummary.model_fields))
+    rows = [EpisodeSummary.model_validate(found) for found in table.to_pylist()]
     assert rows == [row(1), row(2), row(3)]
 
 
@@ -84,10 +86,37 @@ def test_card_has_a_readable_front_matter(tmp_path: Path) -> None:
     _, front, text = (tmp_path / "README.md").read_text().split("---\n", 2)
     matter = yaml.safe_load(front)
     assert matter["license"] == "cc-by-4.0"
-    assert matter["configs"][0]["data_files"][0]["path"] == "metadata.parquet"
+    assert matter["task_categories"] == ["robotics"]
+    assert matter["size_categories"] == ["n<1K"]
+    assert matter["configs"] == [
+        {"config_name": "default", "data_files": "metadata.parquet"},
+        {"config_name": "attempts", "data_files": "attempts.parquet"},
+    ]
     assert "2 of 3 planned episodes so far" in text
-    assert "| office | 2 | 2 |" in text
-    assert "By spawn tier: near 2." in text
+    assert "| office | 2 | 12.0 | 1.60 |" in text
+    assert "| 3 | 67 % |" in text
+    assert "| train_id | seen categories, training phrases | 2 | 2 |" in text
+    assert "may name the same instances" in text
+
+
+def test_side_of_an_instance_stands_in_row_description_and_card(tmp_path: Path) -> None:
+    plan = small_plan(2).model_copy(update={"disjoint_instances": True})
+    sides = {"office": {"chair_001": Side.SHARED}}
+    with Archive(tmp_path) as archive:
+        write_tables(archive, plan, {}, [row(1), row(2)], [], NOW, sides, {"office": ("chair",)})
+    assert pq.read_table(tmp_path / "metadata.parquet")[SIDE_COLUMN].to_pylist() == ["shared", "shared"]
+    assert read_dataset_meta(tmp_path).shared_instances == {"office": ("chair",)}
+    assert "too few of a category (office: chair)" in (tmp_path / "README.md").read_text()
+
+
+def test_what_the_gate_said_outlives_later_writing(tmp_path: Path) -> None:
+    gate = GateOutcome(
+        scene="office", expert="proportional", attempts=50, succeeded=30, min_success=0.8, passed=False, reasons={}
+    )
+    with Archive(tmp_path) as archive:
+        write_tables(archive, small_plan(2), {}, [row(1)], [], NOW, gate=[gate])
+        write_tables(archive, small_plan(2), {}, [row(1), row(2)], [], NOW)
+    assert read_dataset_meta(tmp_path).gate == (gate,)
 
 
 def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
