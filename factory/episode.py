@@ -92,6 +92,11 @@ class Episode:
         with self._reading() as bundle:
             return bundle.ids(self._step(t))
 
+    def stored(self, name: str) -> bytes:
+        """Returns a member of the bundle as it is stored, e.g. `seg_front/000000.png`, without decoding it."""
+        with self._reading() as bundle:
+            return bundle.stored(name)
+
     def frame(self, t: int) -> Frame:
         """Returns frame t whole; negative t count from the end."""
         return Frame(self.rgb(t), self.depth(t), self.ids(t))

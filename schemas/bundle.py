@@ -19,6 +19,7 @@ from schemas.container import ContainerReader, ContainerWriter, Limits
 from schemas.digest import content_digest, frame_digest
 from schemas.episode import BUNDLE_FORMAT, EpisodeMeta
 from schemas.errors import InvalidBundle
+from schemas.lap import Lap, no_lap
 from schemas.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
 from schemas.png import decode_png, encode_png
 
@@ -62,16 +63,30 @@ class EpisodeArrays:
 class BundleWriter:
     """Streams frames into a file as they are made, so that memory does not grow with the episode."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, lap: Lap = no_lap) -> None:
+        """Begins a bundle.
+
+        Args:
+            file: seekable, opened for writing.
+            lap: told the end of the stages `png rgb`, `depth`, `png ids` and `bundle` of every frame.
+        """
         self._out = ContainerWriter(file)
+        self._lap = lap
         self._digests: list[str] = []
 
     def add_frame(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> None:
         """Appends one frame: (640, 640, 3) sRGB, (640, 640) metres, (640, 640) instance ids."""
         names = _frame_names(len(self._digests))
-        for name, data in zip(names, (encode_png(rgb), encode_npy_zst(depth), encode_png(ids)), strict=True):
+        colour = encode_png(rgb)
+        self._lap("png rgb")
+        metres = encode_npy_zst(depth)
+        self._lap("depth")
+        instances = encode_png(ids)
+        self._lap("png ids")
+        for name, data in zip(names, (colour, metres, instances), strict=True):
             self._out.add(name, data)
         self._digests.append(frame_digest(rgb, depth, ids))
+        self._lap("bundle")
 
     @property
     def frame_digests(self) -> tuple[str, ...]:
@@ -140,6 +155,10 @@ class BundleReader:
         """Returns frame t as (640, 640) instance ids."""
         name = _frame_names(t)[2]
         return cast(NDArray[np.uint16], decode_png(name, self._in.read(name), _IMAGE_SHAPE))
+
+    def stored(self, name: str) -> bytes:
+        """Returns a member as it is stored, e.g. `rgb_front/000000.png`; its CRC has been checked."""
+        return self._in.read(name)
 
     def frame_digest(self, t: int) -> str:
         """Decodes frame t, checks it against its specs and returns its digest.

@@ -34,6 +34,8 @@ _COMMANDS: Mapping[str, str] = MappingProxyType(
         "report": "factory.cli.report",
         "push": "factory.cli.push",
         "view": "factory.cli.view",
+        "export": "factory.cli.export",
+        "bench": "factory.cli.bench",
         "scene": "factory.cli.scene",
         "completion": "factory.cli.completion",
     }

@@ -1,0 +1,50 @@
+"""The options of all formats as options of the command line, read off their models. Decides nothing."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+import click
+from pydantic.fields import FieldInfo
+
+from factory.export.registry import EXPORTERS, find_exporter
+
+__all__ = ["format_options"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def format_options(command: Command) -> Command:
+    """Adds an option for every field of every format's options; not given is `None`."""
+    for name, (info, formats) in reversed(_fields().items()):
+        command = _option(name, info, formats)(command)
+    return command
+
+
+def _fields() -> dict[str, tuple[FieldInfo, list[str]]]:
+    found: dict[str, tuple[FieldInfo, list[str]]] = {}
+    for exporter in map(find_exporter, EXPORTERS):
+        for name, info in exporter.options.model_fields.items():
+            found.setdefault(name, (info, []))[1].append(exporter.name)
+    return found
+
+
+def _option(name: str, info: FieldInfo, formats: list[str]) -> Callable[[Command], Command]:
+    flag = f"--{name.replace('_', '-')}"
+    text = f"{info.description} [{', '.join(formats)}]"
+    kind = _without_none(info.annotation)
+    if kind is bool:
+        return click.option(f"{flag}/--no-{flag[2:]}", name, default=None, help=text)
+    if get_origin(kind) is Literal:
+        return click.option(flag, name, type=click.Choice([str(value) for value in get_args(kind)]), help=text)
+    if kind in (int, float, str):
+        return click.option(flag, name, type=kind, help=text)
+    raise TypeError(f"option {flag}: no option of the command line for {kind}")
+
+
+def _without_none(annotation: Any) -> Any:
+    if get_origin(annotation) is types.UnionType:
+        return next(kind for kind in get_args(annotation) if kind is not type(None))
+    return annotation

@@ -1,0 +1,77 @@
+"""The dataset card (`README.md`) of an export, in the form of the hubs. Text only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from coordinator.dataset_meta import DatasetMeta
+
+__all__ = ["CARD_FILE", "TAGS", "export_card"]
+
+CARD_FILE = "README.md"
+TAGS = (
+    "robotics",
+    "navigation",
+    "imitation-learning",
+    "vision-language-action",
+    "language-conditioned",
+    "differential-drive",
+    "simulation",
+)
+_SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+_FRONT = """\
+---
+license: cc-by-4.0
+language:
+- en
+pretty_name: {title}
+task_categories:
+- robotics
+tags:
+{tags}
+size_categories:
+- {size}
+{configs}---
+# {title}
+
+"""
+
+
+def export_card(
+    meta: DatasetMeta,
+    episodes: int,
+    text: str,
+    configs: Mapping[str, str] | None = None,
+    tags: Sequence[str] = (),
+) -> str:
+    """Returns the card.
+
+    Args:
+        meta: of the dataset.
+        episodes: in the export.
+        text: Markdown below the title.
+        configs: name -> path or pattern of its files, for the hub's viewer; the first is the default.
+        tags: besides the common ones.
+    """
+    front = _FRONT.format(
+        title=meta.run,
+        tags="\n".join(f"- {tag}" for tag in (*tags, *TAGS)),
+        size=next((name for limit, name in _SIZES if episodes < limit), "n>1M"),
+        configs=_configs(configs or {}),
+    )
+    origin = (
+        f"{episodes} episodes of language-conditioned robot navigation, made with minivla-factory from seed "
+        f"{meta.seed} with the `{meta.plan.expert}` expert. A Nova Carter is told in English which object to drive to; "
+        f"it stops within {meta.plan.task.success_radius_m:g} m of it.\n\n"
+    )
+    return front + origin + text.strip() + "\n"
+
+
+def _configs(configs: Mapping[str, str]) -> str:
+    if not configs:
+        return ""
+    lines = ["configs:"]
+    for number, (name, path) in enumerate(configs.items()):
+        lines += [f"- config_name: {name}", *(["  default: true"] if number == 0 else [])]
+        lines += ["  data_files:", "  - split: train", f"    path: {path}"]  # one split: `all` is reserved on the hub
+    return "\n".join(lines) + "\n"

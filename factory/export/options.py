@@ -1,0 +1,34 @@
+"""Options that several formats share, and the arithmetic behind them. Pure."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from factory.export.base import Options
+from schemas.errors import UsageError
+
+__all__ = ["Decimated", "stride_of"]
+
+
+class Decimated(Options):
+    """Options of a format that can hold fewer frames a second than were recorded."""
+
+    fps: int | None = Field(
+        default=None,
+        ge=1,
+        le=240,
+        description="Frames a second; a divisor of the dataset's rate, which is the default.",
+    )
+
+
+def stride_of(fps: int | None, recorded_hz: int) -> int:
+    """Returns of how many recorded frames one is kept.
+
+    Raises:
+        UsageError: the wanted rate does not divide the recorded one.
+    """
+    wanted = recorded_hz if fps is None else fps
+    if wanted < 1 or recorded_hz % wanted:
+        rates = ", ".join(str(rate) for rate in range(1, recorded_hz + 1) if recorded_hz % rate == 0)
+        raise UsageError(f"--fps {wanted}: the dataset has {recorded_hz} frames a second, which can become {rates}")
+    return recorded_hz // wanted

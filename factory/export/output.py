@@ -1,0 +1,235 @@
+"""The directory of an export: pieces and files arrive staged, synced and renamed, or not at all. Knows no format.
+
+Every final name holds a whole file; what is unfinished lies in the hidden folder `.export`, which goes in the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from coordinator.disk import sync_directory, sync_file, translated, world_error
+from schemas.errors import WorldError
+
+__all__ = ["WORK_FOLDER", "Output", "sync_tree"]
+
+WORK_FOLDER = ".export"
+_PIECES, _FACTS, _STAGING, _JOURNAL = "pieces", "facts", "staging", "finished"
+_FEW_FILES = 16
+
+
+class Output:
+    """An opened export directory; while it is open no other export can open it.
+
+    Raises:
+        WorldError: the directory cannot be written, or another export works on it.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._work = root / WORK_FOLDER
+        self._done: set[str] = set()
+        with translated("open", root):
+            root.mkdir(parents=True, exist_ok=True)
+            self._lock = _lock(root)
+        try:
+            with translated("open", root):
+                self._clear_staging()
+                for name in (_PIECES, _FACTS, _STAGING):
+                    (self._work / name).mkdir(parents=True, exist_ok=True)
+        except WorldError:
+            self.close()
+            raise
+
+    def staging_folder(self, name: str) -> Path:
+        """Returns where a piece may be made; nothing is there yet."""
+        return self._work / _STAGING / name
+
+    def piece_folder(self, episode_id: str) -> Path:
+        """Returns where the piece of an episode waits to be assembled."""
+        return self._work / _PIECES / episode_id
+
+    def facts_path(self, episode_id: str) -> Path:
+        """Returns the file whose presence says that the piece of an episode is whole and in its place."""
+        return self._work / _FACTS / f"{episode_id}.json"
+
+    def accept(self, episode_id: str, staged: Path, facts: str, assembles: bool) -> None:
+        """Takes a whole, synced piece: moves its files to their places, then writes its facts.
+
+        Args:
+            episode_id: of the piece.
+            staged: the folder it was made in.
+            facts: to keep beside.
+            assembles: whether it waits for `finish`, or lies below the root from now on.
+
+        Raises:
+            WorldError: the disk is full or gone; the piece will be made again.
+        """
+        with translated("write", self.root):
+            if assembles:
+                place = self.piece_folder(episode_id)
+                if place.exists():
+                    shutil.rmtree(place)
+                staged.rename(place)
+                sync_directory(place.parent)
+            else:
+                _merge(staged, self.root)
+                shutil.rmtree(staged, ignore_errors=True)
+            with self._staged(self.facts_path(episode_id)) as part:
+                part.write_text(facts, encoding="utf-8")
+
+    def begin_finish(self, pieces: Iterable[str]) -> None:
+        """Opens the journal of finished files for this set of pieces; deletes what another set had made."""
+        digest = hashlib.sha256("\n".join(pieces).encode()).hexdigest()
+        lines = self._read_journal()
+        if lines[:1] == [digest]:
+            self._done = set(lines[1:])
+            return
+        for name in lines[1:]:
+            (self.root / name).unlink(missing_ok=True)
+        self._done = set()
+        with translated("write", self.root), self._staged(self._work / _JOURNAL) as part:
+            part.write_text(f"{digest}\n", encoding="utf-8")
+
+    def has(self, name: str) -> bool:
+        """Returns whether an interrupted `finish` has brought that file already, from the very same pieces."""
+        return name in self._done and (self.root / name).is_file()
+
+    @contextlib.contextmanager
+    def replacing(self, name: str) -> Iterator[Path]:
+        """Yields the path of a part file that becomes `name` below the root once the block is left without error.
+
+        Args:
+            name: with `/` between folders, which are made.
+
+        Raises:
+            WorldError: the disk is full or gone; nothing half written remains.
+        """
+        final = self.root / name
+        with translated("write", final):
+            final.parent.mkdir(parents=True, exist_ok=True)
+        with translated("write", final), self._staged(final) as part:
+            yield part
+        self._note(name)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Writes a small file below the root."""
+        with self.replacing(name) as part:
+            part.write_text(text, encoding="utf-8")
+
+    def link(self, source: Path, name: str) -> None:
+        """Gives a file of a piece its final name as well; copies where the file system has no hard links."""
+        with self.replacing(name) as part:
+            try:
+                os.link(source, part)
+            except OSError as error:
+                if error.errno not in {errno.EPERM, errno.EOPNOTSUPP, errno.EMLINK, errno.EXDEV, errno.ENOSYS}:
+                    raise
+                shutil.copyfile(source, part)
+
+    def size_bytes(self) -> int:
+        """Returns the bytes of all finished files."""
+        files = (Path(folder) / name for folder, _, names in self._walk() for name in names)
+        return sum(file.stat().st_size for file in files)
+
+    def drop_work(self) -> None:
+        """Deletes all that served the making; the export is done with this."""
+        with translated("delete from", self.root):
+            shutil.rmtree(self._work)
+            sync_directory(self.root)
+
+    def close(self) -> None:
+        """Deletes half-made pieces and lets another export open the directory."""
+        if self._lock is not None:
+            with contextlib.suppress(OSError):
+                self._clear_staging()
+            os.close(self._lock)
+            self._lock = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _clear_staging(self) -> None:
+        if (self._work / _STAGING).exists():
+            shutil.rmtree(self._work / _STAGING)
+
+    @contextlib.contextmanager
+    def _staged(self, final: Path) -> Iterator[Path]:
+        part = self._work / _STAGING / f"{final.name}.part"
+        try:
+            yield part
+            sync_file(part)
+            part.replace(final)
+            sync_directory(final.parent)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def _note(self, name: str) -> None:
+        journal = self._work / _JOURNAL
+        if name in self._done or not journal.exists():
+            return
+        with translated("write", journal), journal.open("a", encoding="utf-8") as file:
+            file.write(f"{name}\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self._done.add(name)
+
+    def _read_journal(self) -> list[str]:
+        journal = self._work / _JOURNAL
+        text = journal.read_text(encoding="utf-8") if journal.exists() else ""
+        return text[: text.rfind("\n") + 1].splitlines()
+
+    def _walk(self) -> Iterator[tuple[str, list[str], list[str]]]:
+        for folder, folders, names in os.walk(self.root):
+            folders[:] = [name for name in folders if name != WORK_FOLDER]
+            yield folder, folders, names
+
+
+def sync_tree(folder: Path) -> None:
+    """Makes all files and names below a folder durable."""
+    found = [(Path(place), names) for place, _, names in os.walk(folder)]
+    files = [place / name for place, names in found for name in names]
+    if len(files) > _FEW_FILES:
+        os.sync()  # one wait instead of 7 ms a file
+        return
+    for file in files:
+        sync_file(file)
+    for place, _ in found:
+        sync_directory(place)
+
+
+def _merge(source: Path, target: Path) -> None:
+    """Renames the entries of a folder into another; folders that are there already are entered."""
+    for entry in sorted(source.iterdir()):
+        place = target / entry.name
+        if entry.is_dir() and place.is_dir():
+            _merge(entry, place)
+        else:
+            entry.rename(place)
+    sync_directory(target)
+
+
+def _lock(root: Path) -> int | None:
+    descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(descriptor)
+        raise WorldError(f"another export works on {root}: wait for it, or choose another --out") from error
+    except OSError as error:
+        os.close(descriptor)
+        raise world_error("lock", root, error) from error
+    return descriptor

@@ -1,0 +1,108 @@
+"""`paper`: the directory tree of the paper (Table of episode files), every frame a file of its own; lossless."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import Field
+
+from coordinator.dataset_meta import META_FILE, DatasetMeta
+from coordinator.dataset_tables import METADATA_FILE
+from coordinator.summary import PUBLISHED_COLUMNS
+from factory.dataset import Dataset
+from factory.episode import Episode
+from factory.export.base import Exporter, Facts, Finish, Options
+from factory.export.card import CARD_FILE, export_card
+from schemas.arrays import EPISODE_ARRAYS
+from schemas.ndarray import encode_npy
+from schemas.terms import Split
+
+__all__ = ["PUBLISHED_SPLITS", "PaperExporter", "PaperOptions", "published_split"]
+
+PUBLISHED_SPLITS = {str(Split.TEST_PARAPHRASE_OOD): "test_ood_lang"}
+"""The paper's name of a split -> the name in the published repository, where they differ (DESIGN 3.18)."""
+_OF_THE_BUNDLE = frozenset({"file_sha256", "file_bytes", "file_name"})
+_CARD = """
+- `episodes/ep_000001/rgb_front/000000.png`: 640 x 640, 8 bit; `depth_front/000000.npy`: float32 metres along the
+  optical axis, 0 where nothing was hit; `seg_front/000000.png`: 16-bit instance ids, named in `meta.json`.
+- `actions_continuous.npy` (T, 2): v in m/s, w in rad/s; `actions_tokens.npy` (T, 2): 0..6; `poses.npy` (T, 7): x, y, z,
+  qw, qx, qy, qz of base_link in the world frame. Frame t is what the robot saw before action t.
+- `metadata.parquet`: one row an episode; `dataset_meta.json`: plan, seed, versions.
+"""
+
+
+class PaperOptions(Options):
+    """What can be chosen of the paper's tree."""
+
+    split_names: Literal["paper", "published"] = Field(
+        default="paper", description="Split names of the paper, or test_ood_lang as in the published repository."
+    )
+
+
+class PaperExporter(Exporter[PaperOptions, Facts]):
+    """One folder an episode; bytes of images, arrays and metadata are those of the bundle, depth is decompressed."""
+
+    name = "paper"
+    about = "the paper's tree: a PNG, NPY and PNG a frame; lossless and large"
+    options = PaperOptions
+    facts = Facts
+
+    def write_episode(self, episode: Episode, options: PaperOptions, folder: Path) -> Facts:
+        """Writes `episodes/<id>/`."""
+        root = folder / "episodes" / episode.episode_id
+        for name in ("rgb_front", "depth_front", "seg_front"):
+            (root / name).mkdir(parents=True)
+        for t in range(len(episode)):
+            for name in (f"rgb_front/{t:06d}.png", f"seg_front/{t:06d}.png"):
+                (root / name).write_bytes(episode.stored(name))
+            (root / f"depth_front/{t:06d}.npy").write_bytes(encode_npy(episode.depth(t)))
+        for spec in EPISODE_ARRAYS:
+            (root / f"{spec.name}.npy").write_bytes(episode.stored(f"{spec.name}.npy"))
+        (root / "meta.json").write_bytes(_meta(episode.stored("meta.json"), options))
+        return Facts(frames=len(episode))
+
+    def finish(self, export: Finish[PaperOptions, Facts]) -> None:
+        """Writes `metadata.parquet`, `dataset_meta.json` and the card."""
+        table = _metadata(export.dataset.metadata, [piece.position for piece in export.pieces], export.options)
+        with export.out.replacing(METADATA_FILE) as part:
+            pq.write_table(table, part, compression="zstd")
+        meta = _part_of(export.dataset, [piece.episode_id for piece in export.pieces])
+        card = export_card(meta, len(export.pieces), _CARD, {"default": METADATA_FILE})
+        export.out.write_text(CARD_FILE, card)
+        export.out.write_text(META_FILE, meta.model_dump_json(indent=1))
+
+
+def published_split(name: str, options: PaperOptions) -> str:
+    """Returns what a split is called in the export."""
+    return PUBLISHED_SPLITS.get(name, name) if options.split_names == "published" else name
+
+
+def _meta(text: bytes, options: PaperOptions) -> bytes:
+    """Returns `meta.json`: the bundle's bytes, but for the name of a split that is called otherwise."""
+    values: dict[str, Any] = json.loads(text)
+    split = values["job"]["split"]
+    if published_split(split, options) == split:
+        return text
+    values["job"]["split"] = published_split(split, options)
+    return json.dumps(values, indent=1, ensure_ascii=False).encode()
+
+
+def _metadata(table: pa.Table, positions: Sequence[int], options: PaperOptions) -> pa.Table:
+    """Returns the rows of those episodes: the published columns, then ours but for those about the bundle's file."""
+    ours = [name for name in table.column_names if name not in PUBLISHED_COLUMNS and name not in _OF_THE_BUNDLE]
+    rows = table.take(positions).select([*PUBLISHED_COLUMNS, *ours])
+    splits = pa.array([published_split(name, options) for name in rows["split"].to_pylist()], pa.string())
+    return rows.set_column(rows.column_names.index("split"), "split", splits)
+
+
+def _part_of(dataset: Dataset, names: Sequence[str]) -> DatasetMeta:
+    """Returns the description of the dataset with what is true of the exported part."""
+    meta = dataset.meta
+    complete = len(names) == meta.planned
+    digest = dataset.filter(episode=names).digest if complete else None
+    return meta.model_copy(update={"episodes": len(names), "complete": complete, "dataset_digest": digest})

@@ -1,0 +1,52 @@
+"""All formats by name, loaded when used. A new format is one file and one line here."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Mapping
+from functools import cache
+from types import MappingProxyType
+from typing import Any
+
+from factory.export.base import Exporter
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["EXPORTERS", "AnyExporter", "find_exporter", "require_packages"]
+
+AnyExporter = Exporter[Any, Any]
+
+EXPORTERS: Mapping[str, str] = MappingProxyType(
+    {
+        "paper": "factory.export.paper:PaperExporter",
+    }
+)
+"""Name -> module and class."""
+
+
+@cache
+def find_exporter(name: str) -> AnyExporter:
+    """Returns the exporter of a format; heavy packages are imported when it writes.
+
+    Raises:
+        UsageError: there is no such format.
+    """
+    place = EXPORTERS.get(name)
+    if place is None:
+        raise UsageError(f"no format {name!r}; there are {', '.join(EXPORTERS)}")
+    module, _, kind = place.partition(":")
+    exporter: AnyExporter = getattr(importlib.import_module(module), kind)()
+    return exporter
+
+
+def require_packages(exporter: AnyExporter) -> None:
+    """Makes sure that a format's packages are installed.
+
+    Raises:
+        WorldError: one is not; the message names the extra to install.
+    """
+    for module, extra in exporter.requires:
+        if importlib.util.find_spec(module) is None:
+            raise WorldError(
+                f"format {exporter.name} needs the package {module}: pip install 'minivla-factory[{extra}]'"
+            )

@@ -1,0 +1,64 @@
+"""Which episodes of a dataset a user asks for. Filters; opens no episode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from factory.dataset import Dataset
+from schemas.errors import UsageError
+from schemas.job import episode_id
+from schemas.plan import MAX_EPISODES
+from schemas.terms import Split
+
+__all__ = ["parse_episodes", "select"]
+
+
+def parse_episodes(text: str) -> list[str]:
+    """Returns the ids that `1-50,ep_000060` names.
+
+    Raises:
+        UsageError: a part is neither a number, an id nor a range of them.
+    """
+    found: dict[str, None] = {}
+    for part in text.split(","):
+        first, _, last = part.strip().partition("-")
+        low, high = _number(first, text), _number(last or first, text)
+        if high < low:
+            raise UsageError(f"--episodes {text}: {part.strip()} ends before it begins")
+        found.update(dict.fromkeys(episode_id(index) for index in range(low, high + 1)))
+    return list(found)
+
+
+def select(dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str] = ()) -> Dataset:
+    """Returns the episodes of those splits and ids, in the order of the plan; all where none is named.
+
+    Raises:
+        UsageError: an id is not in the dataset, or nothing is left.
+    """
+    wanted_splits, wanted = list(splits), list(episodes)
+    if wanted:
+        there = set(dataset.metadata["episode_id"].to_pylist())
+        missing = [name for name in wanted if name not in there]
+        if missing:
+            rest = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+            names = ", ".join(missing[:3]) + rest
+            raise UsageError(f"{dataset.root} has no {names}; it holds {len(dataset)} episodes")
+        dataset = dataset.filter(episode=wanted)
+    held = sorted(set(dataset.metadata["split"].to_pylist()))
+    if wanted_splits:
+        dataset = dataset.filter(split=wanted_splits)
+    if not len(dataset):
+        asked = f"of {', '.join(wanted_splits)} " if wanted_splits else ""
+        raise UsageError(f"no episodes {asked}in {dataset.root}; there are {', '.join(held) or 'none at all'}")
+    return dataset
+
+
+def _number(text: str, whole: str) -> int:
+    digits = text.strip().removeprefix("ep_")
+    if not digits.isascii() or not digits.isdigit() or not 1 <= int(digits[:12]) <= MAX_EPISODES:
+        raise UsageError(f"--episodes {whole}: {text!r} names no episode; write e.g. 1-50,60 or ep_000060")
+    return int(digits)
+
+
+SPLITS = tuple(str(split) for split in Split)
+"""The names that `--split` takes."""
