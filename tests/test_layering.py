@@ -21,6 +21,11 @@ DOORS = {
     "zenoh": {"workers/link.py", "coordinator/router.py", "coordinator/zenoh_config.py", "coordinator/ask.py"},
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
+    "prometheus_client": {"coordinator/http/exposition.py"},
+    "cryptography": {"factory/keys/"},
+    "huggingface_hub": {"factory/push/hub.py"},
+    "mcap": {"factory/export/mcap.py"},
+    "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},
     "pyarrow": {"coordinator/dataset_tables.py", "coordinator/table_reader.py", "factory/"},
 }

@@ -1,0 +1,46 @@
+"""`factory view`: one episode in the Rerun viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from rich.progress import Progress
+
+from factory.catalog import find_package
+from factory.cli.episodes import episode_index
+from factory.cli.options import dataset_argument
+from factory.cli.output import stderr
+from factory.dataset import Dataset
+from factory.view import view_episode
+from schemas.errors import UsageError
+from schemas.job import episode_id
+from schemas.scene import decode_scene
+
+__all__ = ["command"]
+
+
+@click.command("view")
+@dataset_argument
+@click.argument("episode")
+@click.option("--save", type=click.Path(path_type=Path), metavar="FILE.rrd", help="Write a recording; open no viewer.")
+@click.option("--stride", type=click.IntRange(1, 1000), default=2, show_default=True, help="Show every n-th frame.")
+def command(root: Path, episode: str, save: Path | None, stride: int) -> None:
+    """Open EPISODE (`ep_000001` or a number) of the dataset DIR in the Rerun viewer.
+
+    Colour, depth and ids, the robot on the map, the way it drove, actions and instruction.
+    Needs the extra: pip install 'minivla-factory[view]'.
+    """
+    dataset = Dataset(root)
+    try:
+        chosen = dataset[episode_id(episode_index(episode))]
+    except KeyError as error:
+        raise UsageError(f"{error.args[0]}; see `factory jobs list {root}`") from error
+    job = chosen.meta.job
+    with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
+        scene = decode_scene(package)
+    frames = range(0, len(chosen), stride)
+    with chosen, Progress(console=stderr) as progress:
+        task = progress.add_task("frames", total=len(frames))
+        view_episode(chosen, scene, save, stride, lambda _: progress.advance(task))
+    click.echo(str(save) if save else f"{chosen.episode_id}: {len(frames)} of {len(chosen)} frames sent to the viewer")

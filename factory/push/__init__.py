@@ -1,0 +1,8 @@
+"""Uploading a dataset or an export to the Hugging Face Hub: what goes there, in which commits, under which tag."""
+
+from __future__ import annotations
+
+from factory.push.files import PushPlan, plan_push
+from factory.push.hub import PushResult, push
+
+__all__ = ["PushPlan", "PushResult", "plan_push", "push"]

@@ -1,0 +1,191 @@
+"""What of a folder goes to the Hub, in which batches and under which tag. Reads the disk, never the network."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from coordinator.archive import EPISODES, QUARANTINE, SCENES, STAGING
+from coordinator.dataset_meta import META_FILE
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["BATCH_BYTES", "BATCH_FILES", "PushFile", "PushPlan", "batches_of", "plan_push", "require_repository"]
+
+BATCH_FILES = 400
+"""Files of one commit; the Hub advises against many more."""
+BATCH_BYTES = 5_000_000_000
+"""Bytes of one commit, unless a single file has more."""
+_MAX_FILES_A_FOLDER = 10_000
+"""The Hub's limit on entries of one folder."""
+_LEROBOT_INFO = Path("meta/info.json")
+_JSON_BYTES = 16 << 20
+"""The largest description that is read."""
+_DATASET_FOLDERS = (EPISODES, SCENES)
+_REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
+_VERSION = re.compile(r"v\d+\.\d+")
+
+
+@dataclass(frozen=True)
+class PushFile:
+    """One file to upload."""
+
+    path: Path
+    """Where it lies."""
+    name: str
+    """Its path in the repository, with forward slashes."""
+    size: int
+    """Bytes."""
+
+
+@dataclass(frozen=True)
+class PushPlan:
+    """All that would be uploaded of one folder."""
+
+    root: Path
+    kind: str
+    """`dataset` or `export`."""
+    files: tuple[PushFile, ...]
+    """In the order of upload: data first, descriptions last, so that nothing describes what is not there yet."""
+    tag: str | None
+    """Tag that readers of the format demand: LeRobot's version, e.g. `v3.0`."""
+    remarks: tuple[str, ...]
+    """What the user should know before it is public."""
+
+    @property
+    def total_bytes(self) -> int:
+        """Bytes of all files."""
+        return sum(file.size for file in self.files)
+
+
+def require_repository(name: str) -> str:
+    """Returns the name of a repository when it is one.
+
+    Raises:
+        UsageError: it is not of the form OWNER/NAME.
+    """
+    if not _REPOSITORY.fullmatch(name) or ".." in name or "--" in name:
+        raise UsageError(f"{name!r} names no repository; write OWNER/NAME, e.g. my-lab/office-navigation")
+    return name
+
+
+def plan_push(root: Path, manifest_name: str) -> PushPlan:
+    """Lists what of a folder goes to the Hub.
+
+    Args:
+        root: a dataset directory or the output of `factory export`.
+        manifest_name: the file that marks an export.
+
+    Raises:
+        UsageError: the folder is neither.
+        WorldError: it cannot be read, or holds nothing.
+    """
+    kind = _kind_of(root, manifest_name)
+    remarks: list[str] = []
+    try:
+        files = sorted(_walk(root, kind, remarks), key=lambda file: (_is_description(file.name), file.name))
+    except OSError as error:
+        raise WorldError(f"cannot list {root}: {error.strerror}") from error
+    if not files:
+        raise WorldError(f"{root} holds no file to upload")
+    remarks += _incomplete(root / (META_FILE if kind == "dataset" else manifest_name), kind)
+    remarks += _crowded(files)
+    return PushPlan(root, kind, tuple(files), _lerobot_version(root), tuple(remarks))
+
+
+def batches_of(
+    files: Sequence[PushFile], most_files: int = BATCH_FILES, most_bytes: int = BATCH_BYTES
+) -> Iterator[tuple[PushFile, ...]]:
+    """Yields runs of files, in order, that fit into one commit each."""
+    batch: list[PushFile] = []
+    size = 0
+    for file in files:
+        if batch and (len(batch) == most_files or size + file.size > most_bytes):
+            yield tuple(batch)
+            batch, size = [], 0
+        batch.append(file)
+        size += file.size
+    if batch:
+        yield tuple(batch)
+
+
+def _kind_of(root: Path, manifest_name: str) -> str:
+    if (root / manifest_name).is_file():
+        return "export"
+    if (root / META_FILE).is_file():
+        return "dataset"
+    found = f"neither {META_FILE} (a dataset) nor {manifest_name} (an export)"
+    raise UsageError(f"{root} has {found}: give the --out of `factory run` or of `factory export`")
+
+
+def _walk(root: Path, kind: str, remarks: list[str]) -> Iterator[PushFile]:
+    for folder, folders, names in os.walk(root):
+        here = Path(folder)
+        folders[:] = sorted(name for name in folders if _goes_in(here == root, name, kind))
+        for name in sorted(names):
+            path = here / name
+            relative = path.relative_to(root).as_posix()
+            if path.is_symlink() or not path.is_file():
+                remarks.append(f"{relative} is a link or no plain file and stays here")
+            elif _goes(relative, name, kind):
+                yield PushFile(path, relative, path.stat().st_size)
+        for name in [name for name in folders if (here / name).is_symlink()]:
+            remarks.append(f"{(here / name).relative_to(root).as_posix()} is a link and stays here")
+
+
+def _goes_in(at_top: bool, name: str, kind: str) -> bool:
+    if name.startswith(".") or name in (QUARANTINE, STAGING):
+        return False
+    return not at_top or kind == "export" or name in _DATASET_FOLDERS
+
+
+def _goes(relative: str, name: str, kind: str) -> bool:
+    """The ledger names hosts and is of no use to a reader; hidden files are ours."""
+    if name.startswith(".") or name.endswith((".part", ".tmp")):
+        return False
+    at_top = "/" not in relative
+    return not (kind == "dataset" and at_top) or relative.endswith((".md", ".parquet", ".json", ".yaml"))
+
+
+def _is_description(name: str) -> bool:
+    return "/" not in name or name.startswith("meta/")
+
+
+def _incomplete(description: Path, kind: str) -> list[str]:
+    meta = _read_json(description, _JSON_BYTES)
+    if meta.get("complete") is not False:
+        return []
+    if kind == "dataset":
+        found = f"{meta.get('episodes')} of {meta.get('planned')} planned episodes"
+        return [f"the dataset is not complete ({found}): finish it with `factory run`, or push it again later"]
+    return ["the export is not complete: call `factory export` again, or it goes up as it is"]
+
+
+def _crowded(files: Sequence[PushFile]) -> list[str]:
+    counts: dict[str, int] = {}
+    for file in files:
+        folder = file.name.rpartition("/")[0]
+        counts[folder] = counts.get(folder, 0) + 1
+    return [
+        f"{folder or '.'} has {count} files; the Hub takes {_MAX_FILES_A_FOLDER} a folder: choose a sharded format"
+        for folder, count in counts.items()
+        if count > _MAX_FILES_A_FOLDER
+    ]
+
+
+def _lerobot_version(root: Path) -> str | None:
+    version = _read_json(root / _LEROBOT_INFO, _JSON_BYTES).get("codebase_version")
+    return version if isinstance(version, str) and _VERSION.fullmatch(version) else None
+
+
+def _read_json(path: Path, most_bytes: int) -> dict[str, object]:
+    try:
+        if path.stat().st_size > most_bytes:
+            return {}
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,156 @@
+"""The door to the Hugging Face Hub: makes the repository, commits files in batches, moves the tag. Decides nothing.
+
+The token comes from the Hub's own places (`HF_TOKEN`, `hf auth login`); it is never printed, logged or taken as an
+argument, where other users of the machine could read it.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+from factory.push.files import PushPlan, batches_of
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["PushResult", "push", "require_safe_endpoint"]
+
+Listener = Callable[[int, int], None]
+"""Told files and bytes that have been committed."""
+_EXTRA = "pip install 'minivla-factory[hub]'"
+
+
+class PushResult(NamedTuple):
+    """What stands on the Hub now."""
+
+    url: str
+    """Page of the repository."""
+    commits: int
+    """Commits that were sent; files that were there already are no new commit's content."""
+    files: int
+    total_bytes: int
+    tag: str | None
+
+
+def push(
+    plan: PushPlan, repository: str, endpoint: str | None = None, private: bool = False, tell: Listener | None = None
+) -> PushResult:
+    """Uploads a folder; after an interruption the same call goes on, as the Hub knows what it has.
+
+    Args:
+        plan: what to upload.
+        repository: OWNER/NAME of a dataset repository; made when it is not there.
+        endpoint: another Hub than huggingface.co.
+        private: whether a new repository is private.
+        tell: told of every commit.
+
+    Raises:
+        UsageError: the endpoint would see the token unencrypted.
+        WorldError: no token, no library, no right to write, or no connection.
+    """
+    hub = _library()
+    token = hub.get_token()
+    api = hub.HfApi(endpoint=endpoint, token=token, library_name="minivla-factory")
+    require_safe_endpoint(api.endpoint)
+    if not token:
+        raise WorldError(
+            "no token for the Hugging Face Hub: run `hf auth login`, or set HF_TOKEN to a token with write access "
+            f"(made at {api.endpoint}/settings/tokens)"
+        )
+    with _translated(hub, repository, api.endpoint):
+        url = api.create_repo(repository, repo_type="dataset", private=private or None, exist_ok=True)
+        commits = _commit_all(hub, api, plan, repository, tell)
+        if plan.tag is not None:
+            _move_tag(hub, api, repository, plan.tag)
+    return PushResult(str(url), commits, len(plan.files), plan.total_bytes, plan.tag)
+
+
+def require_safe_endpoint(endpoint: str) -> None:
+    """Makes sure that a token does not travel unencrypted.
+
+    Raises:
+        UsageError: the endpoint is neither https nor on this machine.
+    """
+    parts = urlsplit(endpoint)
+    if parts.scheme == "https" and parts.hostname:
+        return
+    if parts.scheme != "http" or not _is_loopback(parts.hostname or ""):
+        raise UsageError(f"endpoint {endpoint!r} would show your token on the way: give an https:// address")
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _library() -> ModuleType:
+    try:
+        import huggingface_hub
+        from huggingface_hub.utils.tqdm import disable_progress_bars
+    except ImportError as error:
+        raise WorldError(f"pushing needs huggingface_hub: {_EXTRA}") from error
+    disable_progress_bars()  # ours stands on stderr
+    return huggingface_hub
+
+
+def _commit_all(hub: ModuleType, api: Any, plan: PushPlan, repository: str, tell: Listener | None) -> int:
+    batches = list(batches_of(plan.files))
+    for number, batch in enumerate(batches, 1):
+        added = [hub.CommitOperationAdd(path_in_repo=file.name, path_or_fileobj=str(file.path)) for file in batch]
+        part = f" (part {number} of {len(batches)})" if len(batches) > 1 else ""
+        api.create_commit(
+            repository,
+            added,
+            commit_message=f"Upload {plan.kind} with minivla-factory{part}",
+            repo_type="dataset",
+        )
+        if tell is not None:
+            tell(len(batch), sum(file.size for file in batch))
+    return len(batches)
+
+
+def _move_tag(hub: ModuleType, api: Any, repository: str, tag: str) -> None:
+    """LeRobot reads the commit that carries its version as a tag; an older upload may have left one."""
+    try:
+        api.delete_tag(repository, tag=tag, repo_type="dataset")
+    except hub.errors.RevisionNotFoundError:
+        pass
+    except hub.errors.HfHubHTTPError as error:
+        if error.response is None or error.response.status_code != 404:
+            raise
+    api.create_tag(repository, tag=tag, repo_type="dataset")
+
+
+@contextmanager
+def _translated(hub: ModuleType, repository: str, endpoint: str) -> Iterator[None]:
+    try:
+        yield
+    except hub.errors.HfHubHTTPError as error:
+        status = error.response.status_code if error.response is not None else None
+        raise WorldError(_say_status(status, repository, endpoint, error)) from None  # the cause holds the request
+    except hub.errors.HFValidationError as error:
+        raise UsageError(f"{repository!r} is refused as a name: {error}") from None
+    except (hub.errors.HTTPError, OSError, ValueError, RuntimeError) as error:
+        raise WorldError(f"the upload to {endpoint} stopped ({type(error).__name__}: {error}); {_AGAIN}") from None
+
+
+_AGAIN = "run the same command again: what is there already is not sent twice"
+
+
+def _say_status(status: int | None, repository: str, endpoint: str, error: Exception) -> str:
+    if status in (401, 403):
+        return (
+            f"{endpoint} refuses the token for {repository} ({status}): it needs write access to that owner; "
+            "log in again with `hf auth login` or set HF_TOKEN"
+        )
+    if status == 404:
+        return f"{endpoint} has no {repository}, or the token may not see it (404): check owner and name"
+    if status == 413 or status == 507:
+        return f"{endpoint} has no room for {repository} ({status}): see its storage limits"
+    first = str(error).strip().splitlines()
+    return f"{endpoint} answered {status} ({first[0] if first else type(error).__name__}); {_AGAIN}"

@@ -1,0 +1,128 @@
+"""`factory push` as a user runs it, against a Hub on loopback: real client library, real HTTP."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.builders.dataset import make_dataset
+from tests.builders.fake_hub import TOKEN, FakeHub
+
+REPOSITORY = "my-lab/office-navigation"
+
+
+@pytest.fixture
+def hub() -> Iterator[FakeHub]:
+    with FakeHub() as fake:
+        yield fake
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("push") / "dataset"
+    make_dataset(root, 2)
+    (root / "ledger.db").write_bytes(b"names of hosts")
+    return root
+
+
+def push(home: Path, *words: object, token: str | None = TOKEN) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("HF_", "HUGGING"))}
+    environment |= {"HOME": str(home), "HF_HOME": str(home / "hf"), "HF_HUB_DISABLE_XET": "1"}
+    if token is not None:
+        environment["HF_TOKEN"] = token
+    command = [sys.executable, "-m", "factory", "push", *map(str, words)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_push_brings_every_file_of_a_dataset_and_nothing_private(hub, dataset, tmp_path):
+    done = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url, "--private", "--json")
+    assert done.returncode == 0, done.stderr
+    repository = hub.repositories[REPOSITORY]
+    assert repository.private
+    expected = {
+        path.relative_to(dataset).as_posix(): path.read_bytes()
+        for path in dataset.rglob("*")
+        if path.is_file() and not path.name.startswith(".") and path.name != "ledger.db"
+    }
+    assert repository.files == expected
+    assert {"README.md", "metadata.parquet", "dataset_meta.json", "episodes/ep_000001.zip"} <= expected.keys()
+    result = json.loads(done.stdout)
+    assert (result["files"], result["total_bytes"]) == (len(expected), sum(map(len, expected.values())))
+    assert repository.tags == {}
+
+
+def test_push_again_sends_no_large_file_twice(hub, dataset, tmp_path):
+    assert push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url).returncode == 0
+    sent = len(hub.uploads)
+    assert push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url).returncode == 0
+    assert len(hub.uploads) == sent > 0
+
+
+def test_push_goes_on_after_the_hub_failed(hub, dataset, tmp_path):
+    hub.fail_at_commit = 1
+    failed = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url)
+    assert failed.returncode == 1
+    assert "run the same command again" in failed.stderr
+    assert push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url).returncode == 0
+    assert "episodes/ep_000002.zip" in hub.repositories[REPOSITORY].files
+
+
+def test_push_tags_a_lerobot_export_and_moves_an_old_tag(hub, tmp_path):
+    export = tmp_path / "export"
+    (export / "meta").mkdir(parents=True)
+    (export / "export.json").write_text("{}")
+    (export / "meta/info.json").write_text(json.dumps({"codebase_version": "v3.0"}))
+    for expected in (1, 2):
+        done = push(tmp_path, export, REPOSITORY, "--endpoint", hub.url)
+        assert done.returncode == 0, done.stderr
+        assert "tagged v3.0" in done.stdout
+        assert hub.repositories[REPOSITORY].tags == {"v3.0": expected}
+
+
+def test_dry_run_shows_the_size_and_asks_nobody(hub, dataset, tmp_path):
+    done = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url, "--dry-run", "--json", token=None)
+    assert done.returncode == 0, done.stderr
+    plan = json.loads(done.stdout)
+    assert plan["folders"]["episodes"]["files"] == 2
+    assert plan["total_bytes"] > 0
+    assert hub.requests == []
+
+
+def test_push_without_a_token_says_how_to_get_one(hub, dataset, tmp_path):
+    done = push(tmp_path, dataset, REPOSITORY, "--endpoint", hub.url, token=None)
+    assert done.returncode == 1
+    assert "hf auth login" in done.stderr
+    assert hub.requests == []
+
+
+@pytest.mark.parametrize(("token", "repository"), [("hf_wrong" + "x" * 20, REPOSITORY), (TOKEN, "somebody-else/data")])
+def test_a_refused_token_is_explained_and_never_shown(hub, dataset, tmp_path, token, repository):
+    done = push(tmp_path, dataset, repository, "--endpoint", hub.url, token=token)
+    assert done.returncode == 1
+    assert "write access" in done.stderr
+    assert token not in done.stderr + done.stdout + " ".join(hub.requests)
+    assert not hub.repositories
+
+
+def test_a_token_is_not_sent_unencrypted_to_another_machine(dataset, tmp_path):
+    done = push(tmp_path, dataset, REPOSITORY, "--endpoint", "http://192.0.2.1:80")
+    assert done.returncode == 2
+    assert "https://" in done.stderr
+
+
+@pytest.mark.parametrize("repository", ["office", "a/b/c", "my lab/x", "../x/y", "a/b--c"])
+def test_a_wrong_repository_name_is_wrong_usage(dataset, tmp_path, repository):
+    assert push(tmp_path, dataset, repository, "--dry-run").returncode == 2
+
+
+def test_a_folder_that_is_neither_dataset_nor_export_is_refused(tmp_path):
+    (tmp_path / "secrets.txt").write_text("secret")
+    done = push(tmp_path, tmp_path, REPOSITORY, "--dry-run")
+    assert done.returncode == 2
+    assert "neither" in done.stderr
