@@ -16,16 +16,18 @@ from typing import Self
 import structlog
 
 from coordinator import ledger_claims
+from coordinator.meters import Meter, Meters
 from coordinator.protocol import Answer, Pull, Request, Terms, parse, serve
 from coordinator.router import Inquiry
 from coordinator.writer import Writer
 from schemas.errors import TransientError
 from schemas.keys import Verb
-from schemas.wire import AdminAction, AdminRequest, Progress, Refusal
+from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 __all__ = ["Front"]
 
 _READS_WAITING = 16
+_VERBS = frozenset(verb.value for verb in Verb)
 
 log = structlog.get_logger(__name__)
 
@@ -41,6 +43,7 @@ class Front:
         on_bundle: takes a bundle that waits to be pulled.
         on_drain: an operator wants the workers to leave.
         backlog: requests that may wait; further ones get no answer and are asked again.
+        meters: where questions are counted.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class Front:
         on_bundle: Callable[[Pull], None],
         on_drain: Callable[[], None],
         backlog: int,
+        meters: Meters | None = None,
     ) -> None:
         self._writer = writer
         self._terms = terms
@@ -61,11 +65,14 @@ class Front:
         self._on_bundle = on_bundle
         self._on_drain = on_drain
         self._backlog = backlog
+        self._meters = meters or Meters()
         self._reads = ThreadPoolExecutor(1, thread_name_prefix="ledger-reader")
         self._free_reads = threading.Semaphore(_READS_WAITING)
 
     def take(self, inquiry: Inquiry) -> None:
         """Takes a question; the answer follows when it is durable."""
+        if inquiry.verb in _VERBS:
+            self._meters.note_request(inquiry.verb)
         if inquiry.verb == Verb.PROGRESS:
             self._take_read(inquiry)
             return
@@ -108,6 +115,8 @@ class Front:
             answer = future.result()
             if isinstance(request.message, AdminRequest):
                 self._note_operator(request.message)
+            if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
+                self._meters.add(Meter.CLAIMS)
             inquiry.answer(answer.reply)
             for pull in answer.pulls:
                 self._on_bundle(pull)

@@ -11,11 +11,12 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger import read_info
 from coordinator.ledger_claims import HELD_STATES
+from coordinator.ledger_outcomes import SUCCESS
 from coordinator.states import OPEN_STATES, State
 from coordinator.tables import attempts, episodes, jobs, workers
 from schemas.wire import Progress, WorkerStatus
 
-__all__ = ["read_progress"]
+__all__ = ["count_frames", "read_progress"]
 
 _RATE_WINDOW_S = 600.0
 
@@ -26,6 +27,7 @@ _BY_CELL = (
 )
 _REDRAWN = select(func.count()).select_from(jobs).where(jobs.c.draw > 0)
 _BY_OUTCOME = select(attempts.c.outcome, func.count()).group_by(attempts.c.outcome)
+_FRAMES = select(func.coalesce(func.sum(attempts.c.steps), 0)).where(attempts.c.outcome == SUCCESS)
 _HELD_BY = select(jobs.c.sid, func.count()).where(jobs.c.state.in_(HELD_STATES)).group_by(jobs.c.sid)
 
 
@@ -61,6 +63,11 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         eta_s=pace.eta_s,
         finished=left == 0,
     )
+
+
+def count_frames(connection: Connection) -> int:
+    """Returns how many frames the archived episodes have."""
+    return int(connection.execute(_FRAMES).scalar_one())
 
 
 def _count_by(cells: list[Row[Any]] | Any, column: str | None) -> dict[str, dict[str, int]]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -18,6 +19,7 @@ import structlog
 from coordinator import ledger_claims, ledger_outcomes
 from coordinator.archive import Archive, Staged
 from coordinator.draw import redraw, to_job
+from coordinator.meters import Meter, Meters
 from coordinator.protocol import Pull, Terms
 from coordinator.settings import CoordinatorSettings
 from coordinator.summary import EpisodeSummary
@@ -64,6 +66,7 @@ class Pullers:
         settings: CoordinatorSettings,
         clock: Callable[[], datetime],
         on_archived: Callable[[], None],
+        meters: Meters | None = None,
     ) -> None:
         self._archive = archive
         self._writer = writer
@@ -73,6 +76,7 @@ class Pullers:
         self._settings = settings
         self._clock = clock
         self._on_archived = on_archived
+        self._meters = meters or Meters()
         self._queue: queue.SimpleQueue[Pull | None] = queue.SimpleQueue()
         self._busy: set[int] = set()
         self._guard = threading.Lock()
@@ -113,6 +117,7 @@ class Pullers:
                 if not self._stop.is_set():
                     self._bring(pull)
             except FactoryError as error:
+                self._meters.add(Meter.PULLS_FAILED)
                 log.warning("pull_failed", episode=episode_id(pull.planned.index), worker=pull.sid, error=str(error))
             except Exception:
                 log.exception("pull_crashed", episode=episode_id(pull.planned.index), worker=pull.sid)
@@ -161,18 +166,25 @@ class Pullers:
             if self._stop.is_set():
                 raise TransientError("the coordinator is closing; the bundle waits in its spool")
             length = min(self._settings.chunk_bytes, pull.size - staged.size)
-            staged.write(self._fetch(pull.sid, pull.lease, Chunk(staged.size, length)))
+            data = self._fetch(pull.sid, pull.lease, Chunk(staged.size, length))
+            self._meters.add(Meter.PULLED_BYTES, len(data))
+            staged.write(data)
 
     def _judge(self, pull: Pull, path: Path) -> EpisodeSummary | None:
         terms = self._terms
         job = to_job(terms.plan, terms.catalog, pull.planned, pull.attempt)
+        begun = time.monotonic()
         try:
             return self._checker.check(path, job, terms.catalog[job.scene].info.target(job.target_id))
         except InvalidBundle as error:
             self._refuse(pull, str(error))
             return None
+        finally:
+            self._meters.add(Meter.VALIDATIONS)
+            self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
 
     def _refuse(self, pull: Pull, detail: str) -> None:
+        self._meters.add(Meter.REFUSED)
         log.warning("bundle_refused", episode=episode_id(pull.planned.index), worker=pull.sid, detail=detail)
         report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.INVALID, detail=detail[:_DETAIL_CHARS])
         terms = self._terms

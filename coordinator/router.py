@@ -125,6 +125,11 @@ class Router:
             raise TransientError(f"worker {sid} cannot be asked: {error}") from error
         raise TransientError(f"worker {sid} does not serve bytes {chunk.offset}+{chunk.length} of job {lease.job_id}")
 
+    @property
+    def is_open(self) -> bool:
+        """Whether workers can be heard."""
+        return not self._session.is_closed()
+
     def close(self) -> None:
         """Closes the session; what zenoh runs in threads ends with it."""
         if not self._session.is_closed():

@@ -25,13 +25,15 @@ from coordinator.engine import open_reader, open_writer
 from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import ledger_url_of, open_run
-from coordinator.progress import read_progress
+from coordinator.meters import Meter, Meters
+from coordinator.progress import count_frames, read_progress
 from coordinator.protocol import Terms
 from coordinator.puller import Checker, Pullers
 from coordinator.reconcile import reconcile
 from coordinator.router import Router
 from coordinator.settings import CoordinatorSettings
 from coordinator.validator import Validator
+from coordinator.vitals import Vitals
 from coordinator.writer import Writer
 from schemas.plan import Plan
 from schemas.wire import Progress
@@ -84,6 +86,7 @@ class Coordinator:
         self._draining = threading.Event()
         self._changed = threading.Event()
         self._has_room = True
+        self._meters = Meters()
         self._terms = Terms(
             plan=plan,
             catalog=catalog,
@@ -108,6 +111,8 @@ class Coordinator:
             router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
+            self.vitals = self._measured()
+            """How it does."""
             light(root, plan.run, router.endpoints)
             stack.callback(quench, root)
             self._stack = stack.pop_all()
@@ -192,6 +197,7 @@ class Coordinator:
             self._settings,
             self._clock,
             self._changed.set,
+            self._meters,
         )
 
     def _open_front(self) -> Front:
@@ -203,7 +209,22 @@ class Coordinator:
             on_bundle=self._pullers.offer,
             on_drain=self.drain,
             backlog=self._settings.backlog,
+            meters=self._meters,
         )
+
+    def _measured(self) -> Vitals:
+        return Vitals(
+            self._writer,
+            self._meters,
+            self._read_figures,
+            self._archive.free_bytes,
+            self._settings.reserve_bytes,
+            lambda: self._router.is_open,
+        )
+
+    def _read_figures(self) -> tuple[Progress, int]:
+        with self._reader.connect() as connection:
+            return read_progress(connection, self._clock()), count_frames(connection)
 
     def _open_housekeeper(self) -> Housekeeper:
         settings = self._settings
@@ -218,6 +239,7 @@ class Coordinator:
     def _expire(self) -> None:
         expired = self._writer.call(lambda connection: ledger_claims.expire(connection, self._clock()))
         if expired:
+            self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
 
     def _look_for_room(self) -> None:

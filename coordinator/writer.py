@@ -56,6 +56,11 @@ class Writer:
         self._thread.start()
 
     @property
+    def is_alive(self) -> bool:
+        """Whether its thread runs."""
+        return self._thread.is_alive()
+
+    @property
     def backlog(self) -> int:
         """Requests that wait."""
         return self._queue.qsize()

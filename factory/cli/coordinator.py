@@ -12,6 +12,7 @@ from coordinator.plan_file import load_plan
 from coordinator.service import DEFAULT_LISTEN, Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog, write_target_lists
+from factory.cli.http import http_options, status_pages
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
 from factory.ledger import plan_of
 from factory.listen import require_loopback
@@ -44,6 +45,7 @@ def command() -> None:
 @click.option("--ledger", metavar="URL", help="Another database than DIR/ledger.db, as an SQLAlchemy URL.")
 @click.option("--lease", "lease_ttl_s", type=click.FloatRange(1.0), help="Seconds a silent worker keeps its job.")
 @click.option("--stay", is_flag=True, help="Keep answering after the run is finished.")
+@http_options
 @shrink_options
 @verbose_option
 def start(
@@ -53,6 +55,8 @@ def start(
     ledger: str | None,
     lease_ttl_s: float | None,
     stay: bool,
+    http: str | None,
+    http_token: Path | None,
     verbose: bool,
     **changes: Any,
 ) -> int:
@@ -66,7 +70,10 @@ def start(
     require_room(root, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
-        with Coordinator(root, plan, catalog, listen, ledger, settings) as coordinator:
+        with (
+            Coordinator(root, plan, catalog, listen, ledger, settings) as coordinator,
+            status_pages(coordinator.vitals, http, http_token),
+        ):
             write_target_lists(catalog, root)
             click.echo(
                 f"run {coordinator.run} in {root}: {plan.episodes} episodes, listening on loopback only", err=True

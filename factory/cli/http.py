@@ -1,0 +1,65 @@
+"""`--http` and `--http-token`: status pages beside a verb that serves for long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from coordinator.vitals import Vitals
+from schemas.errors import UsageError
+
+__all__ = ["http_options", "status_pages"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def http_options(command: Command) -> Command:
+    """`--http HOST:PORT --http-token FILE`."""
+    for option in (
+        click.option(
+            "--http-token",
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE",
+            help="A file whose first line /metrics asks for as a bearer token; needed off loopback.",
+        ),
+        click.option("--http", metavar="HOST:PORT", help="Serve /healthz, /readyz and /metrics there, read-only."),
+    ):
+        command = option(command)
+    return command
+
+
+@contextmanager
+def status_pages(vitals: Vitals, http: str | None, token_file: Path | None) -> Iterator[None]:
+    """Serves status pages during the block, if wanted.
+
+    Args:
+        vitals: of what is served.
+        http: `--http`.
+        token_file: `--http-token`.
+
+    Raises:
+        UsageError: the address is malformed or unprotected, or the extra is missing.
+        WorldError: the address is taken.
+    """
+    if http is None:
+        if token_file is not None:
+            raise UsageError("--http-token without --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
+        yield
+        return
+    from coordinator.http import StatusServer, parse_address  # prometheus-client is an extra
+
+    token = _read_token(token_file) if token_file is not None else None
+    with StatusServer(parse_address(http, token), vitals, token) as server:
+        click.echo(f"status pages on {server.url}/metrics", err=True)
+        yield
+
+
+def _read_token(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii").partition("\n")[0].strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"no token in {path}: {error}; make one with: openssl rand -hex 16 > {path}") from error
