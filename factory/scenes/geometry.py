@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from factory.scenes.importer import Part
 from factory.scenes.light import bake_light
-from factory.scenes.shade import corner_colours, glow_brightness, glows_by_name, texture_layer
+from factory.scenes.shade import corner_colours, glow_brightness, glows_by_name, reflectance, texture_layer
 from factory.scenes.textures import TextureBook
 
 __all__ = ["Geometry", "lay_out_geometry"]
@@ -53,7 +53,9 @@ def lay_out_geometry(
     counts = np.array([count for _, count in runs], np.int32)
     triangles = np.concatenate([parts[row].triangles for row in order])
     groups = np.repeat(np.arange(len(counts)), counts // 3)
-    light = bake_light(triangles, groups, _brightness([parts[row] for row in order], book), floor_m)
+    ordered = [parts[row] for row in order]
+    grey = np.concatenate([reflectance(part, book) for part in ordered])
+    light = bake_light(triangles, groups, _brightness(ordered, book), floor_m, grey)
     return Geometry(
         positions=triangles.reshape(-1, 3).astype(np.float32),
         uvs=np.concatenate([_uvs(parts[row], keys[row][1]) for row in order]).astype(np.float32),

@@ -16,7 +16,15 @@ from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
 from factory.scenes.textures import TextureBook
 
-__all__ = ["corner_colours", "glow_brightness", "glows_by_name", "target_colour", "texture_layer", "triangle_areas"]
+__all__ = [
+    "corner_colours",
+    "glow_brightness",
+    "glows_by_name",
+    "reflectance",
+    "target_colour",
+    "texture_layer",
+    "triangle_areas",
+]
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _LAMP_WORDS = re.compile(r"(^|_)(lamp|light|screen|window)s?(_|$)")
@@ -67,6 +75,14 @@ def glow_brightness(part: Part, book: TextureBook) -> float:
     if not colour.any():
         colour = np.array(part.surface.colour) * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
     return float(np.clip(colour @ _LUMINANCE, 0.01, 1.0))
+
+
+def reflectance(part: Part, book: TextureBook) -> Floats:
+    """Returns (T,) the linear luminance 0..1 of a part's triangles in full light, pictures by their mean."""
+    linear = np.broadcast_to(_base(part, book), part.triangles.shape).mean(axis=1)
+    if texture_layer(part, book) >= 0:
+        linear = linear * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
+    return np.asarray(np.clip(linear @ _LUMINANCE, 0.0, 1.0))
 
 
 def target_colour(parts: list[Part], book: TextureBook, rng: np.random.Generator) -> str:

@@ -93,6 +93,75 @@ def _poster_blocks(rng: Generator) -> Pixels:
     return np.asarray(image)
 
 
+def _poster_hills(rng: Generator) -> Pixels:
+    """A misty mountain photograph: ridges that darken towards the viewer."""
+    rows = np.linspace(0, 1, SIZE)[:, None]
+    sky = np.array([236, 178, 130]) * (1 - rows[..., None]) + np.array([250, 226, 190]) * rows[..., None]
+    pixels = np.broadcast_to(sky, (SIZE, SIZE, 3)).copy()
+    across = np.arange(SIZE)
+    for ridge in range(5):
+        waves = sum(np.sin(across * (k + 1) * 0.011 + float(rng.uniform(0, 6.28))) * 46 / (k + 1) for k in range(5))
+        crest = 200 + 62 * ridge + waves
+        shade = np.array([168, 168, 178]) * (1 - ridge / 5) + np.array([34, 60, 66]) * ridge / 5
+        pixels[np.arange(SIZE)[:, None] > crest[None]] = shade
+    return pixels.clip(0, 255).astype(np.uint8)
+
+
+def _poster_arcs(rng: Generator) -> Pixels:
+    image, draw = _canvas("#efe6d8")
+    colours = ("#b5533c", "#d99a4e", "#37585f", "#8aa39b", "#2d3142")
+    for row in range(3):
+        for column in range(3):
+            x, y, turn = 16 + column * 160, 16 + row * 160, 90 * _between(rng, 0, 4)
+            for ring, size in enumerate((150, 104, 58)):
+                colour = colours[(row * 2 + column + ring) % 5]
+                inset = (150 - size) // 2
+                draw.pieslice((x + inset, y + inset, x + inset + size, y + inset + size), turn, turn + 180, fill=colour)
+    return np.asarray(image)
+
+
+def _poster_city(rng: Generator) -> Pixels:
+    image, draw = _canvas("#16213a")
+    draw.ellipse((330, 50, 420, 140), fill="#f3e7c2")
+    for layer, colour in enumerate(("#26365a", "#33507c", "#0f1626")):
+        x = -20
+        while x < SIZE:
+            width, top = _between(rng, 36, 90), 180 + 70 * layer + _between(rng, -60, 60)
+            draw.rectangle((x, top, x + width, SIZE), fill=colour)
+            for window in range(_between(rng, 4, 12)):
+                wx, wy = x + 6 + 12 * (window % 3), top + 12 + 22 * (window // 3)
+                draw.rectangle((wx, wy, wx + 5, wy + 9), fill="#f6cf73")
+            x += width + 4
+    return np.asarray(image)
+
+
+def _poster_type(rng: Generator) -> Pixels:
+    image, draw = _canvas(("#d8482f", "#2456a6", "#e2b13c")[_between(rng, 0, 3)])
+    for line, text in enumerate(("MAKE", "GOOD", "WORK")):
+        _write(draw, text, 110 + 130 * line, 140, "#f7f3ea")
+    draw.rectangle((60, 456, 452, 466), fill="#f7f3ea")
+    return np.asarray(image)
+
+
+def _floor_plan(rng: Generator) -> Pixels:
+    """An escape plan: rooms off a corridor, green arrows, a red dot where you are."""
+    image, draw = _canvas("#fafaf6")
+    draw.rectangle((0, 0, SIZE, 70), fill="#1e7d4f")
+    _write(draw, "ESCAPE PLAN", 36, 44, "#ffffff")
+    draw.rectangle((30, 230, 482, 300), outline="#404448", width=4)
+    for top, bottom in ((110, 230), (300, 430)):
+        x = 30
+        while x < 440:
+            width = min(_between(rng, 70, 130), 482 - x)
+            draw.rectangle((x, top, x + width, bottom), outline="#404448", width=4)
+            x += width
+    for x in range(60, 440, 70):
+        draw.polygon([(x, 258), (x + 30, 258), (x + 30, 248), (x + 50, 265), (x + 30, 282), (x + 30, 272), (x, 272)],
+                     fill="#1e9d4f")  # fmt: skip
+    draw.ellipse((236, 150, 262, 176), fill="#c3211d")
+    return np.asarray(image)
+
+
 def _notice(heading: str, colour: str) -> Callable[[Generator], Pixels]:
     def draw_notice(rng: Generator) -> Pixels:
         image, draw = _canvas("#fbfbf8")
@@ -140,16 +209,32 @@ def _spines(rng: Generator) -> Pixels:
 
 
 def _window(rng: Generator) -> Pixels:
+    """A hazy view from an upper floor: sky with clouds, two rows of buildings with windows, trees in front."""
     rows = np.linspace(0, 1, SIZE)[:, None, None]
-    sky = np.array([168, 205, 240]) * (1 - rows) + np.array([236, 244, 250]) * rows
+    sky = np.array([128, 178, 230]) * (1 - rows) + np.array([238, 243, 247]) * rows
     image = Image.fromarray(np.broadcast_to(sky, (SIZE, SIZE, 3)).astype(np.uint8))
     draw = ImageDraw.Draw(image)
-    x = 0
-    while x < SIZE:
-        width, height = _between(rng, 40, 110), _between(rng, 60, 260)
-        tone = _between(rng, 150, 205)
-        draw.rectangle((x, SIZE - height, x + width, SIZE), fill=(tone, tone + 6, tone + 14))
-        x += width + _between(rng, 0, 20)
+    for _ in range(5):
+        x, y = _between(rng, -40, SIZE), _between(rng, 30, 190)
+        for _ in range(9):
+            dx, dy, size = _between(rng, -50, 50), _between(rng, -10, 11), _between(rng, 14, 34)
+            draw.ellipse((x + dx - 2 * size, y + dy - size // 2, x + dx + 2 * size, y + dy + size // 2), fill="#f1f5f9")
+    for far, (low, high) in enumerate(((150, 290), (70, 190))):
+        x = -10
+        while x < SIZE:
+            width, height = _between(rng, 46, 110), _between(rng, low, high)
+            tone = _between(rng, 176, 204) - 44 * far
+            warm = _between(rng, -8, 12)
+            draw.rectangle((x, SIZE - height, x + width, SIZE), fill=(tone + warm, tone, tone + 10 - warm))
+            for wy in range(SIZE - height + 10, SIZE - 8, 16):
+                for wx in range(x + 7, x + width - 8, 14):
+                    shade = tone - 34 + _between(rng, 0, 20)
+                    draw.rectangle((wx, wy, wx + 7, wy + 9), fill=(shade, shade + 6, shade + 16))
+            x += width + _between(rng, 0, 14)
+    for _ in range(26):
+        x, top, size = _between(rng, 0, SIZE), SIZE - _between(rng, 6, 50), _between(rng, 16, 36)
+        green = _between(rng, 96, 132)
+        draw.ellipse((x - size, top, x + size, top + 2 * size), fill=(green - 38, green, green - 48))
     return np.asarray(image)
 
 
@@ -178,6 +263,12 @@ ARTWORK: Mapping[str, Callable[[Generator], Pixels]] = MappingProxyType(
         "ScreenChart": _chart_screen,
         "PosterSun": _poster_sun,
         "PosterBlocks": _poster_blocks,
+        "PosterHills": _poster_hills,
+        "PosterArcs": _poster_arcs,
+        "PosterCity": _poster_city,
+        "PosterType": _poster_type,
+        "NoticePlan": _floor_plan,
+        "NoticeGreen": _notice("HYGIENE", "#2f8f6b"),
         "NoticeBlue": _notice("NOTICE", "#1f5fa8"),
         "NoticeSafety": _notice("SAFETY", "#1e7d4f"),
         "SignExit": _sign("EXIT", "#1b8a4a", 170),

@@ -10,27 +10,27 @@ from dataclasses import dataclass
 
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import block
-from factory.scenes.author.materials import Material, Piece, painted, textured
+from factory.scenes.author.geometry import block, fitted_block
+from factory.scenes.author.materials import Material, Piece, painted, textured, tinted
 from factory.scenes.author.placement import Plan, Rectangle
-from factory.scenes.author.room import WALL_THICKNESS_M, Door, ceiling, floor, wall
+from factory.scenes.author.room import PLAIN, WALL_THICKNESS_M, Door, Trim, ceiling, floor, wall
 
 __all__ = ["Cell", "Room", "Style", "build_wings", "divide"]
 
-PLASTER = textured("Plaster", "#e4e1d8", 2.0, 0.9)
+PLASTER = tinted("Plaster", "WallPlaster", "#dedbd1", 0.8, 0.9)
 CEILING = textured("CeilingTile", "#e6e5e0", 1.2, 0.9)
-LEAF = textured("WoodWalnut", "#7a5233", 1.1, 0.5)
+LEAF = textured("DoorLeaf", "#8a5f3c", 1.0, 0.5)
 GRIP = painted("Steel", 0.35, 1.0)
 
 
 @dataclass(frozen=True)
 class Style:
-    """How a kind of room looks: floor, wall paint, whether it has windows, material of its bumper rail or None."""
+    """How a kind of room looks: floor, wall paint, whether it has windows, what runs along its walls."""
 
     floor: Material
     paint: Material
     has_windows: bool = True
-    rail: Material | None = None
+    trim: Trim = PLAIN
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,8 @@ def build_wings(
     floor(plan, hall, hall_style.floor)
     ceiling(plan, hall, height, CEILING)
     for x in (0.0, size[0]):
-        wall(plan, False, x, (hall.y0, hall.y1), (hall_style.paint, hall_style.paint), (), height)
+        trims = (None, hall_style.trim) if x == 0.0 else (hall_style.trim, None)
+        wall(plan, False, x, (hall.y0, hall.y1), (hall_style.paint, hall_style.paint), (), height, trims)
     rooms: list[Room] = []
     for side, spans in wings.items():
         depth = (0.0, corridor[0]) if side == "S" else (corridor[1], size[1])
@@ -119,7 +120,7 @@ def _build_wing(
     is_south = side == "S"
     outer_y, inner_y = depth if is_south else depth[::-1]
     hall_paint, rooms = styles["corridor"].paint, []
-    previous = Style(PLASTER, PLASTER)
+    previous: Style | None = None
     for cell, x0, x1 in spans:
         style = styles[cell.kind]
         area = Rectangle(x0, depth[0], x1, depth[1])
@@ -127,11 +128,12 @@ def _build_wing(
         ceiling(plan, area, height, CEILING)
         door = _draw_door(plan.rng, cell, x0, x1)
         inner_faces = (style.paint, hall_paint) if is_south else (hall_paint, style.paint)
-        hall_rail = styles["corridor"].rail
-        rails = (None, hall_rail) if is_south else (hall_rail, None)
-        wall(plan, True, inner_y, (x0, x1), inner_faces, (door,), height, rails)
-        wall(plan, True, outer_y, (x0, x1), (style.paint, style.paint), (), height)
-        wall(plan, False, x0, depth, (previous.paint, style.paint), (), height, (previous.rail, style.rail))
+        hall_trim = styles["corridor"].trim
+        wall(plan, True, inner_y, (x0, x1), inner_faces, (door,), height, _facing(is_south, style.trim, hall_trim))
+        wall(plan, True, outer_y, (x0, x1), (style.paint, style.paint), (), height, _facing(is_south, None, style.trim))
+        before = style if previous is None else previous
+        trims = (None if previous is None else previous.trim, style.trim)
+        wall(plan, False, x0, depth, (before.paint, style.paint), (), height, trims)
         previous = style
         inside = area.grown(-WALL_THICKNESS_M / 2)
         room = Room(cell.kind, inside, door, side, "N" if is_south else "S")
@@ -139,8 +141,14 @@ def _build_wing(
         _hang_leaves(plan, room)
         if style.has_windows:
             _hang_windows(plan, room)
-    wall(plan, False, spans[-1][2], depth, (previous.paint, previous.paint), (), height, (previous.rail, None))
+    last = styles[spans[-1][0].kind]
+    wall(plan, False, spans[-1][2], depth, (last.paint, last.paint), (), height, (last.trim, None))
     return rooms
+
+
+def _facing(is_south: bool, first: Trim | None, second: Trim | None) -> tuple[Trim | None, Trim | None]:
+    """The two trims of a wall along x in the order of its faces, for the south wing or turned for the north."""
+    return (first, second) if is_south else (second, first)
 
 
 def _draw_door(rng: Generator, cell: Cell, x0: float, x1: float) -> Door:
@@ -163,7 +171,7 @@ def _hang_leaves(plan: Plan, room: Room) -> None:
         g0, g1 = sorted((face + into * 0.065, face + into * 0.10))
         plan.build(
             "SM_DoorLeaf",
-            Piece(LEAF, block((x0, y0, 0.01), (x1, y1, room.door.height - 0.02))),
+            Piece(LEAF, fitted_block((x0, y0, 0.01), (x1, y1, room.door.height - 0.02))),
             Piece(GRIP, block((grip, g0, 0.98), (grip + 0.06, g1, 1.01))),
         )
         plan.taken.append(Rectangle(x0, y0 - 0.05, x1, y1 + 0.05))

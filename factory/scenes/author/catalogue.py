@@ -101,7 +101,7 @@ CATALOGUE: Mapping[str, Entry] = MappingProxyType(
         "SM_Trolley": Entry(props_clinic.trolley, 3),
         "SM_WheelChair": Entry(props_clinic.wheelchair, 2),
         "SM_WashUnit": Entry(props_clinic.wash_unit, 1),
-        "SM_Poster": Entry(props_wall.poster, 3),
+        "SM_Poster": Entry(props_wall.poster, 9),
         "SM_SafetyNotice": Entry(props_wall.safety_notice, 3),
         "SM_Sign": Entry(props_wall.hanging_sign, 2),
         "SM_Television": Entry(props_wall.wall_screen, 2),

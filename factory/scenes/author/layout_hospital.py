@@ -6,22 +6,37 @@ Decides where things stand, in metres; never builds a mesh.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
-from factory.scenes.author.materials import Material, painted, textured
+from factory.scenes.author.materials import Material, painted, textured, tinted
 from factory.scenes.author.placement import FACING, Plan, Rectangle
-from factory.scenes.author.room import marking
+from factory.scenes.author.room import Trim, marking
 
 __all__ = ["lay_out_hospital"]
 
 SIZE = (30.0, 20.0)
-LINOLEUM = textured("Linoleum", "#b9c6c4", 1.5, 0.3)
-WARM = textured("LinoleumWarm", "#cdbfa6", 1.5, 0.3)
+LINOLEUM = textured("Linoleum", "#a3b3b2", 1.5, 0.3)
+WARM = textured("LinoleumWarm", "#bba98c", 1.5, 0.3)
 TILES = textured("TileFloor", "#c9c6bd", 1.6, 0.3)
 RAIL = textured("WoodPale", "#d9c19a", 0.8, 0.4)
-MINT = Material("WallMint", "#bcd3c6", roughness=0.85)
-SKY = Material("WallSky", "#bfd2dc", roughness=0.85)
-CREAM = Material("WallCream", "#e2d8bf", roughness=0.85)
+
+
+class Paint(NamedTuple):
+    """A wall paint and what runs along walls of that paint: a rail over a darker dado."""
+
+    wall: Material
+    trim: Trim
+
+
+MINT, SKY, CREAM = (
+    Paint(tinted("Plaster", f"Wall{name}", wall, 0.8, 0.85), Trim(RAIL, Material(f"Dado{name}", dado, roughness=0.6)))
+    for name, wall, dado in (
+        ("Mint", "#b5cdbf", "#7fa894"),
+        ("Sky", "#b3cad6", "#7399ae"),
+        ("Cream", "#dccfb0", "#b59d6d"),
+    )
+)
 
 
 def lay_out_hospital(plan: Plan) -> None:
@@ -32,11 +47,11 @@ def lay_out_hospital(plan: Plan) -> None:
     wings = {side: divide(rng, _cells(plan, hall), SIZE[0]) for side, hall in (("S", "waiting"), ("N", "reception"))}
     ward_paints = [(MINT, SKY, CREAM)[k] for k in rng.permutation(3)]
     styles = {
-        "corridor": Style(LINOLEUM, ward_paints[2], rail=RAIL),
-        "ward": Style(LINOLEUM, ward_paints[0], has_windows=False, rail=RAIL),
-        "exam": Style(WARM, ward_paints[1]),
+        "corridor": Style(LINOLEUM, ward_paints[2].wall, trim=ward_paints[2].trim),
+        "ward": Style(LINOLEUM, ward_paints[0].wall, has_windows=False, trim=ward_paints[0].trim),
+        "exam": Style(WARM, ward_paints[1].wall),
         "waiting": Style(TILES, PLASTER),
-        "reception": Style(TILES, ward_paints[1], has_windows=False),
+        "reception": Style(TILES, ward_paints[1].wall, has_windows=False),
     }
     rooms = build_wings(plan, SIZE, corridor, wings, styles)
     _guide_lines(plan, corridor)
@@ -212,7 +227,7 @@ def _decorate(plan: Plan, room: Room) -> None:
     """A notice on a side wall and a lit sign above the door, on both sides of it."""
     shop = plan.workshop
     plan.hang(
-        shop.model("SM_Poster", plan.pick(3)),
+        shop.model("SM_Poster", plan.pick(3) + 3 * (len(plan.placements) % 3)),
         room.area,
         "EW"[plan.pick(2)],
         float(plan.rng.uniform(0.1, 0.9)),

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
-from factory.scenes.author.materials import Material, textured
+from factory.scenes.author.materials import painted, textured, tinted
 from factory.scenes.author.placement import FACING, Plan, Rectangle, wall_pose
-from factory.scenes.author.room import marking
+from factory.scenes.author.room import Trim, marking
 
 __all__ = ["lay_out_office"]
 
@@ -23,11 +23,12 @@ FABRIC_RED = textured("FabricRed", "#a32a26", 0.4, 0.95)
 FABRIC_BLUE = textured("FabricBlue", "#2f5597", 0.4, 0.95)
 FABRIC_GREEN = textured("FabricGreen", "#3f7d4a", 0.4, 0.95)
 PAINTS = (
-    textured("PlasterAccent", "#7f9bab", 2.0, 0.9),
-    Material("WallSage", "#b4bfa6", roughness=0.9),
-    Material("WallSand", "#d9cbb0", roughness=0.9),
-    Material("WallRose", "#cfa99a", roughness=0.9),
+    tinted("Plaster", "WallHarbour", "#6f8fa3", 0.8, 0.9),
+    tinted("Plaster", "WallSage", "#a9b79a", 0.8, 0.9),
+    tinted("Plaster", "WallSand", "#d3c09c", 0.8, 0.9),
+    tinted("Plaster", "WallRose", "#c79c8b", 0.8, 0.9),
 )
+LIGHT_TRIM = Trim(skirting=painted("White", 0.45))
 SOUTH = (Cell("open", 8.4, 2.2), Cell("meeting", 5.4, 1.5), Cell("private", 4.6, 1.25), Cell("kitchen", 5.0, 1.6))
 NORTH = (Cell("lounge", 5.6, 1.9), Cell("open", 8.4, 2.2), Cell("private", 4.6, 1.25), Cell("meeting", 5.4, 1.5))
 
@@ -45,10 +46,10 @@ def lay_out_office(plan: Plan) -> None:
     styles = {
         "corridor": Style(CARPET_HALL, PLASTER),
         "open": Style(CARPET, PLASTER),
-        "meeting": Style(CARPET, accents[0]),
-        "private": Style(CARPET, accents[1]),
-        "lounge": Style(PLANKS, accents[2]),
-        "kitchen": Style(TILES, accents[3]),
+        "meeting": Style(CARPET, accents[0], trim=LIGHT_TRIM),
+        "private": Style(CARPET, accents[1], trim=LIGHT_TRIM),
+        "lounge": Style(PLANKS, accents[2], trim=LIGHT_TRIM),
+        "kitchen": Style(TILES, accents[3], trim=LIGHT_TRIM),
     }
     rooms = build_wings(plan, SIZE, corridor, wings, styles)
     furnish = {
@@ -252,7 +253,7 @@ def _decorate(plan: Plan, room: Room, posters: int) -> None:
     shop = plan.workshop
     for _ in range(posters):
         plan.hang(
-            shop.model("SM_Poster", plan.pick(3)),
+            shop.model("SM_Poster", plan.pick(3) + 3 * (len(plan.placements) % 3)),
             room.area,
             "EW"[plan.pick(2)],
             float(plan.rng.uniform(0.08, 0.92)),

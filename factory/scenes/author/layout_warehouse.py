@@ -8,17 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from factory.scenes.author.materials import Material, painted, textured
+from factory.scenes.author.materials import painted, textured, tinted
 from factory.scenes.author.placement import FACING, Plan, Rectangle, wall_pose
-from factory.scenes.author.room import ceiling_slab, floor, high_bay_lamps, marking, wall
+from factory.scenes.author.room import Trim, ceiling_slab, floor, high_bay_lamps, marking, wall
 
 __all__ = ["lay_out_full_warehouse", "lay_out_multiple_shelves"]
 
 CONCRETE = textured("Concrete", "#a9a8a3", 3.0, 0.7)
 PANELS = textured("WallPanel", "#cfd3d4", 2.0, 0.6)
-ROOF = Material("RoofSheet", "#9aa1a6", roughness=0.8)
+ROOF = tinted("WallPanel", "RoofSheet", "#b4bac0", 4.0, 0.8)
 YELLOW = painted("Yellow", 0.6)
 HAZARD = textured("Hazard", "#d8ac20", 0.5, 0.7)
+KICK = Trim(dado=tinted("Plaster", "KickWall", "#7d868d", 1.0, 0.8), dado_top_m=1.1, has_sockets=False)
 HEIGHT_M = 6.0
 BAY_M = 2.72
 RACK_DEPTH_M = 0.84
@@ -80,9 +81,9 @@ def _shell(plan: Plan, hall: Rectangle, gates: int) -> None:
     high_bay_lamps(plan, hall, HEIGHT_M, 5.0)
     faces = (PANELS, PANELS)
     for y in (hall.y0, hall.y1):
-        wall(plan, True, y, (hall.x0 - 0.06, hall.x1 + 0.06), faces, (), HEIGHT_M)
+        wall(plan, True, y, (hall.x0 - 0.06, hall.x1 + 0.06), faces, (), HEIGHT_M, (KICK, KICK))
     for x in (hall.x0, hall.x1):
-        wall(plan, False, x, (hall.y0, hall.y1), faces, (), HEIGHT_M)
+        wall(plan, False, x, (hall.y0, hall.y1), faces, (), HEIGHT_M, (KICK, KICK))
     inside, shop = hall.grown(-0.06), plan.workshop
     gate_side = "EW"[plan.pick(2)]
     gate = shop.model("SM_RollerGate", 0)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from factory.scenes.author.geometry import Mesh
 
-__all__ = ["PAINTS", "Material", "Piece", "glowing", "linear_rgb", "painted", "textured"]
+__all__ = ["PAINTS", "Material", "Piece", "glowing", "linear_rgb", "painted", "textured", "tinted"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class Material:
         roughness: 0 mirror to 1 chalk.
         metallic: 0 or 1.
         glow: emitted share of the colour, 0 for ordinary surfaces.
+        tint: sRGB "#rrggbb" that multiplies the texture, or None.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Material:
     roughness: float = 0.6
     metallic: float = 0.0
     glow: float = 0.0
+    tint: str | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,11 @@ def painted(paint: str, roughness: float = 0.6, metallic: float = 0.0) -> Materi
 def textured(texture: str, colour: str, tile_m: float, roughness: float = 0.7) -> Material:
     """A material that repeats a texture every `tile_m` metres."""
     return Material(texture, colour, texture, tile_m, roughness)
+
+
+def tinted(texture: str, name: str, colour: str, tile_m: float = 1.0, roughness: float = 0.7) -> Material:
+    """A material that multiplies a light texture with a colour, so that many paints share one picture."""
+    return Material(name, colour, texture, tile_m, roughness, tint=colour)
 
 
 def glowing(name: str, colour: str, texture: str | None = None, glow: float = 1.0) -> Material:

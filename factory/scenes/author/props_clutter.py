@@ -20,7 +20,7 @@ from factory.scenes.author.geometry import (
     tube,
 )
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
-from factory.scenes.author.props_storage import CARTON, ROUGH, carton_stack, pallet
+from factory.scenes.author.props_storage import CARTON, CARTONS, ROUGH, carton_stack, pallet
 
 __all__ = [
     "cabinet", "carton_pile", "coat_stand", "cone", "drinks_cooler", "floor_lamp", "fridge", "kitchen_counter",
@@ -158,7 +158,7 @@ def carton_pile(variant: int, rng: Generator) -> list[Piece]:
     if variant % 2 == 0:
         first = fitted_block((-0.3, -0.2, 0.0), (0.3, 0.2, 0.4))
         second = moved(fitted_block((-0.22, -0.17, 0.4), (0.22, 0.17, 0.72)), yaw=0.25)
-        return [Piece(CARTON, first), Piece(CARTON, second)]
+        return [Piece(CARTON, first), Piece(CARTONS[2], second)]
     return [*pallet(0.0, 0.0, 0.0), *carton_stack(0.0, 0.0, 0.14, (1.08, 0.94, 0.9), rng)]
 
 

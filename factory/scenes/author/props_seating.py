@@ -29,20 +29,20 @@ OAK = textured("WoodOak", "#c39a66", 0.8)
 WALNUT = textured("WoodWalnut", "#7a5233", 0.8)
 PALE = textured("WoodPale", "#d9c19a", 0.8)
 FABRICS = (
-    textured("FabricBlue", "#2f5597", 0.12, 0.9),
+    textured("FabricBlue", "#2f5597", 0.5, 0.9),
     painted("Black", 0.9),
-    textured("FabricGrey", "#7b7d80", 0.12, 0.9),
-    textured("FabricRed", "#a32a26", 0.12, 0.9),
-    textured("FabricGreen", "#3f7d4a", 0.12, 0.9),
+    textured("FabricGrey", "#7b7d80", 0.5, 0.9),
+    textured("FabricRed", "#a32a26", 0.5, 0.9),
+    textured("FabricGreen", "#3f7d4a", 0.5, 0.9),
 )
 SHELLS = tuple(painted(paint, 0.45) for paint in ("Orange", "Teal", "White", "Navy", "Yellow"))
 LEATHERS = (
-    textured("FabricGrey", "#7b7d80", 0.15, 0.9),
+    textured("FabricGrey", "#7b7d80", 0.5, 0.9),
     painted("Brown", 0.4),
-    textured("FabricBlue", "#2f5597", 0.15, 0.9),
-    textured("FabricRed", "#a32a26", 0.15, 0.9),
+    textured("FabricBlue", "#2f5597", 0.5, 0.9),
+    textured("FabricRed", "#a32a26", 0.5, 0.9),
     painted("Beige", 0.8),
-    textured("FabricGreen", "#3f7d4a", 0.15, 0.9),
+    textured("FabricGreen", "#3f7d4a", 0.5, 0.9),
 )
 
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import Mesh, Vector, block, cylinder, fitted_block, lathe, moved, rod
-from factory.scenes.author.materials import Material, Piece, painted, textured
+from factory.scenes.author.materials import PAINTS, Material, Piece, painted, textured, tinted
 
 __all__ = ["barrel", "carton_stack", "pallet", "pallet_crate", "plastic_crate", "rack", "shelf"]
 
@@ -18,8 +18,14 @@ BLACK = painted("Black", 0.5)
 STEEL = painted("Steel", 0.4, 1.0)
 ROUGH = textured("WoodRough", "#b3905f", 0.8, 0.9)
 CARTON = Material("Carton", "#b48a5a", "Carton", roughness=0.9)
-WRAP = painted("LightGrey", 0.25)
-TOTES = tuple(painted(paint, 0.5) for paint in ("Blue", "Grey", "Green", "Red", "Yellow"))
+CARTONS = (
+    CARTON,
+    CARTON,
+    Material("CartonPrinted", "#a67c4e", "CartonPrinted", roughness=0.9),
+    Material("CartonWhite", "#dcd6c8", "CartonWhite", roughness=0.9),
+)
+WRAP = Material("Wrapped", "#b9b4a6", "Wrapped", roughness=0.25)
+TOTES = tuple(tinted("Tote", f"Tote{paint}", PAINTS[paint]) for paint in ("Blue", "Grey", "Green", "Red", "Yellow"))
 FRAMES = tuple(
     (painted(a, 0.5), painted(b, 0.5)) for a, b in (("Blue", "Orange"), ("Green", "Orange"), ("Grey", "Yellow"))
 )
@@ -57,11 +63,12 @@ def carton_stack(x: float, y: float, z: float, reach: Vector, rng: Generator) ->
     for column in range(across):
         left, height, rows = x - reach[0] / 2 + column * width, 0.0, int(rng.integers(1, 3))
         step = reach[2] / rows * float(rng.uniform(0.75, 1.0))
+        look = CARTONS[int(rng.integers(len(CARTONS)))]
         for _ in range(rows):
             inset = float(rng.uniform(0.005, 0.035))
             low = (left + inset, y - reach[1] / 2 + inset, z + height)
             high = (left + width - inset, y + reach[1] / 2 - inset, z + height + step - 0.004)
-            pieces.append(Piece(CARTON, fitted_block(low, high)))
+            pieces.append(Piece(look, fitted_block(low, high)))
             height += step
     return pieces
 
@@ -76,12 +83,12 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[Piece]:
     if kind < 0.68:
         return [*base, *carton_stack(x, 0.0, top, (1.08, 0.72, height), rng)]
     if kind < 0.84:
-        wrapped = block((x - 0.52, -0.36, top), (x + 0.52, 0.36, top + height))
+        wrapped = fitted_block((x - 0.52, -0.36, top), (x + 0.52, 0.36, top + height))
         return [*base, Piece(WRAP, wrapped)]
     tote = TOTES[int(rng.integers(len(TOTES)))]
     size = height / 2
     boxes = [
-        block((x + side - 0.24, -0.35, top + level * size), (x + side + 0.24, 0.35, top + (level + 0.94) * size))
+        fitted_block((x + side - 0.24, -0.35, top + level * size), (x + side + 0.24, 0.35, top + (level + 0.94) * size))
         for side in (-0.26, 0.26)
         for level in range(2)
     ]
@@ -154,9 +161,9 @@ def _shelf_goods(half_x: float, half_y: float, z: float, room: float, kind: int,
                 (x + width - 0.01, half_y * float(rng.uniform(0.6, 1.0)), z + tall),
             )
             if kind in (1, 3) or rng.random() < 0.15:
-                pieces.append(Piece(TOTES[int(rng.integers(len(TOTES)))], block(low, high)))
+                pieces.append(Piece(TOTES[int(rng.integers(len(TOTES)))], fitted_block(low, high)))
             else:
-                pieces.append(Piece(CARTON, fitted_block(low, high)))
+                pieces.append(Piece(CARTONS[int(rng.integers(len(CARTONS)))], fitted_block(low, high)))
         x += width
     return pieces
 

@@ -15,7 +15,13 @@ __all__ = ["clock", "hanging_sign", "poster", "roller_door", "safety_notice", "w
 BLACK = painted("Black", 0.5)
 WHITE = painted("White", 0.45)
 STEEL = painted("Steel", 0.35, 1.0)
-POSTERS = tuple(Material(name, "#dcd2c0", name, roughness=0.4) for name in ("PosterSun", "PosterBlocks", "NoticeBlue"))
+POSTERS = tuple(
+    Material(name, "#dcd2c0", name, roughness=0.4)
+    for name in (
+        "PosterSun", "PosterBlocks", "NoticeBlue", "PosterHills", "PosterArcs", "NoticeGreen",
+        "PosterCity", "PosterType", "NoticePlan",
+    )
+)  # fmt: skip
 
 
 def _picture(art: Material, frame: Material, low: tuple[float, float], high: tuple[float, float]) -> list[Piece]:
@@ -32,7 +38,7 @@ def poster(variant: int, _rng: Generator) -> list[Piece]:
     """A framed picture or a notice at eye height."""
     frame = (BLACK, WHITE, STEEL)[variant % 3]
     wide = (0.45, 0.35, 0.30)[variant % 3]
-    return _picture(POSTERS[variant % 3], frame, (-wide, 1.15), (wide, 1.15 + 2.0 * wide))
+    return _picture(POSTERS[variant % 9], frame, (-wide, 1.15), (wide, 1.15 + 2.0 * wide))
 
 
 def safety_notice(variant: int, _rng: Generator) -> list[Piece]:

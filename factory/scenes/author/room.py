@@ -14,8 +14,10 @@ from factory.scenes.author.placement import Plan, Rectangle
 
 __all__ = [
     "DOOR_CLEARANCE_M",
+    "PLAIN",
     "WALL_THICKNESS_M",
     "Door",
+    "Trim",
     "ceiling",
     "ceiling_slab",
     "floor",
@@ -33,7 +35,26 @@ DOOR_FRAME = textured("WoodOak", "#c39a66", 0.9)
 LAMP = glowing("LampPanel", "#fffdf4")
 LAMP_RIM = painted("LightGrey", 0.5)
 
-Rails = tuple[Material | None, Material | None]
+PLATE = painted("White", 0.45)
+SOCKET_PITCH_M = 2.8
+
+
+class Trim(NamedTuple):
+    """What runs along one face of a wall: skirting always; sockets and switches; a painted dado, a bumper rail."""
+
+    rail: Material | None = None
+    """At 0.80-0.95 m."""
+    dado: Material | None = None
+    """From the skirting to `dado_top_m`, 4 mm thick."""
+    dado_top_m: float = 0.80
+    skirting: Material = SKIRTING
+    has_sockets: bool = True
+
+
+PLAIN = Trim()
+"""Skirting and sockets alone."""
+Trims = tuple[Trim | None, Trim | None]
+"""Towards lower and towards higher coordinates; None is a face that nobody sees."""
 
 
 class Door(NamedTuple):
@@ -71,9 +92,9 @@ def wall(
     faces: tuple[Material, Material],
     doors: Sequence[Door] = (),
     height: float = 2.8,
-    rails: Rails = (None, None),
+    trims: Trims = (PLAIN, PLAIN),
 ) -> None:
-    """Builds a wall with door openings, lintels, frames and skirting, and keeps the door zones clear.
+    """Builds a wall with door openings, lintels, frames and trim, and keeps the door zones clear.
 
     Args:
         plan: receives the structures and the clear zones.
@@ -83,20 +104,21 @@ def wall(
         faces: materials of the side towards lower and towards higher coordinates.
         doors: openings, not overlapping.
         height: metres.
-        rails: materials of a bumper rail at 0.80-0.95 m on either side, or None for none.
+        trims: what runs along either face.
     """
     strip, half = _Strip(is_along_x, at), WALL_THICKNESS_M / 2
     pieces: list[Piece] = []
     start = span[0]
     for door in sorted(doors):
         left, right = door.centre - door.width / 2, door.centre + door.width / 2
-        pieces += _solid(strip, (start, left), (0.0, height), faces, rails)
-        pieces += _solid(strip, (left, right), (door.height, height), faces, None)
+        pieces += _solid(strip, (start, left), (0.0, height), faces, trims)
+        pieces += _solid(strip, (left, right), (door.height, height), faces, (None, None))
         pieces += _door_frame(strip, left, right, door.height)
+        pieces += _switches(strip, right, trims)
         zone = (left - 0.1, right + 0.1)
         plan.keep_clear(strip.zone(zone, (-half - DOOR_CLEARANCE_M, half + DOOR_CLEARANCE_M)))
         start = right
-    pieces += _solid(strip, (start, span[1]), (0.0, height), faces, rails)
+    pieces += _solid(strip, (start, span[1]), (0.0, height), faces, trims)
     plan.build("SM_Wall", *pieces)
 
 
@@ -105,9 +127,9 @@ def _solid(
     along: tuple[float, float],
     z: tuple[float, float],
     faces: tuple[Material, Material],
-    rails: Rails | None,
+    trims: Trims,
 ) -> list[Piece]:
-    """One unbroken stretch: two half-thick leaves, skirting and rails; lintels, with None, have neither."""
+    """One unbroken stretch: two half-thick leaves and what runs along them."""
     half = WALL_THICKNESS_M / 2
     if along[1] - along[0] < 1e-3:
         return []
@@ -115,15 +137,45 @@ def _solid(
         Piece(faces[0], strip.box(along, (-half, 0.0), z)),
         Piece(faces[1], strip.box(along, (0.0, half), z)),
     ]
-    if rails is not None:
-        sides = ((-half - 0.045, -half), (half, half + 0.045))
-        pieces += [
-            Piece(rail, strip.box((along[0] + 0.09, along[1] - 0.09), side, (0.80, 0.95)))
-            for rail, side in zip(rails, sides, strict=True)
-            if rail is not None and along[1] - along[0] > 0.3
-        ]
-        pieces.append(Piece(SKIRTING, strip.box(along, (-half - 0.012, -half), (0.0, 0.09))))
-        pieces.append(Piece(SKIRTING, strip.box(along, (half, half + 0.012), (0.0, 0.09))))
+    for trim, side in zip(trims, (-1.0, 1.0), strict=True):
+        if trim is not None:
+            pieces += _trim(strip, along, trim, side)
+    return pieces
+
+
+def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) -> list[Piece]:
+    """Skirting, dado, rail and sockets on the face towards lower (side -1) or higher (+1) coordinates."""
+
+    def proud(metres: float) -> tuple[float, float]:
+        near, far = sorted((side * WALL_THICKNESS_M / 2, side * (WALL_THICKNESS_M / 2 + metres)))
+        return near, far
+
+    start, end = along
+    pieces = [Piece(trim.skirting, strip.box(along, proud(0.012), (0.0, 0.09)))]
+    if trim.dado is not None:
+        pieces.append(Piece(trim.dado, strip.box(along, proud(0.004), (0.09, trim.dado_top_m))))
+    if trim.rail is not None and end - start > 0.3:
+        pieces.append(Piece(trim.rail, strip.box((start + 0.09, end - 0.09), proud(0.045), (0.80, 0.95))))
+    count = round((end - start) / SOCKET_PITCH_M) if trim.has_sockets else 0
+    for number in range(count):
+        middle = start + (number + 0.5) * (end - start) / count
+        pieces.append(Piece(PLATE, strip.box((middle - 0.08, middle + 0.08), proud(0.014), (0.26, 0.34))))
+        for shift in (-0.038, 0.038):
+            hole = (middle + shift - 0.022, middle + shift + 0.022)
+            pieces.append(Piece(LAMP_RIM, strip.box(hole, proud(0.016), (0.278, 0.322))))
+    return pieces
+
+
+def _switches(strip: _Strip, right: float, trims: Trims) -> list[Piece]:
+    """A light switch beside the door on each face that people see."""
+    pieces: list[Piece] = []
+    for trim, side in zip(trims, (-1.0, 1.0), strict=True):
+        if trim is not None:
+            half = WALL_THICKNESS_M / 2
+            plate, rocker = (sorted((side * half, side * (half + thick))) for thick in (0.012, 0.018))
+            a = right + 0.2
+            pieces.append(Piece(PLATE, strip.box((a - 0.04, a + 0.04), (plate[0], plate[1]), (1.02, 1.10))))
+            pieces.append(Piece(LAMP_RIM, strip.box((a - 0.018, a + 0.018), (rocker[0], rocker[1]), (1.03, 1.09))))
     return pieces
 
 
@@ -155,6 +207,21 @@ def ceiling(plan: Plan, area: Rectangle, height: float, material: Material, lamp
             pieces.append(Piece(LAMP_RIM, block((x - 0.64, y - 0.19, height - 0.03), (x + 0.64, y + 0.19, height))))
             pieces.append(Piece(LAMP, block((x - 0.6, y - 0.15, height - 0.04), (x + 0.6, y + 0.15, height - 0.02))))
     plan.build("SM_Lamps", *pieces)
+    _ceiling_fittings(plan, area, height)
+
+
+def _ceiling_fittings(plan: Plan, area: Rectangle, height: float) -> None:
+    """An air outlet with slats and a smoke detector, off the room's middle."""
+    x, y = area.x0 + 0.27 * area.width, area.y0 + 0.38 * area.depth
+    slats = [block((x - 0.25, y - 0.24 + row * 0.08, height - 0.016), (x + 0.25, y - 0.19 + row * 0.08, height))
+             for row in range(6)]  # fmt: skip
+    detector = lathe([(0.03, height - 0.05), (0.055, height - 0.03), (0.055, height)], area.centre, 10)
+    plan.build(
+        "SM_Vent",
+        Piece(PLATE, block((x - 0.3, y - 0.3, height - 0.012), (x + 0.3, y + 0.3, height))),
+        *(Piece(SKIRTING, slat) for slat in slats),
+        Piece(PLATE, detector),
+    )
 
 
 def ceiling_slab(plan: Plan, area: Rectangle, height: float, material: Material) -> None:

@@ -129,7 +129,7 @@ def _write_material(stage: Any, scope: str, material: Material, textures: str) -
     if material.texture is None:
         diffuse.Set(Gf.Vec3f(*rgb))
     else:
-        image = _write_texture_reader(stage, path, f"{textures}/{material.texture}.png")
+        image = _write_texture_reader(stage, path, f"{textures}/{material.texture}.png", material.tint)
         diffuse.ConnectToSource(image)
     if material.glow:
         emission = surface.CreateInput("emissiveColor", Sdf.ValueTypeNames.Color3f)
@@ -141,8 +141,8 @@ def _write_material(stage: Any, scope: str, material: Material, textures: str) -
     return look
 
 
-def _write_texture_reader(stage: Any, path: str, file: str) -> Any:
-    """A UsdUVTexture fed by the `st` primvar; returns its rgb output."""
+def _write_texture_reader(stage: Any, path: str, file: str, tint: str | None) -> Any:
+    """A UsdUVTexture fed by the `st` primvar, multiplied by the tint; returns its rgb output."""
     reader = UsdShade.Shader.Define(stage, f"{path}/Reader")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
@@ -152,6 +152,8 @@ def _write_texture_reader(stage: Any, path: str, file: str) -> Any:
     texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
     texture.CreateInput("wrapS", Sdf.ValueTypeNames.Token).Set("repeat")
     texture.CreateInput("wrapT", Sdf.ValueTypeNames.Token).Set("repeat")
+    if tint is not None:
+        texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*linear_rgb(tint), 1.0))
     coordinates = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
     texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(coordinates)
     return texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)

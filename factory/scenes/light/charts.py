@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["Charts", "find_charts"]
+__all__ = ["Charts", "find_charts", "number_rows"]
 
 _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
@@ -52,7 +52,7 @@ def find_charts(triangles: Floats, groups: Ints) -> Charts:
     plane = np.column_stack(
         (groups, np.rint(normals / _NORMAL_STEP), np.floor(offsets / _PLANE_STEP_M + _PLANE_SHIFT))
     ).astype(np.int64)
-    of_triangle = _touching(triangles, _codes(plane))
+    of_triangle = _touching(triangles, number_rows(plane))
     largest = _largest_of_each(of_triangle, areas)
     axes = _frames(triangles[largest], normals[largest])
     flat = np.einsum("tkc,tac->tka", triangles, axes[of_triangle, :2])
@@ -72,15 +72,20 @@ def find_charts(triangles: Floats, groups: Ints) -> Charts:
     )
 
 
-def _codes(rows: Ints) -> Ints:
-    return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+def number_rows(rows: Ints) -> Ints:
+    """Returns (N,) a number for each row of (N, K), equal for equal rows, in the order of their values from 0 on."""
+    order = np.lexsort(rows.T[::-1])
+    is_new = np.any(rows[order[1:]] != rows[order[:-1]], axis=1)
+    numbers = np.empty(len(rows), np.int64)
+    numbers[order] = np.concatenate(([0], np.cumsum(is_new)))
+    return numbers
 
 
 def _touching(triangles: Floats, plane: Ints) -> Ints:
     """Numbers the sets of triangles that share corners within their plane."""
     count = len(triangles)
-    corners = _codes(np.rint(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64))
-    nodes = _codes(np.column_stack((corners, np.repeat(plane, 3))))
+    corners = number_rows(np.rint(triangles.reshape(-1, 3) / _WELD_M).astype(np.int64))
+    nodes = number_rows(np.column_stack((corners, np.repeat(plane, 3))))
     rows = np.repeat(np.arange(count), 3)
     graph = sparse.coo_matrix(
         (np.ones(3 * count, np.int8), (rows, nodes + count)), shape=(count + nodes.max() + 1,) * 2

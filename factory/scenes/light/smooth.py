@@ -29,18 +29,33 @@ def smooth_charts(values: Floats, known: Bools, owner: Ints) -> Floats:
 def fill_hidden(values: Floats, known: Bools, owner: Ints) -> Floats:
     """Returns the values with the unknown ones taken from their nearest known neighbours, else from the whole chart."""
     filled, have = values.copy(), known.copy()
+    missing = np.nonzero(~have & (owner >= 0))
     for _ in range(_FILL_ROUNDS):
-        missing = ~have & (owner >= 0)
-        if not missing.any():
+        if not len(missing[0]):
             return filled
-        total, count = _around(filled, have, owner)
-        fresh = missing & (count > 0)
-        filled[fresh] = total[fresh] / count[fresh]
-        have |= fresh
-    missing = ~have & (owner >= 0)
+        total, count = _near(filled, have, owner, missing)
+        fresh = count > 0
+        rows, columns = missing[0][fresh], missing[1][fresh]
+        filled[rows, columns] = total[fresh] / count[fresh]
+        have[rows, columns] = True
+        missing = missing[0][~fresh], missing[1][~fresh]
     means = _means(values, known, owner)
     filled[missing] = means[owner[missing]]
     return filled
+
+
+def _near(values: Floats, known: Bools, owner: Ints, cells: tuple[NDArray[np.intp], ...]) -> tuple[Floats, Floats]:
+    """Sum and number of the known values of the same chart around some cells."""
+    total, count = np.zeros(len(cells[0])), np.zeros(len(cells[0]))
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            rows, columns = cells[0] + down, cells[1] + right
+            inside = (rows >= 0) & (rows < owner.shape[0]) & (columns >= 0) & (columns < owner.shape[1])
+            rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
+            same = inside & known[rows, columns] & (owner[rows, columns] == owner[cells])
+            total += np.where(same, values[rows, columns], 0.0)
+            count += same
+    return total, count
 
 
 def _means(values: Floats, known: Bools, owner: Ints) -> Floats:

@@ -1,7 +1,7 @@
 """Gives every flat piece of a scene its own rectangle of texels in the light map; pure.
 
 The outermost texel centres lie on the edges of the piece, so bilinear sampling never reads a neighbour's texel and no
-padding is needed. Curved surfaces become many small pieces: their light is as faceted as their shading.
+padding is needed. Small pieces of a curved surface get two texels a side, so that light runs on over their edges.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from factory.scenes.light.charts import Charts
 __all__ = ["Unwrap", "unwrap"]
 
 _TEXELS_PER_M = 12.0
-_FLOOR_GAIN, _CEILING_GAIN = 1.5, 0.5
+_FLOOR_GAIN, _CEILING_GAIN = 2.4, 0.4
 _LARGE_M2 = 4.0
-_BUDGET = 480_000
+_BUDGET = 640_000
 _MAX_SIDE = 1024
 _TINY = 0.75
 """Pieces narrower than this share of a texel get a single one."""
@@ -41,22 +41,27 @@ class Unwrap:
     """(T, 3, 2) coordinates of the corners, 0..1."""
 
 
-def unwrap(charts: Charts, width: int = 1024, max_height: int = 2048) -> Unwrap:
+def unwrap(
+    charts: Charts, gain: Floats | None = None, least: Ints | None = None, width: int = 1024, max_height: int = 2048
+) -> Unwrap:
     """Packs the charts into one map, as dense as budget and height allow.
 
     Args:
         charts: the flat pieces.
+        gain: (C,) how much denser than usual the texels of each are wanted; 1 when `None`, 0 asks for a single one.
+        least: (C, 2) texels along and across that each needs at least; 1 when `None`.
         width: columns of the map.
         max_height: most rows it may have.
     """
-    wanted = _density(charts)
+    wanted = _density(charts) * (1.0 if gain is None else gain)
+    floor = np.ones((len(wanted), 2), np.int64) if least is None else np.where(wanted[:, None] > 0, least, 1)
     scale = 1.0
     while True:
-        size = _sizes(charts.extent, wanted * scale, min(width, _MAX_SIDE))
+        size = np.maximum(_sizes(charts.extent, wanted * scale, min(width, _MAX_SIDE)), floor)
         place, height = _pack(size, width)
         if height <= max_height and size.prod(axis=1).sum() <= max(_BUDGET, 2 * len(size)):
             break
-        if size.max() == 1:
+        if (size == floor).all():
             raise ValueError(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
         scale *= 0.9
     span = np.maximum(charts.extent, 1e-9)[charts.of_triangle][:, None]

@@ -101,6 +101,21 @@ def test_the_same_scene_gives_the_same_light() -> None:
     assert one.uvs.tobytes() == other.uvs.tobytes()
 
 
+def test_a_light_place_is_shown_with_less_light_than_a_dark_one() -> None:
+    triangles, groups = box_triangles(ROOM), np.repeat(np.arange(len(ROOM)), 12)
+    brightness = np.repeat(np.arange(len(ROOM)) == LAMP_NUMBER, 12).astype(float)
+    pale, dark = (bake_light(triangles, groups, brightness, 0.0, np.full(len(triangles), grey)) for grey in (0.8, 0.2))
+    assert floor_light(pale, ROOM, -2.5, -2.5) < floor_light(dark, ROOM, -2.5, -2.5) - 20
+
+
+def test_hidden_pieces_get_a_single_texel() -> None:
+    boxes = (*ROOM, CRATE)
+    light = bake(boxes)
+    under = np.flatnonzero(box_triangles(boxes)[12 * 7 :, :, 2].max(axis=1) == 0.0) + 12 * 7
+    assert len(under) == 2
+    assert np.ptp(light.uvs[under].reshape(-1, 2), axis=0) == pytest.approx(0.0)
+
+
 def test_smoothing_never_mixes_charts() -> None:
     owner = np.repeat([[0, 0, 1, 1]], 3, axis=0)
     values = np.where(owner == 0, 1.0, 5.0)

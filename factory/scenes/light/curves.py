@@ -1,0 +1,121 @@
+"""Where flat pieces stand for a curved surface: normals that run on from one piece to the next; pure.
+
+Flat pieces that meet at less than a given angle are shaded as one round surface; sharper edges stay sharp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.light.charts import Charts, number_rows
+
+__all__ = ["Bends", "corner_normals", "find_bends"]
+
+_ROUND_COS = float(np.cos(np.radians(46.0)))
+"""An octagon's sides are still round, a hexagon's are sharp."""
+_MOST_AT_A_CORNER = 64
+_MOST_TRIANGLES = 1_000_000
+"""Larger scenes stay faceted: their pieces are smaller than texels anyway."""
+_WELD_M = 1e-4
+_BENT_COS = float(np.cos(np.radians(2.0)))
+_BENT_SLOPE = 0.08
+"""Change of the unit normal along a side from which on the side needs two texels at least."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Bends:
+    """How the normal runs over each of C charts."""
+
+    is_bent: NDArray[np.bool_]
+    """(C,)"""
+    base: Floats
+    """(C, 3) normal, not of unit length, at the first corner of the chart's rectangle."""
+    slope: Floats
+    """(C, 2, 3) its change along and across the whole rectangle."""
+
+    def normals(self, chart: Ints, share: Floats) -> Floats:
+        """Returns the unit normals (N, 3) at places `share` (N, 2), 0..1, of charts (N,)."""
+        normals = self.base[chart] + np.einsum("na,nac->nc", share, self.slope[chart])
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
+
+    def least_texels(self) -> Ints:
+        """Returns (C, 2) how many texels each side needs at least to show the bend."""
+        strong = np.linalg.norm(self.slope, axis=2) > _BENT_SLOPE
+        return np.where(strong & self.is_bent[:, None], 2, 1).astype(np.int64)
+
+
+def corner_normals(triangles: Floats, groups: Ints) -> Floats:
+    """Returns (T, 3, 3) the normal at each corner: the mean over the triangles around it that are nearly parallel.
+
+    Weighted by area and by angle at the corner, so that it does not matter how polygons were cut.
+
+    Args:
+        triangles: (T, 3, 3) corners, world metres.
+        groups: (T,) surfaces of different groups never run on into each other.
+    """
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    flat = cross / np.maximum(length, 1e-30)[:, None]
+    places = np.column_stack((np.repeat(groups, 3), np.rint(triangles.reshape(-1, 3) / _WELD_M))).astype(np.int64)
+    rows, others = _pairs(number_rows(places))
+    here, there = flat[rows // 3], flat[others // 3]
+    alike = np.einsum("nk,nk->n", here, there) >= _ROUND_COS
+    rows, others, there = rows[alike], others[alike], there[alike]
+    weight = (_angles(triangles).reshape(-1) * np.repeat(length, 3))[others]
+    total = np.stack([np.bincount(rows, weight * there[:, k], 3 * len(triangles)) for k in range(3)], axis=1)
+    size = np.linalg.norm(total, axis=1, keepdims=True)
+    normals = np.where(size > 1e-12, total / np.maximum(size, 1e-30), np.repeat(flat, 3, axis=0))
+    return np.asarray(normals.reshape(-1, 3, 3))
+
+
+def _pairs(vertex: Ints) -> tuple[Ints, Ints]:
+    """All ordered pairs of corners that share a vertex, itself included; crowded vertices pair with themselves."""
+    order = np.argsort(vertex, kind="stable")
+    counts = np.bincount(vertex)
+    starts = np.cumsum(counts) - counts
+    crowded = counts[vertex[order]] > _MOST_AT_A_CORNER
+    own = np.where(crowded, 1, counts[vertex[order]])
+    rows = np.repeat(np.arange(len(order)), own)
+    within = np.arange(len(rows)) - np.repeat(np.cumsum(own) - own, own)
+    first = np.where(crowded, np.arange(len(order)), starts[vertex[order]])
+    return order[rows].astype(np.int64), order[first[rows] + within].astype(np.int64)
+
+
+def _angles(triangles: Floats) -> Floats:
+    """(T, 3) inner angle at each corner, radians."""
+    after, before = (np.roll(triangles, shift, axis=1) - triangles for shift in (-1, 1))
+    sine = np.linalg.norm(np.cross(after, before), axis=2)
+    return np.asarray(np.arctan2(sine, np.einsum("tkc,tkc->tk", after, before)))
+
+
+def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
+    """Fits a linear run of the normal to each chart.
+
+    Args:
+        charts: the flat pieces.
+        triangles: (T, 3, 3) corners, world metres.
+        groups: (T,) surfaces of different groups never run on into each other.
+    """
+    if len(triangles) > _MOST_TRIANGLES:
+        corners = np.repeat(charts.axes[charts.of_triangle, 2][:, None], 3, axis=1)
+    else:
+        corners = corner_normals(triangles, groups)
+    count, chart = len(charts.area), np.repeat(charts.of_triangle, 3)
+    share = charts.corners / np.maximum(charts.extent, 1e-9)[charts.of_triangle][:, None]
+    terms = np.concatenate((np.ones((len(chart), 1)), share.reshape(-1, 2)), axis=1)
+    normals = corners.reshape(-1, 3)
+    gram = np.stack([np.bincount(chart, terms[:, a] * terms[:, b], count) for a in range(3) for b in range(3)], axis=1)
+    right = np.stack(
+        [np.bincount(chart, terms[:, a] * normals[:, k], count) for a in range(3) for k in range(3)], axis=1
+    )
+    fit: Floats = np.linalg.solve(gram.reshape(-1, 3, 3) + 1e-6 * np.eye(3), right.reshape(-1, 3, 3)).astype(float)
+    off = np.einsum("nk,nk->n", normals, charts.axes[chart, 2])
+    least = np.ones(count)
+    np.minimum.at(least, chart, off)
+    return Bends(least < _BENT_COS, fit[:, 0], fit[:, 1:])
