@@ -98,8 +98,9 @@ def _drive_and_seal(
     sid: str,
     on_step: Callable[[int], None],
 ) -> Outcome:
-    writer = BundleWriter(out)
+    writer = BundleWriter(out, stage.lap)
     stage.renderer.load(place.scene, job.camera)
+    stage.lap("start")
     done = drive(
         job,
         target,
@@ -108,13 +109,16 @@ def _drive_and_seal(
         expert,
         lambda frame: writer.add_frame(frame.rgb, frame.depth, frame.ids),
         on_step,
+        stage.lap,
     )
     if done.end_reason is not EndReason.SUCCESS:
         writer.abandon()
         return Failure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
     provenance = Provenance(created_at=datetime.now(UTC), worker=sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
-    return Success(writer.finish(done.arrays, meta))
+    sealed = writer.finish(done.arrays, meta)
+    stage.lap("bundle")
+    return Success(sealed)
 
 
 def describe_episode(

@@ -35,6 +35,8 @@ __all__ = [
 MESH_TRIANGLES = 40_000
 """Most triangles a shape is given; Bullet refuses more than 131072 vertices or 524288 indices."""
 
+_UNLIT = {"shadow": 0, "lightAmbientCoeff": 1.0, "lightDiffuseCoeff": 0.0, "lightSpecularCoeff": 0.0}
+
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
@@ -287,17 +289,16 @@ class BulletClient:
         """Dresses a body in a texture."""
         _p.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self._id)
 
-    def camera_image(self, size: int, view: NDArray[np.float64], projection: NDArray[np.float64]) -> CameraImage:
-        """Renders a `size` x `size` image without light or shadow, by OpenGL matrices for columns."""
+    def camera_image(
+        self, size: int, view: NDArray[np.float64], projection: NDArray[np.float64], *, is_lit: bool = False
+    ) -> CameraImage:
+        """Renders a `size` x `size` image by OpenGL matrices for columns; `is_lit` with PyBullet's light and shadow."""
         _, _, rgba, depth, bodies = _p.getCameraImage(
             size,
             size,
             view.T.ravel().tolist(),
             projection.T.ravel().tolist(),
-            shadow=0,
-            lightAmbientCoeff=1.0,
-            lightDiffuseCoeff=0.0,
-            lightSpecularCoeff=0.0,
+            **({} if is_lit else _UNLIT),
             renderer=_p.ER_TINY_RENDERER,
             physicsClientId=self._id,
         )

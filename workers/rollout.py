@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.bundle import EpisodeArrays
 from schemas.job import Job
+from schemas.lap import Lap, no_lap
 from schemas.scene import Target
 from schemas.terms import EndReason
 from schemas.tokens import tokens_of
@@ -55,6 +56,7 @@ def drive(
     expert: Expert,
     sink: FrameSink,
     on_step: StepListener,
+    lap: Lap = no_lap,
 ) -> Drive:
     """Drives until success, collision or timeout.
 
@@ -69,6 +71,7 @@ def drive(
         expert: has begun at this start; asked once a step.
         sink: takes every frame.
         on_step: told after every step.
+        lap: told the end of the stages `control` and `physics` of every step; renderer and sink tell theirs.
     """
     termination = Termination(job.task)
     poses: list[tuple[float, ...]] = []
@@ -81,6 +84,7 @@ def drive(
         seen = _observe(frame, pose, target, job)
         touching = world.has_obstacle_contact()
         command = slew(command, expert.act(seen), job.robot, 1.0 / job.task.control_hz)
+        lap("control")
         sink(frame)
         poses.append((pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz))
         actions.append(command)
@@ -89,11 +93,13 @@ def drive(
         blocked = touching or seen.obstacle_near
         reason = termination.judge(pose.x, pose.y, seen.distance_m, blocked, command.v_mps)
         on_step(len(actions))
+        lap("control")
         if reason is not None:
             end = f"{reason} after {len(actions)} steps, {seen.distance_m:.2f} m from {target.target_id}"
             return Drive(reason, _arrays(actions, poses), contacts, visible, end)
         world.command(command.v_mps, command.w_rps)
         world.step()
+        lap("physics")
 
 
 def _observe(frame: Frame, pose: Pose, target: Target, job: Job) -> Observation:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.fingerprint import Fingerprint
+from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene, decode_scene
 from schemas.terms import RendererKind
 from workers.fingerprint import make_fingerprint
@@ -44,8 +45,15 @@ class LoadedScene:
 class Stage:
     """Opens the renderer; loads scenes on demand and keeps the few used last."""
 
-    def __init__(self, renderer_kind: RendererKind = "auto") -> None:
-        self.renderer: Renderer = open_renderer(renderer_kind)
+    def __init__(self, renderer_kind: RendererKind = "auto", lap: Lap = no_lap) -> None:
+        """Opens the renderer.
+
+        Args:
+            renderer_kind: which one.
+            lap: told the end of every stage of every attempt.
+        """
+        self.lap = lap
+        self.renderer: Renderer = open_renderer(renderer_kind, lap=lap)
         self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
         self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
 

@@ -14,6 +14,7 @@ import structlog
 from schemas.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
+from schemas.lap import Lap
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene
 from schemas.terms import RendererKind
 from tests.builders.scene import Box, box_room, build_scene, room_walls
@@ -229,7 +230,7 @@ def test_all_renderers_show_the_same(heading: float) -> None:
 
 
 def test_auto_falls_back_with_one_line_that_names_the_packages() -> None:
-    def no_driver(size: int) -> Renderer:
+    def no_driver(size: int, lap: Lap) -> Renderer:
         raise WorldError("no driver here")
 
     with structlog.testing.capture_logs() as lines, choose_module.open_first(no_driver, 640) as opened:

@@ -12,6 +12,7 @@ import structlog
 
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
+from schemas.lap import Lap, no_lap
 from schemas.terms import RendererKind
 from workers.render import Renderer
 
@@ -22,12 +23,13 @@ _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl
 _log = structlog.get_logger(__name__)
 
 
-def open_renderer(kind: RendererKind = "auto", size: int = FRAME_SIZE_PX) -> Renderer:
+def open_renderer(kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> Renderer:
     """Opens a renderer; the caller closes it.
 
     Args:
         kind: which one.
         size: width and height of the frames, pixels.
+        lap: told the end of the stages `render` and `read-back` of every frame.
 
     Raises:
         UsageError: there is no renderer of that kind.
@@ -36,28 +38,28 @@ def open_renderer(kind: RendererKind = "auto", size: int = FRAME_SIZE_PX) -> Ren
     if kind not in get_args(RendererKind):
         raise UsageError(f"no renderer {kind!r}; choose one of {', '.join(get_args(RendererKind))}")
     if kind == "tiny":
-        return _open_tiny(size)
+        return _open_tiny(size, lap)
     if kind == "gl":
-        return _open_gl(size)
-    return open_first(_open_gl, size)
+        return _open_gl(size, lap)
+    return open_first(_open_gl, size, lap)
 
 
-def open_first(preferred: Callable[[int], Renderer], size: int) -> Renderer:
+def open_first(preferred: Callable[[int, Lap], Renderer], size: int, lap: Lap = no_lap) -> Renderer:
     """Opens the preferred renderer, or TinyRenderer with a word of warning where that one has no driver."""
     try:
-        return preferred(size)
+        return preferred(size, lap)
     except WorldError as error:
         _log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
-        return _open_tiny(size)
+        return _open_tiny(size, lap)
 
 
-def _open_gl(size: int) -> Renderer:
+def _open_gl(size: int, lap: Lap) -> Renderer:
     from workers.render.gl import GlRenderer
 
-    return GlRenderer(size)
+    return GlRenderer(size, lap)
 
 
-def _open_tiny(size: int) -> Renderer:
+def _open_tiny(size: int, lap: Lap) -> Renderer:
     from workers.render.tiny import TinyRenderer
 
-    return TinyRenderer(size)
+    return TinyRenderer(size, lap)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
+from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene
 from workers.camera import optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
@@ -39,17 +40,19 @@ _TOP_ROW_FIRST = np.diag((1.0, -1.0, 1.0, 1.0))
 class GlRenderer:
     """A `Renderer` on an OpenGL 4.3 context of its own; every call makes that context current."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX) -> None:
+    def __init__(self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
+            lap: told the end of the stages `render` and `read-back` of every frame.
 
         Raises:
             WorldError: this machine has no usable EGL driver.
         """
         self._camera = CameraConfig()
         self._size = size
+        self._lap = lap
         self._context = _open_context()
         self._is_open = True
         self.description = _describe(self._context)
@@ -107,7 +110,11 @@ class GlRenderer:
             self._plain.set_view(clip)
             self._textured.set_view(clip)
             self._scene.draw(parts)
-            return self._read()
+            self._context.finish()  # reading would wait just as long; so the wait is told apart from the copy
+            self._lap("render")
+            frame = self._read()
+        self._lap("read-back")
+        return frame
 
     def _read(self) -> Frame:
         size = self._size

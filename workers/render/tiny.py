@@ -18,6 +18,7 @@ from PIL import Image
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
+from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene
 from workers.bullet import MESH_TRIANGLES, BulletClient, CameraImage, bullet_version
 from workers.camera import optical_pose, projection_matrix, view_matrix
@@ -25,7 +26,7 @@ from workers.pose import Pose
 from workers.render import Frame
 from workers.render.shelf import SceneShelf
 
-__all__ = ["TinyRenderer"]
+__all__ = ["TinyRenderer", "TinyScene"]
 
 _KEPT_SCENES = 2
 _TEXTURE_PX = 128
@@ -35,17 +36,19 @@ _TEXTURE_PX = 128
 class TinyRenderer:
     """A `Renderer` in software that runs wherever PyBullet does."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX) -> None:
+    def __init__(self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
         """Makes the renderer.
 
         Args:
             size: width and height of the frames, pixels.
+            lap: told the end of the stages `render` and `read-back` of every frame.
         """
         self.description = f"PyBullet TinyRenderer {bullet_version()}"
         self._camera = CameraConfig()
         self._size = size
-        self._shelf = SceneShelf(_TinyScene, _KEPT_SCENES)
-        self._scene: _TinyScene | None = None
+        self._lap = lap
+        self._shelf = SceneShelf(TinyScene, _KEPT_SCENES)
+        self._scene: TinyScene | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -76,7 +79,10 @@ class TinyRenderer:
         view = view_matrix(optical_pose(pose, self._camera))
         projection = _at_pixel_centres(projection_matrix(self._camera), self._size)
         image = self._scene.client.camera_image(self._size, view, projection)
-        return self._frame(image, self._scene.instance_of_body)
+        self._lap("render")
+        frame = self._frame(image, self._scene.instance_of_body)
+        self._lap("read-back")
+        return frame
 
     def _frame(self, image: CameraImage, instance_of_body: NDArray[np.uint16]) -> Frame:
         near, far = self._camera.near_m, self._camera.far_m
@@ -96,7 +102,7 @@ def _at_pixel_centres(projection: NDArray[np.float64], size: int) -> NDArray[np.
     return shifted
 
 
-class _TinyScene:
+class TinyScene:
     """A scene as visual bodies in a client of its own."""
 
     def __init__(self, scene: CompiledScene) -> None:

@@ -1,0 +1,144 @@
+"""The coordinator's work: leases and submits of a large ledger, opening it again, validating and archiving bundles.
+
+Speaks to ledger, validator and archive directly; no network takes part, and no simulation is timed.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from coordinator import ledger_claims, ledger_outcomes
+from coordinator.archive import Archive
+from coordinator.catalog import Catalog
+from coordinator.engine import open_writer
+from coordinator.ledger import ledger_url_of, open_run
+from coordinator.ledger_claims import lease_of
+from coordinator.progress import read_progress
+from coordinator.summary import summary_of
+from coordinator.validator import Validator
+from coordinator.writer import Writer
+from factory.bench.machine import describe_machine, measure_memory, resident_mib
+from factory.bench.model import CoordinatorBench, Spread
+from factory.bench.sample import Sample
+from schemas.bundle import BundleReader
+from schemas.episode import EpisodeMeta
+from schemas.plan import Plan
+from schemas.wire import Done, Lease
+
+__all__ = ["bench_coordinator"]
+
+_TTL_S = 600.0
+_SID = "bench-1"
+_SHA256 = "c" * 64
+_ROUNDS = 8
+"""Rounds of claims by all workers in one run."""
+
+
+def bench_coordinator(
+    plan: Plan, catalog: Catalog, samples: Sequence[Sample], folder: Path, workers: int, repeats: int
+) -> CoordinatorBench:
+    """Fills a ledger with the plan's jobs, works on it as many workers at once would, and returns the figures.
+
+    Args:
+        plan: with as many jobs as the ledger shall hold.
+        catalog: its scenes.
+        samples: real bundles to validate and archive.
+        folder: an empty directory for the ledger and an archive.
+        workers: requests in flight.
+        repeats: of everything but filling.
+    """
+    machine, start_mib = describe_machine(), resident_mib()
+    with samples[0].path.open("rb") as file:
+        meta = BundleReader(file).meta
+    fill_s = _seconds(lambda: _open(plan, catalog, folder).dispose())
+    reopened = [_seconds(lambda: _open(plan, catalog, folder).dispose()) for _ in range(repeats)]
+    engine = _open(plan, catalog, folder)
+    with Writer(engine) as writer:
+        cycles = [_cycles_per_s(writer, meta, workers) for _ in range(repeats)]
+        looks = [_seconds(lambda: writer.call(lambda c: read_progress(c, datetime.now(UTC)))) for _ in range(repeats)]
+    memory = measure_memory(start_mib)
+    engine.dispose()
+    return CoordinatorBench(
+        machine=machine,
+        jobs=plan.episodes,
+        workers=workers,
+        fill_s=fill_s,
+        cycles_per_s=Spread.of(cycles),
+        reopen_s=Spread.of(reopened),
+        progress_s=Spread.of(looks),
+        validate_ms_per_frame=Spread.of(_validate(samples, repeats)),
+        archive_mb_per_s=Spread.of([_archive(samples, folder / f"archive{n}") for n in range(repeats)]),
+        memory=memory,
+    )
+
+
+def _seconds(work: Callable[[], Any]) -> float:
+    begun = time.perf_counter()
+    work()
+    return time.perf_counter() - begun
+
+
+def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
+    engine = open_writer(ledger_url_of(folder))
+    open_run(engine, plan, catalog, _TTL_S, datetime.now(UTC))
+    return engine
+
+
+def _cycles_per_s(writer: Writer, meta: EpisodeMeta, workers: int) -> float:
+    """Every worker claims, announces and has its episode recorded; a round ends when the last has been committed."""
+    begun = time.perf_counter()
+    for _ in range(_ROUNDS):
+        rows = _together(writer, [_claim] * workers)
+        leases = [lease_of(row) for row in rows]
+        _together(writer, [_announcing(lease) for lease in leases])
+        _together(writer, [_archiving(lease, row.idx, meta) for lease, row in zip(leases, rows, strict=True)])
+    return _ROUNDS * workers / (time.perf_counter() - begun)
+
+
+def _together(writer: Writer, works: Sequence[Callable[[Any], Any]]) -> list[Any]:
+    futures: list[Future[Any]] = [writer.submit(work) for work in works]
+    return [future.result() for future in futures]
+
+
+def _claim(connection: Any) -> Any:
+    return ledger_claims.claim(connection, _SID, secrets.token_hex(16), datetime.now(UTC), _TTL_S)
+
+
+def _announcing(lease: Lease) -> Callable[[Any], Any]:
+    done = Done(sid=_SID, lease=lease, sha256=_SHA256, size=1000)
+    return lambda connection: ledger_outcomes.announce(connection, done, datetime.now(UTC), _TTL_S)
+
+
+def _archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], Any]:
+    job = meta.job.model_copy(update={"index": index})
+    summary = summary_of(meta.model_copy(update={"job": job, "episode_id": job.episode_id}), _SHA256, 1000)
+    return lambda connection: ledger_outcomes.archive(connection, lease, summary, datetime.now(UTC))
+
+
+def _validate(samples: Sequence[Sample], repeats: int) -> list[float]:
+    with Validator() as validator:
+        validator.check(samples[0].path, samples[0].job)  # starts the child
+        frames = 0
+        runs = []
+        for _ in range(repeats):
+            begun = time.perf_counter()
+            frames = sum(validator.check(sample.path, sample.job).num_steps for sample in samples)
+            runs.append(1000 * (time.perf_counter() - begun) / frames)
+    return runs
+
+
+def _archive(samples: Sequence[Sample], root: Path) -> float:
+    bundles = [sample.path.read_bytes() for sample in samples]
+    with Archive(root) as archive:
+        begun = time.perf_counter()
+        for sample, data in zip(samples, bundles, strict=True):
+            with archive.stage(sample.job.index) as staged:
+                staged.write(data)
+                archive.publish(staged, sample.job.index)
+        return sum(map(len, bundles)) / 1e6 / (time.perf_counter() - begun)

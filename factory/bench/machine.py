@@ -1,0 +1,46 @@
+"""Names the machine of a benchmark and reads its memory. Reads /proc; changes nothing."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+from pathlib import Path
+
+from factory.bench.model import Machine, Memory
+
+__all__ = ["describe_machine", "measure_memory", "resident_mib"]
+
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+_MIB = 1 << 20
+
+
+def describe_machine() -> Machine:
+    """Returns what this machine is and how busy it is."""
+    return Machine(
+        cpu=_cpu_name(),
+        cores=len(os.sched_getaffinity(0)),
+        memory_gib=round(os.sysconf("SC_PHYS_PAGES") * _PAGE / (1 << 30), 1),
+        system=f"{platform.system()} {platform.machine()}",
+        python=platform.python_version(),
+        load_1m=round(os.getloadavg()[0], 2),
+    )
+
+
+def resident_mib() -> float:
+    """Returns the resident memory of this process, MiB."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return round(pages * _PAGE / _MIB, 1)
+
+
+def measure_memory(start_mib: float) -> Memory:
+    """Returns the memory of this process now, with what it was at the start and at its height."""
+    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return Memory(start_mib=start_mib, end_mib=resident_mib(), peak_mib=round(peak_kib / 1024, 1))
+
+
+def _cpu_name() -> str:
+    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.machine()

@@ -1,0 +1,82 @@
+"""The pipeline to compare with: PyBullet as its quick-start guide has it, on the same scene and poses.
+
+One static body a part with its own mesh, `getCameraImage` with the defaults of TinyRenderer, Pillow's PNG, `np.save`.
+"""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Sequence
+from contextlib import closing
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from factory.bench.model import PlainPace
+from factory.bench.watch import Watch
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.job import Job
+from schemas.scene import CompiledScene
+from workers.bullet import mesh_lists
+from workers.camera import optical_pose, projection_matrix, view_matrix
+from workers.pose import Pose
+from workers.render.tiny import TinyScene
+from workers.world import ColliderMesh, World
+
+__all__ = ["run_plain"]
+
+
+def run_plain(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
+    """Makes frames at poses spread over an episode, one physics step before each, and returns the pace.
+
+    Args:
+        scene: the place.
+        job: gives robot and camera.
+        poses: of the episode.
+        frames: how many to make, after one that warms up.
+    """
+    chosen = [poses[round(k)] for k in np.linspace(0, len(poses) - 1, frames)]
+    watch = Watch()
+    collider = _one_body_a_part(scene)
+    with World(scene, collider, job.robot, job.task.control_hz) as world, closing(TinyScene(scene)) as shown:
+        _make_frame(world, shown, job, chosen[0], watch)
+        watch.start()
+        wall, cpu = time.perf_counter(), time.process_time()
+        for pose in chosen:
+            _make_frame(world, shown, job, pose, watch)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    stages = {stage: 1000 * seconds / frames for stage, (seconds, _) in watch.take().items()}
+    return PlainPace(frames=frames, frames_per_s=frames / wall, frames_per_cpu_s=frames / cpu, stages=stages)
+
+
+def _one_body_a_part(scene: CompiledScene) -> ColliderMesh:
+    return ColliderMesh(
+        tuple(
+            piece
+            for first, count in zip(scene.part_first.tolist(), scene.part_count.tolist(), strict=True)
+            for piece in mesh_lists(
+                scene.positions[first : first + count], np.arange(count, dtype=np.int32).reshape(-1, 3)
+            )
+        )
+    )
+
+
+def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, watch: Watch) -> None:
+    world.place(pose.x, pose.y, pose.yaw)
+    world.step()
+    watch("physics")
+    view, projection = view_matrix(optical_pose(pose, job.camera)), projection_matrix(job.camera)
+    image = shown.client.camera_image(FRAME_SIZE_PX, view, projection, is_lit=True)
+    watch("getCameraImage")
+    _save_png(image.rgba[:, :, :3])
+    watch("Pillow RGB")
+    _save_png(image.bodies.astype(np.uint16))
+    watch("Pillow ids")
+    np.save(io.BytesIO(), image.depth)
+    watch("np.save depth")
+
+
+def _save_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    Image.fromarray(image).save(io.BytesIO(), "PNG")

@@ -1,0 +1,93 @@
+"""Reading a dataset: random frames decoded in one process, and a shuffled torch loader where torch is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from factory.bench.machine import describe_machine, measure_memory, resident_mib
+from factory.bench.model import ReadBench, Spread
+from factory.dataset import Dataset
+from factory.episode import Episode
+from factory.torch_dataset import FrameDataset
+
+__all__ = ["bench_read"]
+
+_SEED = 20
+_BATCH = 16
+
+Look = Callable[[Episode, int], object]
+_IMAGES: dict[str, Look] = {"rgb": Episode.rgb, "depth": Episode.depth, "ids": Episode.ids}
+
+
+def bench_read(dataset: Dataset, frames: int, repeats: int, workers: int) -> ReadBench:
+    """Reads the same random frames in every repeat, after a round that warms up, and returns the figures.
+
+    Args:
+        dataset: to read.
+        frames: drawn from all its episodes, a repeat.
+        repeats: rounds that are timed.
+        workers: processes of the torch loader.
+    """
+    machine = describe_machine()
+    picks = _draw(dataset, frames)
+    episodes = {position: dataset[position] for position in {position for position, _ in picks}}
+    visits = [(episodes[position], t) for position, t in picks]
+    _round(visits, Episode.frame)
+    start_mib = resident_mib()
+    whole = [_round(visits, Episode.frame) for _ in range(repeats)]
+    loader = [_load(dataset, workers) for _ in range(repeats)] if importlib.util.find_spec("torch") else None
+    return ReadBench(
+        machine=machine,
+        episodes=len(dataset),
+        frames=frames,
+        repeats=repeats,
+        random_frames_per_s=Spread.of([frames / wall for wall, _ in whole]),
+        random_frames_per_cpu_s=Spread.of([frames / cpu for _, cpu in whole]),
+        by_image={
+            name: Spread.of([frames / _round(visits, look)[0] for _ in range(repeats)])
+            for name, look in _IMAGES.items()
+        },
+        open_ms=Spread.of([1000 * _open(dataset, position) for position in sorted(episodes)]),
+        loader_workers=workers,
+        loader_frames_per_s=None if loader is None else Spread.of(loader),
+        memory=measure_memory(start_mib),
+    )
+
+
+def _draw(dataset: Dataset, frames: int) -> list[tuple[int, int]]:
+    rng = np.random.default_rng(_SEED)
+    lengths = dataset.metadata["num_steps"].to_pylist()
+    positions = rng.integers(len(lengths), size=frames)
+    return [(int(position), int(rng.integers(lengths[position]))) for position in positions]
+
+
+def _round(visits: list[tuple[Episode, int]], look: Look) -> tuple[float, float]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    for episode, t in visits:
+        look(episode, t)
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def _open(dataset: Dataset, position: int) -> float:
+    begun = time.perf_counter()
+    with dataset[position] as episode:
+        _ = episode.actions
+    return time.perf_counter() - begun
+
+
+def _load(dataset: Dataset, workers: int) -> float:
+    import torch
+
+    frames = FrameDataset(dataset, with_ids=True)
+    loader: Any = torch.utils.data.DataLoader(frames, _BATCH, shuffle=True, num_workers=workers)
+    seen, begun = 0, 0.0
+    for batch in loader:
+        if not seen:
+            begun = time.perf_counter()  # processes have started, and the first batch is paid for
+        seen += len(batch["step"])
+    return (seen - _BATCH) / (time.perf_counter() - begun)

@@ -1,0 +1,147 @@
+"""The whole loop in one scene, as a simulation process runs it: physics, control, rendering, encoding, bundle.
+
+The same jobs in every repeat; what an attempt makes is thrown away. The plain pipeline drives along the same poses.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+
+from coordinator.catalog import SceneEntry
+from factory.bench.machine import measure_memory, resident_mib
+from factory.bench.model import Memory, SceneRollout, Spread
+from factory.bench.plain import run_plain
+from factory.bench.watch import StageTimes, Watch, stage_costs
+from schemas.bundle import BundleReader
+from schemas.errors import WorldError
+from schemas.job import Job
+from workers.attempt import Success, run_attempt
+from workers.pose import Pose
+from workers.stage import Stage
+
+__all__ = ["bench_rollout"]
+
+Listener = Callable[[], None]
+"""Is told after every attempt."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One attempt, timed."""
+
+    frames: int
+    """0 when it failed."""
+    wall_s: float
+    cpu_s: float
+    stages: StageTimes
+
+
+def bench_rollout(
+    jobs: Sequence[Job], entry: SceneEntry, stage: Stage, watch: Watch, repeats: int, plain_frames: int, tell: Listener
+) -> SceneRollout:
+    """Runs every job `repeats` times, after one run that warms up, and returns the figures.
+
+    Args:
+        jobs: of one scene.
+        entry: that scene.
+        stage: opened with `watch` as its lap.
+        watch: keeps the time of the stages.
+        repeats: how often all jobs are timed.
+        plain_frames: frames that the plain pipeline makes for comparison; 0 leaves it out.
+        tell: told after every attempt, the first of all included.
+
+    Raises:
+        WorldError: no job succeeds, so that there is nothing to time.
+    """
+    stage.load(entry.path, entry.sha256)
+    with tempfile.TemporaryFile() as file:
+        poses, sizes = _warm_up(jobs, stage, file)
+        tell()
+        start_mib = resident_mib()
+        rounds = [[_timed(job, stage, watch, file, tell) for job in jobs] for _ in range(repeats)]
+        memory = measure_memory(start_mib)
+    return _summarise(rounds, sizes, memory, jobs, entry, stage, poses, plain_frames)
+
+
+def _warm_up(jobs: Sequence[Job], stage: Stage, file: BinaryIO) -> tuple[list[Pose], dict[str, float]]:
+    """Runs jobs until one succeeds; returns its poses and the kB a frame of its members."""
+    details = []
+    for job in jobs:
+        _rewind(file)
+        outcome = run_attempt(job, stage, file, "bench", _ignore)
+        if isinstance(outcome, Success):
+            bundle = BundleReader(file)
+            poses = [Pose(*row) for row in bundle.arrays.poses.astype(np.float64).tolist()]
+            return poses, {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
+        details.append(outcome.detail)
+    raise WorldError(
+        f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so there is nothing to time: {details[0]}"
+    )
+
+
+def _timed(job: Job, stage: Stage, watch: Watch, file: BinaryIO, tell: Listener) -> _Run:
+    _rewind(file)
+    wall, cpu = time.perf_counter(), time.process_time()
+    watch.start()
+    outcome = run_attempt(job, stage, file, "bench", _ignore)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    tell()
+    frames = outcome.meta.rollout.num_steps if isinstance(outcome, Success) else 0
+    return _Run(frames, wall, cpu, watch.take())
+
+
+def _rewind(file: BinaryIO) -> None:
+    file.seek(0)
+    file.truncate()
+
+
+def _ignore(step: int) -> None:
+    pass
+
+
+def _summarise(
+    rounds: list[list[_Run]],
+    sizes: dict[str, float],
+    memory: Memory,
+    jobs: Sequence[Job],
+    entry: SceneEntry,
+    stage: Stage,
+    poses: Sequence[Pose],
+    plain_frames: int,
+) -> SceneRollout:
+    won = [[run for run in runs if run.frames] for runs in rounds]
+    frames = sum(run.frames for run in won[0])
+    wall = Spread.of([frames / sum(run.wall_s for run in runs) for runs in won])
+    cpu = Spread.of([frames / sum(run.cpu_s for run in runs) for runs in won])
+    spent = sum(run.wall_s for runs in rounds for run in runs)
+    plain = run_plain(stage.loaded(entry.sha256).scene, jobs[0], poses, plain_frames) if plain_frames else None
+    return SceneRollout(
+        frames_per_s_per_core=wall.median,
+        frames_per_cpu_s=cpu.median,
+        wall=wall,
+        cpu=cpu,
+        stages=stage_costs([(frames, _add(run.stages for run in runs)) for runs in won]),
+        episodes=len(won[0]),
+        frames=frames,
+        failed_attempts=len(rounds[0]) - len(won[0]),
+        failed_share_of_time=sum(run.wall_s for runs in rounds for run in runs if not run.frames) / spent,
+        kb_per_frame=sizes,
+        memory=memory,
+        plain=plain,
+        ratio=None if plain is None else wall.median / plain.frames_per_s,
+    )
+
+
+def _add(runs: Iterable[StageTimes]) -> StageTimes:
+    total: StageTimes = {}
+    for run in runs:
+        for stage, (wall, cpu) in run.items():
+            before = total.get(stage, (0.0, 0.0))
+            total[stage] = (before[0] + wall, before[1] + cpu)
+    return total

@@ -1,0 +1,14 @@
+"""The hook by which a loop says which stage it has just ended; whoever listens holds the watch. Measures nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+__all__ = ["Lap", "no_lap"]
+
+Lap = Callable[[str], None]
+"""Is told the name of a stage at its end; what passed since the end of the stage before it belongs to that stage."""
+
+
+def no_lap(stage: str) -> None:
+    """Listens to nothing."""
