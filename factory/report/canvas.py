@@ -9,9 +9,10 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from factory.report.palette import colour
 from schemas.errors import WorldError
@@ -19,23 +20,28 @@ from schemas.errors import WorldError
 try:
     import matplotlib as mpl
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
+    from matplotlib.ticker import MaxNLocator
 except ImportError as error:
     raise WorldError(
         "the report is drawn by matplotlib, which is not installed; install it with "
         "`pip install 'minivla-factory[report]'`"
     ) from error
 
-__all__ = ["WIDTH_IN", "Axes", "Panel", "draw_panel", "fill_outlines", "write_legend"]
+__all__ = ["WIDTH_IN", "Axes", "Panel", "count_whole", "draw_panel", "fill_outlines", "mark", "write_legend"]
 
-WIDTH_IN = 5.0
+WIDTH_IN = 4.7
 """Of every panel: wide enough for a column of the page, narrow enough to be read on a phone."""
 _PNG_DPI = 200
+_MOST_MARKS = 3000
+"""That an SVG has one by one; more become a picture in it."""
+_PATH, _DECIMALS = re.compile(r' d="[^"]*"'), re.compile(r"-?\d+\.\d+")
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": colour("muted"),
     "axes.facecolor": colour("card"),
@@ -99,14 +105,26 @@ def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: fl
         figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
         FigureCanvasAgg(figure)
         paint(figure.add_subplot())
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # laid out once, for both files
         return Panel(name, alt, _as_svg(figure), _as_png(figure))
 
 
-def write_legend(axes: Axes, columns: int = 3, **more: object) -> None:
+def write_legend(axes: Axes, columns: int = 3, **more: Any) -> None:
     """Writes the legend above the drawing, where it hides nothing."""
-    axes.legend(  # type: ignore[call-overload]
-        loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.2, **more
-    )
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.2, **more)
+
+
+def mark(axes: Axes, points: ArrayLike, **style: Any) -> None:
+    """Draws markers at (K, 2) points; nothing where there are none."""
+    places = np.asarray(points, np.float64).reshape(-1, 2)
+    if len(places):
+        axes.scatter(places[:, 0], places[:, 1], rasterized=len(places) > _MOST_MARKS, **style)
+
+
+def count_whole(axis: Axis) -> None:
+    """Has an axis of counts ticked at whole numbers only."""
+    axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def fill_outlines(axes: Axes, loops: Sequence[NDArray[np.float64]], fill: str, zorder: float) -> None:
@@ -115,7 +133,7 @@ def fill_outlines(axes: Axes, loops: Sequence[NDArray[np.float64]], fill: str, z
         # a closed path repeats its first point, which is drawn as the closing stroke
         parts = [Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops]
         whole = Outline.make_compound_path(*parts)
-        axes.add_patch(PathPatch(whole, facecolor=fill, edgecolor="none", zorder=zorder))
+        axes.add_artist(PathPatch(whole, facecolor=fill, edgecolor="none", zorder=zorder))
 
 
 def _as_svg(figure: Figure) -> str:
@@ -125,7 +143,13 @@ def _as_svg(figure: Figure) -> str:
     text = text[text.index("<svg") :]
     # names of groups repeat from panel to panel, which one page must not have; nothing refers to them
     text = re.sub(r'<g id="[^"]*">', "<g>", text)
+    text = _PATH.sub(lambda match: _DECIMALS.sub(_shorten, match.group()), text)
     return text.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif")
+
+
+def _shorten(match: re.Match[str]) -> str:
+    """A hundredth of a point is finer than any screen."""
+    return f"{float(match.group()):.2f}".rstrip("0").rstrip(".")
 
 
 def _as_png(figure: Figure) -> bytes:

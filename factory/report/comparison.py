@@ -81,6 +81,7 @@ def _lengths(material: Material) -> Iterator[Comparison]:
     for row in material.statistics.scenes:
         yield from _length(material, "lengths", row, _facts(material, row.group))
         if row.paper and row.paper.tl_median_m is not None:
+            differ = row.tl_median_m is not None and _differ(row.tl_median_m, row.paper.tl_median_m)
             yield Comparison(
                 exhibit="lengths",
                 what="TL median, all",
@@ -89,6 +90,7 @@ def _lengths(material: Material) -> Iterator[Comparison]:
                 unit="m",
                 digits=2,
                 source=row.paper.source,
+                reason="For the same reason as the mean." if differ else "",
             )
 
 
@@ -99,13 +101,13 @@ def _length(material: Material, exhibit: str, row: RolloutRow, facts: Facts | No
     published_ne = said.ne_mean_m if said.ne_mean_m is not None else paper.OVERALL.ne_mean_m
     reason = ""
     if facts and row.tl_mean_m is not None and _differ(row.tl_mean_m, said.tl_mean_m) and published_ne is not None:
-        mix = reasons.say_mix(facts) if exhibit == "lengths" else ""
+        mix = reasons.say_mix(facts) if exhibit in {"lengths", "splits"} else ""
         reason = reasons.say_length(facts, said.tl_mean_m, published_ne) + mix
         if row.group == ALL and exhibit == "lengths":
             reason += reasons.say_standardised(material.statistics)
     yield Comparison(
         exhibit=exhibit,
-        what=f"TL mean, {_said(row.group)}",
+        what=f"TL mean, {row.group if exhibit == 'splits' else _said(row.group)}",
         ours=row.tl_mean_m,
         published=said.tl_mean_m,
         unit="m",
@@ -200,7 +202,7 @@ def _tier_shares(material: Material) -> Iterator[Comparison]:
             row.share,
             row.paper.share,
             row.paper.source,
-            reasons.say_planned(planned, row.paper.n) if differ else "",
+            reasons.say_planned(material.statistics, planned, row.paper.n) if differ else "",
         )
 
 
@@ -211,8 +213,10 @@ def _splits(material: Material) -> Iterator[Comparison]:
         published = row.paper.n / paper.OVERALL.n
         planned = next((share for split, share in material.meta.plan.splits.items() if split == row.group), 0.0)
         differ = row.share is not None and abs(row.share - published) > _ALIKE_SHARE
-        reason = reasons.say_planned(planned, row.paper.n) if differ else ""
+        reason = reasons.say_planned(material.statistics, planned, row.paper.n) if differ else ""
         yield _share("splits", f"share of {row.group}", row.share, published, row.paper.source, reason)
+        members = [each for each in material.episodes if each.split == row.group]
+        yield from _length(material, "splits", row, facts_of(members))
 
 
 def _categories(material: Material) -> Iterator[Comparison]:
@@ -225,7 +229,10 @@ def _categories(material: Material) -> Iterator[Comparison]:
         reason = reasons.say_category_share(material, name) if differ else ""
         yield _share("categories", f"share of {say_category(name)}", ours, said.share, said.source, reason)
     largest = material.statistics.three_largest_share
-    yield _share("categories", "share of the three most frequent", largest, paper.THREE_LARGEST_SHARE, "Sec. VIII", "")
+    differ = largest is not None and abs(largest - paper.THREE_LARGEST_SHARE) > _ALIKE_SHARE
+    reason = reasons.say_largest(material.statistics) if differ else ""
+    published = paper.THREE_LARGEST_SHARE
+    yield _share("categories", "share of the three most frequent", largest, published, "Sec. VIII", reason)
 
 
 def _fit(material: Material) -> Iterator[Comparison]:

@@ -1,4 +1,4 @@
-"""What explains a group's lengths: how far off it starts, how straight it goes, how fast. Pure; averages come from stats.
+"""What explains a group's lengths: how far off it starts, how straight and how fast it goes. Pure; means are of stats.
 
 A drive's detour is its length less the straight line from its start to its end at NE from the target.
 """
@@ -13,10 +13,7 @@ from coordinator.summary import EpisodeSummary
 from factory.stats.measures import deviation_of, mean_of
 from schemas.terms import Tier
 
-__all__ = ["CONTROL_HZ", "Facts", "facts_of"]
-
-CONTROL_HZ = 60
-"""Of the paper's recordings."""
+__all__ = ["Facts", "facts_of"]
 
 
 @dataclass(frozen=True)

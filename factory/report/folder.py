@@ -5,7 +5,6 @@ Deletes nothing that an earlier report did not write.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
@@ -39,7 +38,7 @@ class Summary(Model):
     """All files of the report but this, below its folder."""
 
 
-def require_usable(out: Path, dataset: Path, force: bool) -> None:
+def require_usable(out: Path, force: bool) -> None:
     """Checks that a report may be written to `out`.
 
     Raises:
@@ -49,9 +48,7 @@ def require_usable(out: Path, dataset: Path, force: bool) -> None:
         raise UsageError(f"{out} is a file; -o wants a folder")
     inside = out.resolve()
     if any((folder / META_FILE).exists() for folder in (inside, *inside.parents)):
-        raise UsageError(
-            f"{out} lies in a dataset ({dataset} is read here), which holds its own files only; give -o another folder"
-        )
+        raise UsageError(f"{out} lies in a dataset, which holds its own files only; give -o another folder")
     if not force and out.is_dir() and any(out.iterdir()) and _read_marker(out) is None:
         raise UsageError(f"{out} is not empty and holds no report; give an empty folder, or --force to write into it")
 
@@ -72,15 +69,14 @@ def write_files(out: Path, files: Mapping[str, bytes], summary: Summary) -> None
                 (out / name).unlink(missing_ok=True)
         _replace(out / MARKER_FILE, (summary.model_dump_json(indent=1) + "\n").encode())
     except OSError as error:
-        raise WorldError(
-            f"cannot write the report to {out} ({error.strerror}); free space or give another -o"
-        ) from error
+        remedy = "free space or give another -o"
+        raise WorldError(f"cannot write the report to {out} ({error.strerror}); {remedy}") from error
 
 
 def _replace(path: Path, data: bytes) -> None:
     beside = path.with_name(f".{path.name}.part")
     beside.write_bytes(data)
-    os.replace(beside, path)
+    beside.replace(path)
 
 
 def _read_marker(out: Path) -> Summary | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +12,19 @@ from coordinator.archive import EPISODES, SCENES
 from coordinator.summary import EpisodeSummary, file_name_of
 from factory.catalog import find_package
 from factory.episode import Episode
+from factory.report.floor_map import map_of
 from factory.report.material import Drives, FloorMap, Material, Sample
 from factory.report.sampling import choose_samples
 from factory.stats import compute_statistics
 from factory.stats.rows import Rows, read_rows
 from schemas.errors import ArchiveCorrupt, InvalidBundle
-from schemas.scene import CompiledScene, decode_scene
+from schemas.scene import decode_scene
 
 __all__ = ["gather"]
 
 Progress = Callable[[int, int], None]
+_MOST_DRIVES = 2000
+"""Episodes that are opened for their tracks and actions; the statistics rest on all rows."""
 _TRACK_POINTS = 48
 """Of a thinned track; a bend of the robot spans several."""
 _FRAMES_TRIED = 6
@@ -45,12 +48,19 @@ def gather(root: Path, on_progress: Progress = lambda _done, _all: None, samples
     maps = _read_maps(root, rows)
     drives = Drives()
     if (root / EPISODES).is_dir():
-        wanted = {row.episode_id for row in choose_samples(rows.episodes, samples)}
-        for done, row in enumerate(rows.episodes, 1):
-            _read_drive(root, row, row.episode_id in wanted, drives, rows)
-            on_progress(done, len(rows.episodes))
+        shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
+        chosen = [row for row in rows.episodes if row.episode_id in shown | _spread(rows.episodes)]
+        for done, row in enumerate(chosen, 1):
+            _read_drive(root, row, row.episode_id in shown, drives, rows)
+            on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows)
     return Material(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
+
+
+def _spread(episodes: Sequence[EpisodeSummary]) -> set[str]:
+    """Returns the ids of all episodes, or of as many as are read, evenly spread."""
+    places = np.linspace(0, len(episodes) - 1, min(len(episodes), _MOST_DRIVES)).round().astype(int)
+    return {episodes[place].episode_id for place in places}
 
 
 def _read_drive(root: Path, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:
@@ -69,7 +79,8 @@ def _read_drive(root: Path, row: EpisodeSummary, is_sample: bool, drives: Drives
 
 def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
     chosen = np.unique(np.linspace(0, len(track) - 1, min(len(track), _TRACK_POINTS)).round().astype(int))
-    return track[chosen]
+    thinned: NDArray[np.float32] = track[chosen]
+    return thinned
 
 
 def _best_frame(episode: Episode) -> Sample:
@@ -86,27 +97,10 @@ def _read_maps(root: Path, rows: Rows) -> dict[str, FloorMap]:
     for name, sha256 in rows.meta.scenes.items():
         try:
             with find_package(root, name, sha256).path.open("rb") as file:
-                found[name] = _map_of(decode_scene(file))
+                found[name] = map_of(decode_scene(file))
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
             rows.blame(SCENES, f"the map of {name} is left out: {_said(error, root)}")
     return found
-
-
-def _map_of(scene: CompiledScene) -> FloorMap:
-    info = scene.info
-    return FloorMap(
-        origin_m=info.grid_origin_m,
-        resolution_m=info.grid_resolution_m,
-        occupancy=scene.occupancy,
-        reachable=scene.reachable,
-        surveyed_m=scene.spawns,
-        targets_m=_planar(target.centroid_m for target in info.targets),
-        free_area_m2=info.free_area_m2,
-    )
-
-
-def _planar(points: Iterable[Sequence[float]]) -> NDArray[np.float64]:
-    return np.array([point[:2] for point in points], np.float64).reshape(-1, 2)
 
 
 def _said(error: Exception, root: Path) -> str:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from factory.report.comparison import compare
+from factory.report.drawers import DRAWERS
 from factory.report.exhibit import Exhibit
-from factory.report.exhibits import DRAWERS
 from factory.report.folder import FIGURES, PAGE_FILE, Summary, require_usable, write_files
 from factory.report.gather import gather
 from factory.report.material import Material
@@ -34,7 +34,7 @@ def make_report(
         WorldError: there is no dataset, or the disk is full.
         ArchiveCorrupt: the dataset's description or table of episodes cannot be read at all.
     """
-    require_usable(out, root, force)
+    require_usable(out, force)
     material = gather(root, lambda done, total: on_progress("episodes", done, total))
     files, summary = render_report(material, lambda done, total: on_progress("figures", done, total))
     write_files(out, files, summary)

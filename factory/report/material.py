@@ -13,7 +13,10 @@ from coordinator.summary import EpisodeSummary
 from factory.stats import Statistics
 from schemas.tokens import GRID_POINTS
 
-__all__ = ["Drives", "FloorMap", "Material", "Sample"]
+__all__ = ["Drives", "FloorMap", "Material", "Outlines", "Sample"]
+
+Outlines = list[NDArray[np.float64]]
+"""Closed loops of (K, 2) points; holes are loops too."""
 
 
 @dataclass(frozen=True)
@@ -49,25 +52,19 @@ class Drives:
 class FloorMap:
     """The floor of a scene from above, world frame, metres."""
 
-    origin_m: tuple[float, float]
-    """Outer corner of cell (0, 0)."""
-    resolution_m: float
-    occupancy: NDArray[np.uint8]
-    """(H, W) 0 free, 1 occupied, 2 also hiding what stands behind; rows are y."""
-    reachable: NDArray[np.uint8]
-    """(H, W) 1 on the connected floor."""
+    bounds_m: tuple[float, float, float, float]
+    """West, east, south and north end of what is not empty."""
+    floor: Outlines
+    """Connected floor."""
+    low: Outlines
+    """What stands in the robot's way."""
+    wall: Outlines
+    """What of that also hides what is behind."""
     surveyed_m: NDArray[np.float32]
     """(S, 2) surveyed spawn points."""
     targets_m: NDArray[np.float64]
     """(K, 2) centroids of all targets."""
     free_area_m2: float
-
-    @property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        """West, east, south and north end of the grid."""
-        rows, columns = self.occupancy.shape
-        x, y = self.origin_m
-        return x, x + columns * self.resolution_m, y, y + rows * self.resolution_m
 
 
 @dataclass(frozen=True)

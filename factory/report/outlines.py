@@ -61,4 +61,5 @@ def _take(following: dict[Corner, list[Corner]], corner: Corner) -> Corner:
 
 def _without_straight_runs(loop: NDArray[np.float64]) -> NDArray[np.float64]:
     before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
-    return loop[(before != after).any(axis=1)]
+    corners: NDArray[np.float64] = loop[(before != after).any(axis=1)]
+    return corners

@@ -27,6 +27,8 @@ __all__ = ["write_page"]
 _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_TIMES = 2.0
+"""Ratio from which on per cent are hard to read."""
 _ROWS_SHOWN = 8
 """Longer tables are folded."""
 
@@ -209,7 +211,8 @@ def _difference(row: Comparison) -> str:
     if row.unit == "share":
         return "inside" if row.published_high is not None and difference == 0 else f"{_signed(100 * difference, 1)} pp"
     if row.unit in {"m", "steps"} and row.ratio is not None:
-        return f"{_signed(difference, row.digits)} ({_signed(100 * (row.ratio - 1), 1)} %)"
+        ratio = f"{_signed(100 * (row.ratio - 1), 1)} %" if row.ratio < _TIMES else f"{number(row.ratio, 1)} times"
+        return f"{_signed(difference, row.digits)} ({ratio})"
     return _signed(difference, row.digits)
 
 

@@ -18,6 +18,7 @@ __all__ = [
     "say_correlation",
     "say_error",
     "say_floor",
+    "say_largest",
     "say_length",
     "say_mix",
     "say_planned",
@@ -32,9 +33,9 @@ def say_length(facts: Facts, published_tl_m: float, published_ne_m: float) -> st
     """TL = spawn distance - NE + detour, in the mean exactly; the paper's distance is inferred for straight drives."""
     implied = published_tl_m + published_ne_m
     return (
-        f"Starts are {facts.spawn_m:.2f} m from the target in the mean; the paper's TL + NE is {implied:.2f} m, "
-        f"its distance if driven straight: {_signed(facts.spawn_m - implied)} m. "
-        f"The way here is {_signed(facts.detour_m)} m off the straight line."
+        f"Starts are {facts.spawn_m:.2f} m from the target on average, in the paper {implied:.2f} m (its TL + NE, if "
+        f"driven straight): {_signed(facts.spawn_m - implied)} m. The way driven here is {abs(facts.detour_m):.2f} m "
+        f"{'longer' if facts.detour_m >= 0 else 'shorter'} than the straight line."
     )
 
 
@@ -92,17 +93,26 @@ def say_error(statistics: Statistics) -> str:
     return f"{text}."
 
 
-def say_planned(planned: float, published_n: int | None) -> str:
-    """Shares are those of the plan."""
-    count = "" if published_n is None else f" The paper's share is what {published_n} successes made."
-    return f"The plan asks for {_percent(planned)}, and its quotas are filled exactly.{count}"
+def say_planned(statistics: Statistics, planned: float, published_n: int | None) -> str:
+    """Shares are those of the plan, once it is filled."""
+    state = "filled exactly" if statistics.complete else f"{statistics.episodes} of {statistics.planned} made so far"
+    counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
+    return f"The plan asks for {_percent(planned)}, {state}{counted}."
+
+
+def say_largest(statistics: Statistics) -> str:
+    """Which categories are the most frequent."""
+    names = [f"{say_category(row.group)} {_percent(row.share or 0)}" for row in statistics.categories[:3]]
+    return f"Here they are {', '.join(names)}; in the paper monitor 29 %, rack 22 %, crate 11 %."
 
 
 def say_category_share(material: Material, category: str) -> str:
     """A category's share follows the share of the scenes that have it."""
     homes = {row.scene for row in material.episodes if row.target_category == category}
     if not homes:
-        return f"No episode names a {say_category(category)}; {len(material.episodes)} episodes are few or the plan's scenes lack it."
+        offered = [scene.name for scene in material.meta.plan.scenes if category in sum(scene.categories, ())]
+        where = f"{', '.join(map(_scene, offered))} would have it" if offered else "no scene of the plan has it"
+        return f"None of {len(material.episodes)} episodes names one; {where}."
     here = sum(row.scene in homes for row in material.episodes) / len(material.episodes)
     counted = [scene.n for name, scene in paper.SCENES.items() if name in homes and scene.n is not None]
     there = sum(counted) / (paper.OVERALL.n or 1)

@@ -29,7 +29,7 @@ def draw(material: Material) -> Exhibit:
     caption = (
         f"Each square is one of the {GRID_POINTS}×{GRID_POINTS} = {GRID_POINTS**2} tokens of speed v and yaw rate ω; "
         f"its tone (logarithmic) and number give the share of {drives.steps:,} recorded steps of "
-        f"{count(len(drives.tracks), 'episode')} whose action lies nearest. {used} of {GRID_POINTS**2} occur. "
+        f"{len(drives.tracks)} of {count(len(material.episodes), 'episode')} whose action lies nearest. {used} of {GRID_POINTS**2} occur. "
         "Positive ω turns left."
     )
     alt = f"Grid of {GRID_POINTS} speeds by {GRID_POINTS} yaw rates, {used} squares toned by use"
@@ -48,9 +48,7 @@ def _paint(axes: Axes, tokens: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) 
             text = _said(float(tokens[v, w] / total)) if shown else "·"
             axes.text(w, v, text, ha="center", va="center", fontsize=7.5, color=colour("ink" if shown else "muted"))
     axes.text(_STRAIGHT, -0.62, "stop", ha="center", va="top", fontsize=8, weight="bold")
-    axes.text(
-        _STRAIGHT, GRID_POINTS - 0.46, "full speed, straight", ha="center", va="bottom", fontsize=8, weight="bold"
-    )
+    axes.text(_STRAIGHT, GRID_POINTS - 0.46, "full speed ahead", ha="center", va="bottom", fontsize=8, weight="bold")
     axes.set_xticks(range(GRID_POINTS), [f"{w:+.1f}".replace("-", "−") for w in W_GRID_RPS])
     axes.set_yticks(range(GRID_POINTS), [f"{v:.2f}" for v in V_GRID_MPS])
     axes.set_xlim(GRID_POINTS - 0.5, -0.5)

@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 
-from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import DASH, count, name, percent, scene_label
 from factory.report.material import Material
@@ -28,9 +28,9 @@ def draw(material: Material) -> Exhibit:
         return Exhibit("attempts", title, source, "No attempts to show.")
     uncounted = sum(Counter(everything.reasons).values()) - (everything.attempts - everything.success.count)
     caption = (
-        f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. Above: attempts by "
-        "scene and outcome. Below: the share that succeeded with its 95 % Wilson interval, first attempts of an episode "
-        "as hollow dots, and the range that the paper tells as a pink band. "
+        f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. Above: attempts "
+        "by scene and outcome. Below: the share that succeeded with its 95 % Wilson interval, first attempts of an "
+        "episode as hollow dots, and the range that the paper tells as a pink band. "
         f"Crashes and lost leases are no attempts of the world and not counted ({uncounted})."
     )
     height = 1.3 + 0.42 * len(by_scene)
@@ -55,7 +55,7 @@ def _outcomes(axes: Axes, rows: list[AttemptRow]) -> None:
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("attempts")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    count_whole(axes.xaxis)
     write_legend(axes)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
+from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import DASH, count, name, percent
 from factory.report.material import Material
 from factory.report.palette import colour, scene_colours
@@ -46,17 +47,7 @@ def _paint(axes: Axes, material: Material) -> None:
             axes.barh(places, widths, 0.66, left, color=fill, edgecolor=colour("card"), label=name(scene))
         left += widths
     said = [(100 * row.paper.share, place) for place, row in enumerate(rows) if row.paper and row.paper.share]
-    if said:
-        axes.scatter(
-            *zip(*said, strict=True),
-            marker="D",
-            s=34,
-            facecolor=colour("card"),
-            edgecolor=colour("paper"),
-            linewidth=1.5,
-            label="paper",
-            zorder=4,
-        )
+    mark_paper(axes, said)
     for place, row in enumerate(rows):
         axes.text(left[place] + 0.5, place, str(row.n), va="center", fontsize=8, color=colour("muted"))
     axes.set_yticks(places, [name(row.group) + (" *" if row.kind == "held out" else "") for row in rows])

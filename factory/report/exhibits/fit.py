@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.canvas import Axes, draw_panel, mark, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import DASH, count, name, number
 from factory.report.material import Material
@@ -49,17 +49,9 @@ def _paint(axes: Axes, material: Material, fit: Fit) -> None:
     for tier in Tier:
         rows = [row for row in material.episodes if row.spawn_tier is tier]
         if rows:
-            axes.scatter(
-                [row.spawn_dist_m for row in rows],
-                [row.trajectory_length_m for row in rows],
-                s=22,
-                alpha=0.8,
-                marker=TIER_MARKERS[tier],
-                color=colour(TIER_COLOURS[tier]),
-                edgecolor=colour("card"),
-                linewidth=0.4,
-                label=f"{tier} ({len(rows)})",
-            )
+            points = [(row.spawn_dist_m, row.trajectory_length_m) for row in rows]
+            look = {"color": colour(TIER_COLOURS[tier]), "edgecolor": colour("card"), "linewidth": 0.4, "alpha": 0.8}
+            mark(axes, points, s=22, marker=TIER_MARKERS[tier], label=f"{tier} ({len(rows)})", **look)
     farthest = max(row.spawn_dist_m for row in material.episodes)
     radius = material.statistics.success_radius_m
     ends = np.array([radius, 1.03 * farthest])

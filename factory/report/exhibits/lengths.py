@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.words import count, name, number
 from factory.report.material import Material
@@ -23,9 +23,9 @@ def draw(material: Material) -> Exhibit:
         return Exhibit("lengths", title, source, "No episodes to show.")
     everything = material.statistics.scenes[-1]
     caption = (
-        f"Length driven (TL) of {count(everything.n, 'episode')}, stacked by scene in bins of {_BIN_M:g} m; the outline "
-        f"is the sum. Mean {number(everything.tl_mean_m)} m, median {number(everything.tl_median_m)} m; the dashed line "
-        f"is the paper's mean, {number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes."
+        f"Length driven (TL) of {count(everything.n, 'episode')}, stacked by scene in bins of {_BIN_M:g} m; the "
+        f"outline is the sum. Mean {number(everything.tl_mean_m)} m, median {number(everything.tl_median_m)} m; the "
+        f"dashed line is the paper's mean, {number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes."
     )
     panel = draw_panel(
         "tl_histogram", "Histogram of trajectory lengths by scene", lambda axes: _paint(axes, material), 3.2
@@ -36,7 +36,7 @@ def draw(material: Material) -> Exhibit:
 def _paint(axes: Axes, material: Material) -> None:
     lengths = {scene: [row.trajectory_length_m for row in material.of(scene)] for scene in material.scenes}
     everything = [length for group in lengths.values() for length in group]
-    edges = np.arange(0, max(everything) + _BIN_M, _BIN_M)
+    edges = [float(edge) for edge in np.arange(0, max(everything) + _BIN_M, _BIN_M)]
     fills = scene_colours(material.scenes)
     axes.hist(
         list(lengths.values()),
@@ -57,5 +57,5 @@ def _paint(axes: Axes, material: Material) -> None:
     axes.set_xlim(left=0)
     axes.set_xlabel("trajectory length, m")
     axes.set_ylabel("episodes")
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    count_whole(axes.yaxis)
     write_legend(axes, columns=2)

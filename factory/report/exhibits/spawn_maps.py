@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from factory.report.canvas import Axes, Panel, draw_panel, write_legend
+from factory.report.canvas import Axes, Panel, draw_panel, mark, write_legend
 from factory.report.exhibit import Exhibit
-from factory.report.exhibits.floor import draw_floor, draw_targets, floor_height_in
+from factory.report.exhibits.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.exhibits.words import count, file_part, name
 from factory.report.material import Material
 from factory.report.palette import TIER_COLOURS, TIER_MARKERS, colour
@@ -38,22 +38,13 @@ def _panel(material: Material, scene: str) -> Panel:
     def paint(axes: Axes) -> None:
         draw_floor(axes, floor)
         draw_targets(axes, floor, episodes)
-        if floor is not None and len(floor.surveyed_m):
-            axes.scatter(*floor.surveyed_m.T, s=13, marker="x", color=colour("muted"), linewidth=0.8, zorder=1.5)
+        if floor is not None:
+            mark(axes, floor.surveyed_m, s=13, marker="x", color=colour("muted"), linewidth=0.8, zorder=1.5)
         for tier in Tier:
             starts = [(row.spawn_x_m, row.spawn_y_m) for row in episodes if row.spawn_tier is tier]
-            if starts:
-                axes.scatter(
-                    *zip(*starts, strict=True),
-                    s=24,
-                    marker=TIER_MARKERS[tier],
-                    color=colour(TIER_COLOURS[tier]),
-                    edgecolor=colour("card"),
-                    linewidth=0.6,
-                    zorder=3,
-                    label=f"{tier} ({len(starts)})",
-                )
-        axes.set_title(f"{name(scene)} (N {len(episodes)})", pad=22)
+            look = {"color": colour(TIER_COLOURS[tier]), "edgecolor": colour("card"), "linewidth": 0.6}
+            mark(axes, starts, s=24, marker=TIER_MARKERS[tier], zorder=3, label=f"{tier} ({len(starts)})", **look)
+        title_floor(axes, f"{name(scene)} (N {len(episodes)})")
         if episodes:
             write_legend(axes, columns=4, handletextpad=0.1)
 

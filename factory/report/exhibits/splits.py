@@ -20,7 +20,7 @@ def draw(material: Material) -> Exhibit:
     if not material.episodes:
         return Exhibit("splits", title, source, "No episodes to show.")
     caption = (
-        f"{count(len(material.episodes), 'episode')} of each scene by split, in per cent of the scene; numbers are "
+        f"{count(len(material.episodes), 'episode')} by scene and split, in per cent of the scene; numbers are "
         "episodes. In blue and green what training resembles, in yellow new phrases, in red held-out categories."
     )
     panel = draw_panel(
@@ -54,21 +54,12 @@ def _paint(axes: Axes, material: Material) -> None:
 
 
 def _rollouts(material: Material) -> Table:
-    rows = tuple(
-        (
-            row.group,
-            str(row.n),
-            number(row.ne_mean_m, 3),
-            number(row.tl_mean_m),
-            number(row.tl_median_m),
-            number(row.steps_mean, 1),
-            number(row.steps_median, 0),
-        )
-        for row in material.statistics.splits
-    )
-    return Table(
-        ("split", "N", "NE", "TL mean", "TL median", "steps mean", "median"), rows, "Rollouts by split (metres)"
-    )
+    rows = []
+    for row in material.statistics.splits:
+        means = (number(row.ne_mean_m, 3), number(row.tl_mean_m), number(row.tl_median_m))
+        rows.append((row.group, str(row.n), *means, number(row.steps_mean, 1), number(row.steps_median, 0)))
+    columns = ("split", "N", "NE", "TL mean", "TL median", "steps mean", "median")
+    return Table(columns, tuple(rows), "Rollouts by split, metres")
 
 
 def _overlap(material: Material) -> Table:

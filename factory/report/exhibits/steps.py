@@ -6,6 +6,7 @@ import numpy as np
 
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
+from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count, name, number, scene_label
 from factory.report.facts import facts_of
 from factory.report.material import Material
@@ -21,9 +22,9 @@ def draw(material: Material) -> Exhibit:
     if not material.episodes:
         return Exhibit("steps", title, source, "No episodes to show.")
     caption = (
-        f"Steps of {count(len(material.episodes), 'episode')} at {material.meta.plan.task.control_hz} Hz. Box: quartiles "
-        "with the median; whiskers: 1.5 times the quartiles' distance; dots: outliers; the white dot is the mean μ. "
-        "Diamonds are the paper's medians."
+        f"Steps of {count(len(material.episodes), 'episode')} at {material.meta.plan.task.control_hz} Hz. Box: "
+        "quartiles with the median; whiskers: 1.5 times the quartiles' distance; dots: outliers; the white dot is the "
+        "mean μ. Diamonds are the paper's medians."
     )
     panel = draw_panel(
         "steps_by_scene",
@@ -38,7 +39,7 @@ def _paint(axes: Axes, material: Material) -> None:
     groups = [[row.num_steps for row in material.of(scene)] for scene in material.scenes]
     boxes = axes.boxplot(
         groups,
-        orientation="vertical" if not groups else "horizontal",
+        orientation="horizontal",
         widths=0.55,
         patch_artist=True,
         showmeans=True,
@@ -61,22 +62,10 @@ def _paint(axes: Axes, material: Material) -> None:
             axes.text(
                 max(group), place + 0.36, f"μ {np.mean(group):.0f}  N {len(group)}", fontsize=8, ha="right", va="top"
             )
-    said = [
-        (paper.SCENES[scene].steps_median, place)
-        for place, scene in enumerate(material.scenes, 1)
-        if scene in paper.SCENES
-    ]
+    medians = [paper.SCENES[scene].steps_median if scene in paper.SCENES else None for scene in material.scenes]
+    said = [(median, place) for place, median in enumerate(medians, 1) if median is not None]
     if said:
-        axes.scatter(
-            *zip(*said, strict=True),
-            marker="D",
-            s=36,
-            facecolor=colour("card"),
-            edgecolor=colour("paper"),
-            linewidth=1.5,
-            zorder=4,
-            label="paper, median",
-        )
+        mark_paper(axes, said, "paper, median")
         write_legend(axes)
     axes.set_yticks(range(1, len(groups) + 1), [scene_label(scene) for scene in material.scenes])
     axes.set_ylim(len(groups) + 0.6, 0.4)
@@ -104,11 +93,11 @@ def _geometry(material: Material) -> Table:
             )
     columns = (
         "scene",
-        "start to target, m",
-        "shortest way, m",
+        "start, m",
+        "shortest, m",
         "TL, m",
         "detour, m",
-        "steps a metre",
-        "free floor, m²",
+        "steps/m",
+        "floor, m²",
     )
     return Table(columns, tuple(rows), "The geometry behind it, means")

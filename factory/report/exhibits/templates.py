@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.canvas import Axes, Panel, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, percent
 from factory.report.material import Material
@@ -29,18 +29,13 @@ def draw(material: Material) -> Exhibit:
         ("templates_train", "training templates", "T", list(TRAIN_TEMPLATES)),
         ("templates_paraphrase", "paraphrases", "O", list(OOD_TEMPLATES)),
     )
-    panels = tuple(
-        draw_panel(
-            name,
-            f"Episodes by {words}",
-            lambda axes, words=words, letter=letter, pool=pool: _paint(
-                axes, [rows[key] for key in pool], letter, words
-            ),
-            2.5,
-        )
-        for name, words, letter, pool in pools
-    )
+    panels = tuple(_panel(rows, *pool) for pool in pools)
     return Exhibit("templates", title, source, caption, panels, (_table(rows),))
+
+
+def _panel(rows: dict[str, CountRow], name: str, words: str, letter: str, pool: list[str]) -> Panel:
+    shown = [rows[key] for key in pool]
+    return draw_panel(name, f"Episodes by {words}", lambda axes: _paint(axes, shown, letter, words), 2.5)
 
 
 def _paint(axes: Axes, rows: list[CountRow], letter: str, words: str) -> None:
@@ -49,13 +44,8 @@ def _paint(axes: Axes, rows: list[CountRow], letter: str, words: str) -> None:
     plain = [row.n for row in rows if not needs_colour(row.group)]
     if plain:
         mean = sum(plain) / len(plain)
-        axes.axhline(
-            mean,
-            color=colour("muted"),
-            linewidth=1,
-            linestyle=(0, (4, 2)),
-            label=f"mean of those without colour, {mean:.1f}",
-        )
+        label = f"mean of those without colour, {mean:.1f}"
+        axes.axhline(mean, color=colour("muted"), linewidth=1, linestyle=(0, (4, 2)), label=label)
     for place, row in enumerate(rows, 1):
         axes.text(place, row.n, str(row.n), ha="center", va="bottom", fontsize=8)
     axes.set_xticks(range(1, len(rows) + 1), [f"{letter}{place}" for place in range(1, len(rows) + 1)], fontsize=7.5)
@@ -63,14 +53,12 @@ def _paint(axes: Axes, rows: list[CountRow], letter: str, words: str) -> None:
     axes.tick_params(axis="x", length=0)
     axes.set_ylabel("episodes")
     axes.margins(y=0.14)
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    count_whole(axes.yaxis)
     axes.set_title(words, pad=20)
     write_legend(axes)
 
 
 def _table(rows: dict[str, CountRow]) -> Table:
-    body = tuple(
-        (key, TEMPLATES.get(key, "not a template of the paper"), str(row.n), percent(row.share))
-        for key, row in rows.items()
-    )
+    texts = {key: TEMPLATES.get(key, "not a template of the paper") for key in rows}
+    body = tuple((key, texts[key], str(row.n), percent(row.share)) for key, row in rows.items())
     return Table(("id", "template", "N", "share"), body, "All templates")

@@ -6,7 +6,8 @@ import numpy as np
 
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
-from factory.report.exhibits.words import count, number
+from factory.report.exhibits.paper_mark import mark_paper
+from factory.report.exhibits.words import count, name, number
 from factory.report.material import Material
 from factory.report.palette import TIER_COLOURS, colour
 from factory.stats import paper
@@ -24,8 +25,8 @@ def draw(material: Material) -> Exhibit:
     rows = {row.group: row for row in material.statistics.tiers}
     counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
     caption = (
-        f"Means by tier over {count(len(material.episodes), 'episode')} ({counts}); diamonds are the paper's means over "
-        f"{', '.join(f'{paper.TIERS[tier].n} {tier}' for tier in Tier)}.{_ratios(rows)}"
+        f"Means by tier over {count(len(material.episodes), 'episode')} ({counts}); diamonds are the paper's means "
+        f"over {', '.join(f'{paper.TIERS[tier].n} {tier}' for tier in Tier)}.{_ratios(rows)}"
     )
     lengths = draw_panel(
         "tier_lengths",
@@ -57,17 +58,7 @@ def _bars(axes: Axes, rows: dict[str, RolloutRow], field: str, label: str, digit
     values = [getattr(rows[tier], field) for tier in Tier]
     said = [getattr(paper.TIERS[tier], field) for tier in Tier]
     axes.barh(places, [value or 0 for value in values], 0.6, color=[colour(TIER_COLOURS[tier]) for tier in Tier])
-    axes.scatter(
-        said,
-        places,
-        marker="D",
-        s=42,
-        facecolor=colour("card"),
-        edgecolor=colour("paper"),
-        linewidth=1.6,
-        zorder=4,
-        label="paper",
-    )
+    mark_paper(axes, np.column_stack([said, places]))
     top = max([value or 0 for value in values] + said)
     for place, value in enumerate(values):
         axes.text(0.015 * top, place, number(value, digits), va="center", fontsize=8.5, zorder=5)
@@ -81,13 +72,7 @@ def _bars(axes: Axes, rows: dict[str, RolloutRow], field: str, label: str, digit
 
 def _table(material: Material) -> Table:
     rows = tuple(
-        (
-            row.group.replace("_", " "),
-            str(row.n),
-            number(row.tl_mean_m),
-            number(row.steps_mean, 1),
-            number(row.ne_mean_m, 3),
-        )
+        (name(row.group), str(row.n), number(row.tl_mean_m), number(row.steps_mean, 1), number(row.ne_mean_m, 3))
         for row in material.statistics.scene_tiers
         if row.n
     )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from factory.report.canvas import Axes, draw_panel, write_legend
+from factory.report.canvas import Axes, count_whole, draw_panel, mark, write_legend
 from factory.report.exhibit import Exhibit
-from factory.report.exhibits.words import count, percent
+from factory.report.exhibits.paper_mark import mark_paper
+from factory.report.exhibits.words import count
 from factory.report.material import Material
 from factory.report.palette import TIER_COLOURS, colour
 from factory.stats import paper
@@ -43,23 +44,14 @@ def _shares(axes: Axes, material: Material) -> None:
     ours = [100 * (rows[tier].share or 0) for tier in Tier]
     axes.barh(places, ours, 0.6, color=[colour(TIER_COLOURS[tier]) for tier in Tier])
     planned = [100 * material.meta.plan.tiers.get(tier, 0) for tier in Tier]
-    axes.scatter(planned, places, marker="|", s=260, color=colour("ink"), linewidth=1.6, label="plan", zorder=3)
+    plan = {"marker": "|", "s": 260, "color": colour("ink"), "linewidth": 1.6}
+    mark(axes, np.column_stack([planned, places]), label="plan", zorder=3, **plan)
     said = [100 * (paper.TIERS[tier].share or 0) for tier in Tier]
-    axes.scatter(
-        said,
-        places,
-        marker="D",
-        s=42,
-        facecolor=colour("card"),
-        edgecolor=colour("paper"),
-        linewidth=1.6,
-        label="paper",
-        zorder=4,
-    )
-    for place, tier in enumerate(Tier):
-        axes.text(1.5, place, f"{percent(rows[tier].share)}", va="center", fontsize=8.5, zorder=5)
+    mark_paper(axes, np.column_stack([said, places]))
+    for place, ends in enumerate(zip(ours, planned, said, strict=True)):
+        axes.text(max(ends) + 2, place, f"{ours[place]:.1f} %", va="center", fontsize=8.5)
     axes.set_yticks(places, list(Tier))
-    axes.set_xlim(0, max(100 * 0.62, *(value + 6 for value in ours), *(value + 6 for value in planned)))
+    axes.set_xlim(0, max(*ours, *planned, *said) + 14)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("share of the episodes, %")
@@ -68,7 +60,7 @@ def _shares(axes: Axes, material: Material) -> None:
 
 def _distances(axes: Axes, material: Material) -> None:
     farthest = max(row.spawn_dist_m for row in material.episodes)
-    edges = np.arange(0, farthest + _BIN_M, _BIN_M)
+    edges = [float(edge) for edge in np.arange(0, farthest + _BIN_M, _BIN_M)]
     values = [[row.spawn_dist_m for row in material.episodes if row.spawn_tier is tier] for tier in Tier]
     axes.hist(
         values,
@@ -81,6 +73,6 @@ def _distances(axes: Axes, material: Material) -> None:
         axes.axvline(limit, color=colour("ink"), linewidth=0.9, linestyle=(0, (1.5, 2)))
     axes.set_xlabel("start to target, m")
     axes.set_ylabel("episodes")
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    count_whole(axes.yaxis)
     axes.set_xlim(left=0)
     write_legend(axes)

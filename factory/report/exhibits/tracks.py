@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from factory.report.canvas import Axes, Panel, draw_panel, write_legend
 from factory.report.exhibit import Exhibit
-from factory.report.exhibits.floor import draw_floor, draw_targets, floor_height_in
+from factory.report.exhibits.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.exhibits.words import count, file_part, name
 from factory.report.material import Material
 from factory.report.palette import TIER_COLOURS, colour
@@ -20,7 +20,7 @@ def draw(material: Material) -> Exhibit:
     if not tracks:
         return Exhibit("tracks", title, source, "No tracks to show: no episode could be read.")
     caption = (
-        f"Tracks of base_link in {count(len(tracks), 'episode')} over the maps, from the dot at the start to within "
+        f"Tracks of base_link in {len(tracks)} of {count(len(material.episodes), 'episode')} over the maps, from the dot at the start to within "
         f"{material.statistics.success_radius_m:g} m of a target (filled diamond). A straight-driving expert leaves "
         "straight lines; bends show a planner or a start that faces away."
     )
@@ -44,7 +44,7 @@ def _panel(material: Material, scene: str) -> Panel:
                 track = material.drives.tracks[episode_id]
                 axes.plot(*track.T, color=fill, linewidth=1.3, alpha=0.85, zorder=3, label=label)
                 axes.plot(*track[0], marker="o", markersize=2.6, color=fill, zorder=3.5)
-        axes.set_title(f"{name(scene)} (N {len(episodes)})", pad=22)
+        title_floor(axes, f"{name(scene)} (N {len(episodes)})")
         if episodes:
             write_legend(axes, columns=4)
 
