@@ -23,7 +23,7 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import Split, Tier
 
-__all__ = ["PlannedJob", "cells", "expand", "pool", "redraw", "require_possible", "to_job"]
+__all__ = ["PlannedJob", "cells", "expand", "find_impossible", "pool", "redraw", "require_possible", "to_job"]
 
 Option = TypeVar("Option")
 
@@ -72,7 +72,7 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
     Raises:
         InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
     """
-    mistakes = list(_impossible_cells(plan, catalog))
+    mistakes = find_impossible(plan, catalog)
     if mistakes:
         raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
 
@@ -91,24 +91,31 @@ def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Ti
     )
 
 
-def _impossible_cells(plan: Plan, catalog: Catalog) -> Iterator[str]:
-    for number, scene in enumerate(plan.scenes):
-        entry = catalog[scene.name]
-        present = sorted({target.category for target in entry.info.targets})
-        seen, held_out = scene.categories
-        for category in (*seen, *held_out):
-            if category not in present:
-                listed = ", ".join(present) or "none at all"
+def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
+    """Returns a line for each category that a scene lacks and for each cell that stays without a target."""
+    return [line for number, scene in enumerate(plan.scenes) for line in _impossible_in(plan, catalog, number, scene)]
+
+
+def _impossible_in(plan: Plan, catalog: Catalog, number: int, scene: ScenePlan) -> Iterator[str]:
+    entry = catalog[scene.name]
+    present = sorted({target.category for target in entry.info.targets})
+    listed = ", ".join(present) or "none at all"
+    quota = cells(plan, scene)
+    is_used = [any(is_held == (split is Split.TEST_OOD_OBJ) for split, _ in quota) for is_held in (False, True)]
+    for categories, is_named in zip(scene.categories, is_used, strict=True):
+        for category in categories:
+            if is_named and category not in present:
                 yield (
                     f"scenes[{number}] {scene.name}: no reachable {category!r}; reachable there: {listed}; take it out "
                     "of seen or held_out, or change the scene"
                 )
-        for split, tier in cells(plan, scene):
-            if not pool(plan, scene, entry, split, tier):
-                yield (
-                    f"scenes[{number}] {scene.name}: cell {split} / {tier} has no target that the {plan.expert} expert "
-                    f"could start for; set tiers.{tier} or splits.{split} to 0, or change the scene"
-                )
+    for (split, tier), count in quota.items():
+        if not pool(plan, scene, entry, split, tier):
+            yield (
+                f"scenes[{number}] {scene.name}: cell {split} / {tier} ({count} episodes) has no target that the "
+                f"{plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
+                "change the scene"
+            )
 
 
 def _expand_scene(

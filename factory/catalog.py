@@ -10,29 +10,44 @@ from pathlib import Path
 
 from coordinator.archive import SCENES, STAGING
 from coordinator.catalog import Catalog, SceneEntry, read_entry
-from coordinator.draw import require_possible
+from coordinator.draw import find_impossible
+from coordinator.nearest import find_nearest
 from factory.scenes.build import build_scene, import_scene, load_edits
 from factory.scenes.limits import StageLimits
 from factory.scenes.target_list import list_file_name, spell_target_list
-from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.errors import ArchiveCorrupt, InvalidPlan, WorldError
 from schemas.plan import Plan, ScenePlan
 
-__all__ = ["find_package", "open_catalog", "write_target_lists"]
+__all__ = ["collect_scenes", "find_package", "open_catalog", "write_target_lists"]
 
 Listener = Callable[[str], None]
 
 
 def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _: None) -> Catalog:
-    """Returns the scenes of a plan.
+    """Returns the scenes of a plan that they can fulfil; see `collect_scenes`.
+
+    Raises:
+        InvalidPlan: the scenes do not have what the plan asks for; the nearest plan that they could fulfil is told,
+            and nothing has been made in `root` by then.
+    """
+    entries = collect_scenes(plan, root, cache, tell)
+    mistakes = find_impossible(plan, entries)
+    if mistakes:
+        nearest = find_nearest(plan, entries)
+        mistakes += [f"nearest possible: {change}" for change in nearest.changes]
+        mistakes += ["write that plan with `factory plan nearest PLAN -o FILE.toml`"] if nearest.plan else []
+        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
+    return entries
+
+
+def collect_scenes(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _: None) -> Catalog:
+    """Returns the scenes of a plan, whatever they hold.
 
     Args:
         plan: names the scenes.
         root: the dataset; packages in its `scenes/` are used as they are.
         cache: where new packages are built.
         tell: told the name of each scene before it is built.
-
-    Raises:
-        InvalidPlan: the scenes do not have what the plan asks for; nothing has been made in `root` by then.
     """
     entries: dict[str, SceneEntry] = {}
     for scene in plan.scenes:
@@ -40,7 +55,6 @@ def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _:
         if not kept:
             tell(scene.name)
         entries[scene.name] = read_entry(kept[0] if kept else _make(scene, cache))
-    require_possible(plan, entries)
     return entries
 
 

@@ -1,15 +1,23 @@
-"""`factory plan show`: the cells and counts a plan expands to, before anything is built."""
+"""`factory plan`: what a plan expands to, and the nearest plan that its scenes can fulfil."""
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import click
 
-from coordinator.draw import cells
+from coordinator.cells import cells
+from coordinator.draw import find_impossible
+from coordinator.nearest import find_nearest
 from coordinator.plan_file import load_plan
+from coordinator.plan_spelling import spell_plan
+from factory.catalog import collect_scenes
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan
 from factory.cli.output import json_option, print_json, print_table
+from factory.settings import scene_cache
+from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.terms import Tier
 
@@ -35,6 +43,55 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     for scene in plan.scenes:
         seen, held_out = scene.categories
         click.echo(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
+    _print_cells(plan)
+
+
+@command.command("nearest")
+@plan_argument(default="demo")
+@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="TOML file to write the plan to.")
+@shrink_options
+@json_option
+def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> None:
+    """Find the plan nearest to PLAN that its scenes can fulfil; builds or imports them where they are not at hand."""
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    with tempfile.TemporaryDirectory(prefix="plan-") as nowhere:
+        catalog = collect_scenes(
+            plan, Path(nowhere), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+        )
+    mistakes, found = find_impossible(plan, catalog), find_nearest(plan, catalog)
+    if found.plan is None:
+        raise WorldError(f"plan {plan.name!r}: none of its scenes has a target; there is no possible plan near it")
+    if out is not None:
+        _write(out, spell_plan(found.plan))
+    if as_json:
+        told = {"possible": not mistakes, "mistakes": mistakes, "changes": found.changes, "moved": found.moved}
+        told |= {"plan": found.plan.model_dump(mode="json"), "cells": list(_rows(found.plan))}
+        print_json(told | {"file": None if out is None else str(out)})
+        return
+    if not mistakes:
+        click.echo(f"plan {plan.name} is possible as it is: {plan.episodes} episodes")
+    else:
+        for line in mistakes:
+            click.echo(f"impossible: {line}")
+        click.echo(
+            f"nearest: {found.plan.episodes} of {plan.episodes} episodes, {found.moved} not in the cell asked for"
+        )
+        for line in found.changes:
+            click.echo(f"  {line}")
+        _print_cells(found.plan)
+    if out is not None:
+        click.echo(f"written to {out}; make it with: factory run {out} --out DIR")
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise WorldError(f"cannot write {path} ({error.strerror}); choose another place with -o") from error
+
+
+def _print_cells(plan: Plan) -> None:
     rows = [(row["scene"], row["split"], *(row[tier] for tier in Tier), row["episodes"]) for row in _rows(plan)]
     print_table("", ("scene", "split", *(str(tier) for tier in Tier), "episodes"), rows)
 
@@ -43,7 +100,7 @@ def _rows(plan: Plan) -> list[dict[str, Any]]:
     rows = []
     for scene in plan.scenes:
         quota = cells(plan, scene)
-        for split in plan.splits:
+        for split in plan.splits_of(scene):
             counts: dict[str, Any] = {str(tier): quota.get((split, tier), 0) for tier in Tier}
             if sum(counts.values()):
                 rows.append({"scene": scene.name, "split": str(split), **counts, "episodes": sum(counts.values())})

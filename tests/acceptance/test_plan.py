@@ -1,0 +1,29 @@
+"""`factory plan` as a user runs it on a plan that its scene cannot fulfil."""
+
+from __future__ import annotations
+
+IMPOSSIBLE = """
+[tiers]
+near = 1.0
+[[scenes]]
+name = "hospital"
+episodes = 10
+seen = ["chair", "sofa"]
+held_out = ["barrel"]
+"""
+
+
+def test_an_impossible_plan_is_refused_with_the_nearest_possible_one(factory, tmp_path):
+    plan, better = tmp_path / "plan.toml", tmp_path / "better.toml"
+    plan.write_text(IMPOSSIBLE)
+    err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
+    assert "no reachable 'sofa'" in err
+    assert "cell test_ood_obj / near (1 episodes) has no target" in err
+    assert "nearest possible: hospital: seen without sofa; held_out without barrel" in err
+    assert "factory plan nearest" in err
+    assert not (tmp_path / "x").exists()
+    found = factory.json("plan", "nearest", plan, "-o", better)
+    assert (found["possible"], found["moved"], len(found["mistakes"])) == (False, 1, 3)
+    assert sum(row["episodes"] for row in found["cells"]) == 10
+    again = factory("plan", "nearest", better).stdout
+    assert "possible as it is: 10 episodes" in again
