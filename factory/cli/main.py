@@ -25,6 +25,7 @@ _COMMANDS: Mapping[str, str] = MappingProxyType(
         "worker": "factory.cli.worker",
         "status": "factory.cli.status",
         "jobs": "factory.cli.jobs",
+        "keys": "factory.cli.keys",
         "verify": "factory.cli.verify",
         "repair": "factory.cli.repair",
         "replay": "factory.cli.replay",
@@ -37,6 +38,7 @@ _COMMANDS: Mapping[str, str] = MappingProxyType(
         "export": "factory.cli.export",
         "bench": "factory.cli.bench",
         "scene": "factory.cli.scene",
+        "eval": "factory.cli.eval",
         "completion": "factory.cli.completion",
     }
 )

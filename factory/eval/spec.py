@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from schemas.base import Model, Name, NonNegative, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.plan import Plan, canonical_json
 from schemas.terms import ExpertName, Split, Tier
@@ -130,8 +131,16 @@ class SpecSet(Model):
         return hashlib.sha256(text.encode()).hexdigest()
 
     def only(self, splits: frozenset[Split] | None = None, episodes: int | None = None) -> SpecSet:
-        """Returns the set with some splits only, and of those at most `episodes`, spread evenly over the list."""
+        """Returns the set with some splits only, and of those at most `episodes`, spread evenly over the list.
+
+        Raises:
+            UsageError: none is left.
+        """
         specs = [spec for spec in self.specs if splits is None or spec.split in splits]
         if episodes is not None and episodes < len(specs):
             specs = [specs[number * len(specs) // episodes] for number in range(episodes)]
-        return self.model_copy(update={"specs": tuple(specs)})
+        if not specs:
+            there = ", ".join(sorted({spec.split for spec in self.specs}))
+            raise UsageError(f"the specs have no episodes in {', '.join(sorted(splits or ()))}; splits there: {there}")
+        source = self.source if len(specs) == len(self.specs) else f"{self.source}; {len(specs)} of {len(self.specs)}"
+        return SpecSet(source=source, run=self.run, settings=self.settings, specs=tuple(specs))

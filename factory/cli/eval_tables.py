@@ -1,0 +1,133 @@
+"""An evaluation as tables on stdout. Prints, never computes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import click
+
+from factory.cli.output import print_table
+from factory.eval.compare import Comparison
+from factory.eval.estimate import Estimate
+from factory.eval.score import Evaluation, PolicyScores, Score
+from factory.stats.model import Share
+
+__all__ = ["print_comparison", "print_evaluation"]
+
+_HEAD = ("n", "SR %", "any %", "SPL", "soft-SPL", "NE m", "OP", "coll. %", "timeout %", "fault %")
+_ALWAYS = {"split", "view"}
+_TITLES = {
+    "split": "By split",
+    "scene": "By scene",
+    "tier": "By tier",
+    "category": "By category",
+    "template": "By template",
+    "view": "By categories in view at the start",
+}
+
+
+def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
+    """Prints all policies side by side, overall and by groups, and what other words did to them.
+
+    Args:
+        evaluation: what to print.
+        all_tables: also by scene, tier, category and template.
+    """
+    click.echo(f"{evaluation.episodes} episodes: {evaluation.source}; success radius {evaluation.success_radius_m:g} m")
+    rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
+    print_table("\nAll episodes", ("policy", *_HEAD), rows)
+    for by, title in _TITLES.items():
+        if all_tables or by in _ALWAYS:
+            _print_groups(evaluation.policies, by, title)
+    _print_ablations(evaluation.policies)
+    click.echo("")
+    for policy in evaluation.policies:
+        ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
+        answer = "" if policy.act_ms is None else f"; {policy.act_ms:.1f} ms an answer"
+        click.echo(f"{policy.policy}: goes by {policy.knows}; {ends}{answer}")
+    for remark in evaluation.remarks:
+        click.echo(f"note: {remark}")
+    click.echo("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP is to the closest point")
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """Prints a paired comparison."""
+    one, other = comparison.first, comparison.second
+    click.echo(f"{comparison.pairs} episodes that both drove ({comparison.variant} instruction)")
+    rows = [(one, _share(comparison.first_success)), (other, _share(comparison.second_success))]
+    print_table("", ("policy", "SR %"), rows)
+    counts = f"both {comparison.both}, only {one} {comparison.only_first}, only {other} {comparison.only_second}"
+    click.echo(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
+    body = [("success", _estimate(comparison.success_difference, 3))]
+    body += [(name, _estimate(value, 3)) for name, value in comparison.differences.items()]
+    print_table("", (f"{other} minus {one}", "mean, 95 % interval"), body)
+    if comparison.left_out:
+        click.echo(f"left out: {comparison.left_out} episodes that only one of them drove")
+
+
+def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None:
+    names = list(dict.fromkeys(group.group for policy in policies for group in policy.groups if group.by == by))
+    rows = [
+        (name, policy.policy, *_cells(group))
+        for name in names
+        for policy in policies
+        for group in policy.groups
+        if (group.by, group.group) == (by, name)
+    ]
+    if rows:
+        print_table(f"\n{title}", (by, "policy", *_HEAD), rows)
+
+
+def _print_ablations(policies: Sequence[PolicyScores]) -> None:
+    rows = [
+        (
+            policy.policy,
+            row.variant,
+            "all" if row.by == "all" else "2+ categories in view",
+            row.n,
+            _share(row.success),
+            _estimate(row.gap, 3),
+            f"{row.p:.3g}",
+        )
+        for policy in policies
+        for row in policy.ablation
+    ]
+    if rows:
+        head = ("policy", "words", "episodes", "n", "SR %", "gap of SR to the true words", "McNemar p")
+        print_table("\nOther words", head, rows)
+        for policy in policies:
+            if not policy.reads_instruction:
+                click.echo(f"{policy.policy}: reads no instruction, gap 0 by construction")
+
+
+def _cells(score: Score) -> tuple[object, ...]:
+    return (
+        score.n,
+        _share(score.success),
+        _share(score.any_instance),
+        _estimate(score.spl),
+        _estimate(score.soft_spl),
+        _estimate(score.ne_m),
+        _estimate(score.progress_max),
+        _plain(score.collision),
+        _plain(score.timeout),
+        _plain(score.policy_failure),
+    )
+
+
+def _share(share: Share) -> str:
+    if share.share is None or share.low is None or share.high is None:
+        return "-"
+    return f"{100 * share.share:.1f} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+
+
+def _plain(share: Share) -> str:
+    return "-" if share.share is None else f"{100 * share.share:.1f}"
+
+
+def _estimate(value: Estimate, digits: int = 2) -> str:
+    if value.mean is None:
+        return "-"
+    if value.low is None or value.high is None:
+        return f"{value.mean:.{digits}f}"
+    return f"{value.mean:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"

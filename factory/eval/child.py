@@ -1,0 +1,207 @@
+"""A driving process (`python -m factory.eval.child`): a simulation and a policy, orders on stdin, reports on stdout.
+
+It ends with its caller, whatever it is doing; a policy that hangs or dies takes only this process with it.
+"""
+
+from __future__ import annotations
+
+import os
+
+# read when numpy and Mesa are imported: one process, one core
+os.environ.setdefault("LP_NUM_THREADS", "0")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import contextlib
+import faulthandler
+import math
+import queue
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from typing import BinaryIO
+
+from factory.eval.message import Order, Report, ReportKind, Setup, to_line
+from factory.eval.policies import Outside, describe_knowledge, make_policy
+from factory.eval.policy import Policy, ServerAway
+from factory.eval.result import EpisodeResult, EvalEnd
+from factory.eval.rollout import Question, describe_error, run_episode
+from factory.eval.sheet import Busy, Sheet, State
+from factory.eval.simulator import Simulator, View
+from schemas.errors import FactoryError, UsageError
+from workers.stage import Stage
+
+__all__ = ["main"]
+
+Tell = Callable[[Report], None]
+
+
+def main() -> int:
+    """Serves orders until stdin closes; the argument is the descriptor of the sheet."""
+    faulthandler.enable()
+    sheet = Sheet(int(sys.argv[1]))
+    out = _take_stdout()
+    lines = _listen(0)
+
+    def tell(report: Report) -> None:
+        out.write(to_line(report))
+
+    try:
+        setup = Setup.model_validate_json(lines.get())
+        with Stage(setup.renderer) as stage, Simulator(stage, setup.settings) as simulator:
+            driver = _Driver(setup, stage, simulator, sheet, tell)
+            tell(Report(kind=ReportKind.READY, detail=stage.renderer.description))
+            while driver.serve(Order.model_validate_json(driver.wait(lines))):
+                pass
+    except BrokenPipeError:
+        return 0  # nobody listens any more
+    except FactoryError as error:
+        tell(Report(kind=ReportKind.REFUSED, detail=str(error), exit_code=_exit_code(error)))
+        return 1
+    return 3
+
+
+def _take_stdout() -> BinaryIO:
+    """Keeps stdout for reports and lets everything else that is printed, by policies too, go to stderr."""
+    mine = os.dup(1)
+    os.dup2(2, 1)
+    return os.fdopen(mine, "wb", buffering=0)
+
+
+def _listen(descriptor: int) -> queue.Queue[bytes]:
+    lines: queue.Queue[bytes] = queue.Queue()
+
+    def read() -> None:
+        try:
+            with os.fdopen(descriptor, "rb", closefd=False) as stream:
+                for line in stream:
+                    lines.put(line)
+        finally:
+            os._exit(0)  # the caller is gone: so is the use of what is being driven
+
+    threading.Thread(target=read, name="orders", daemon=True).start()
+    return lines
+
+
+def _exit_code(error: FactoryError) -> int:
+    return 2 if isinstance(error, UsageError) else 1
+
+
+class _Driver:
+    """Keeps the policy that was asked for last, and notes on the sheet what it is at."""
+
+    def __init__(self, setup: Setup, stage: Stage, simulator: Simulator, sheet: Sheet, tell: Tell) -> None:
+        self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
+        self._watch = _SheetWatch(sheet)
+        self._name = ""
+        self._policy: Policy | None = None
+
+    def wait(self, lines: queue.Queue[bytes]) -> bytes:
+        """Returns the next order."""
+        self._watch.note(Busy.IDLE)
+        return lines.get()
+
+    def serve(self, order: Order) -> bool:
+        """Does one order; returns whether the process is still sound."""
+        try:
+            result = self._drive(order)
+        except ServerAway as error:
+            self._tell(Report(kind=ReportKind.AWAY, number=order.number, detail=str(error)))
+        except FactoryError as error:
+            code = _exit_code(error)
+            self._tell(Report(kind=ReportKind.REFUSED, number=order.number, detail=str(error), exit_code=code))
+        except Exception as error:  # noqa: BLE001 - the worker loop: told, and the process given up
+            traceback.print_exc()
+            self._tell(Report(kind=ReportKind.DEFECT, number=order.number, detail=describe_error(error)))
+            return False
+        else:
+            self._tell(Report(kind=ReportKind.RESULT, number=order.number, result=result))
+        return True
+
+    def _drive(self, order: Order) -> EpisodeResult:
+        policy = self._policy_of(order.policy)
+        self._watch.begin(Busy.SIMULATING)
+        place = self._stage.load(order.package, order.spec.scene_sha256)
+        question = Question(
+            spec=order.spec,
+            spec_digest=order.spec_digest,
+            instruction=order.instruction,
+            variant=order.variant,
+            recorded=order.recorded,
+            with_pose=self._setup.with_pose,
+        )
+        result = run_episode(question, policy, order.policy, self._simulator, place, self._watch)
+        if result.end is EvalEnd.POLICY_LOST:
+            # the server may have been started again: its episode begins anew, once
+            result = run_episode(question, policy, order.policy, self._simulator, place, self._watch)
+        return result
+
+    def _policy_of(self, name: str) -> Policy:
+        if self._policy is None or name != self._name:
+            self._watch.begin(Busy.MAKING)
+            close = getattr(self._policy, "close", None)
+            if callable(close):
+                with contextlib.suppress(Exception):
+                    close()
+            self._policy, self._name = None, name
+            outside = Outside(
+                root=self._setup.root,
+                act_timeout_s=self._setup.act_timeout_s,
+                load_timeout_s=self._setup.load_timeout_s,
+                reconnect_s=self._setup.reconnect_s,
+            )
+            self._policy = make_policy(name, outside)
+            self._watch.is_warm = False
+            self._tell(Report(kind=ReportKind.POLICY, detail=describe_knowledge(self._policy)))
+        return self._policy
+
+
+class _SheetWatch:
+    """Notes every turn on the sheet, and how far the robot has come."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self._sheet = sheet
+        self._state = State()
+        self._last: tuple[float, float] | None = None
+        self._calls = 0
+        self.is_warm = False
+        """Whether the policy has given an answer; the first one may take long."""
+
+    def note(self, busy: Busy) -> None:
+        """Writes down what is being done from now on."""
+        self._state = self._state._replace(busy=busy, since_s=time.monotonic())
+        self._sheet.write(self._state)
+
+    def begin(self, busy: Busy) -> None:
+        """The same, with the distances of a new episode."""
+        self._state, self._last, self._calls = State(), None, 0
+        self.note(busy)
+
+    def asks(self) -> None:
+        """The policy is about to be asked."""
+        self.note(Busy.ASKING if self.is_warm else Busy.MAKING)
+
+    def has_answer(self, simulator: Simulator, view: View) -> None:
+        """The policy has answered."""
+        self._calls += 1
+        self.is_warm = self.is_warm or self._calls > 1  # the first call is a reset
+        here = (view.pose.x, view.pose.y)
+        moved = 0.0 if self._last is None else math.dist(self._last, here)
+        state, self._last = self._state, here
+        self._state = state._replace(
+            steps=simulator.steps,
+            start_m=view.distance_m if self._calls == 1 else state.start_m,
+            now_m=view.distance_m,
+            least_m=view.distance_m if self._calls == 1 else min(state.least_m, view.distance_m),
+            driven_m=state.driven_m + moved,
+            contact_steps=simulator.contact_steps,
+        )
+        self.note(Busy.SIMULATING)
+
+
+if __name__ == "__main__":
+    status = main()
+    sys.stderr.flush()
+    os._exit(status)  # the thread that waits for orders would keep the interpreter from ending

@@ -1,0 +1,99 @@
+"""Numbers with their 95 % intervals: Wilson for rates, BCa bootstrap for means, McNemar for pairs. Pure and seeded."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import stats
+
+from schemas.base import Model
+
+__all__ = ["RESAMPLES", "Estimate", "mcnemar_p", "mean_of", "means_of"]
+
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+_SEED = 20180718
+_BATCH = 250
+
+
+class Estimate(Model):
+    """A mean with its bias-corrected and accelerated bootstrap interval (B. Efron, 1987)."""
+
+    n: Annotated[int, Field(ge=0)]
+    mean: float | None
+    """`None` of nothing."""
+    low: float | None
+    high: float | None
+    """Ends of the interval; `None` where a single value, or a spread that BCa is not defined for, gives none."""
+
+
+def mean_of(values: Sequence[float | None]) -> Estimate:
+    """Returns the mean of the values that are there, with its interval; the same values give the same interval."""
+    return means_of({"": values})[""]
+
+
+def means_of(columns: Mapping[str, Sequence[float | None]]) -> dict[str, Estimate]:
+    """Returns the means of several columns of the same rows; resampled together, which is quicker than one by one."""
+    found: dict[str, Estimate] = {}
+    full: dict[str, NDArray[np.float64]] = {}
+    for name, column in columns.items():
+        values = np.array([value for value in column if value is not None], np.float64)
+        if len(values) < 2 or np.ptp(values) == 0:
+            found[name] = _certain(values)
+        elif len(values) < len(column):
+            found[name] = _resampled({name: values})[name]
+        else:
+            full[name] = values
+    if full:
+        found |= _resampled(full)
+    return {name: found[name] for name in columns}
+
+
+def mcnemar_p(only_first: int, only_second: int) -> float:
+    """Returns the two-sided p of the exact McNemar test (Q. McNemar, 1947).
+
+    Args:
+        only_first: pairs in which only the first succeeded.
+        only_second: pairs in which only the second did.
+    """
+    discordant = only_first + only_second
+    return 1.0 if discordant == 0 else float(stats.binomtest(only_first, discordant, 0.5).pvalue)
+
+
+def _certain(values: NDArray[np.float64]) -> Estimate:
+    """Of equal values, whose interval is a point, and of a single one, which has none."""
+    if len(values) == 0:
+        return Estimate(n=0, mean=None, low=None, high=None)
+    mean = float(values[0])
+    ends = mean if len(values) > 1 else None
+    return Estimate(n=len(values), mean=mean, low=ends, high=ends)
+
+
+def _resampled(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, Estimate]:
+    data = np.stack(list(columns.values()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # told by NaN, which becomes None
+        interval = stats.bootstrap(
+            (data,),
+            np.mean,
+            axis=-1,
+            n_resamples=RESAMPLES,
+            batch=_BATCH,
+            confidence_level=CONFIDENCE,
+            method="BCa",
+            rng=np.random.default_rng(_SEED),
+        ).confidence_interval
+    return {
+        name: Estimate(n=len(values), mean=float(values.mean()), low=_finite(low), high=_finite(high))
+        for (name, values), low, high in zip(columns.items(), interval.low, interval.high, strict=True)
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,87 @@
+"""What the evaluating process and its driving processes say to each other, one JSON line at a time. Opens no pipe."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from factory.eval.result import EpisodeResult, Variant
+from factory.eval.spec import EvalSettings, EvalSpec
+from schemas.base import Model, Name, Positive, Sha256
+from schemas.terms import RendererKind
+
+__all__ = ["Order", "Report", "ReportKind", "Setup", "read_report", "to_line"]
+
+
+class Setup(Model):
+    """The first line to a driving process: what holds for all its orders."""
+
+    settings: EvalSettings
+    renderer: RendererKind = "auto"
+    root: Path | None = None
+    """The dataset."""
+    with_pose: bool = False
+    act_timeout_s: Positive = 10.0
+    load_timeout_s: Positive = 300.0
+    reconnect_s: Positive = 30.0
+
+
+class Order(Model):
+    """One episode to drive."""
+
+    number: Annotated[int, Field(ge=0)]
+    policy: str
+    spec: EvalSpec
+    spec_digest: Sha256
+    package: Path
+    """The compiled scene."""
+    variant: Variant
+    instruction: str
+    recorded: Name | None = None
+    """The archived episode that `replay` or `playback` carries out."""
+
+
+class ReportKind(StrEnum):
+    """What a report is about."""
+
+    READY = "ready"  # the renderer is open
+    POLICY = "policy"  # the policy is made
+    RESULT = "result"  # an episode is over
+    REFUSED = "refused"  # the policy cannot be made, or the spec does not fit: the caller's mistake
+    AWAY = "away"  # the policy's server cannot be reached
+    DEFECT = "defect"  # our own mistake
+
+
+class Report(Model):
+    """What a driving process has to say."""
+
+    kind: ReportKind
+    number: int = -1
+    """Of the order."""
+    detail: str = ""
+    """In words: the renderer, the policy's knowledge, or what is wrong."""
+    exit_code: int = 1
+    """Of the command, for `refused`."""
+    result: EpisodeResult | None = None
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        if (self.kind is ReportKind.RESULT) != (self.result is not None):
+            raise ValueError("a result, and nothing else, carries a result")
+        return self
+
+
+def to_line(message: Model) -> bytes:
+    """Returns the message as one line."""
+    return message.model_dump_json().encode() + b"\n"
+
+
+def read_report(line: bytes) -> Report | None:
+    """Returns the report on a line; `None` for anything else, such as the chatter of a library."""
+    try:
+        return Report.model_validate_json(line)
+    except ValidationError:
+        return None

@@ -1,0 +1,96 @@
+"""Every policy that `--policy` can name: built-in ones, a class of the user's, a server. One registry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+from factory.eval.policies.experts import ExpertPolicy
+from factory.eval.policies.foreign import load_class
+from factory.eval.policies.outside import Outside
+from factory.eval.policies.recorded import PlaybackPolicy, ReplayPolicy
+from factory.eval.policies.remote import RemotePolicy
+from factory.eval.policies.simple import RandomPolicy, StopPolicy
+from factory.eval.policy import Policy, is_built_in
+from schemas.errors import UsageError
+from schemas.terms import ExpertName
+
+__all__ = ["POLICIES", "Entry", "Outside", "describe_knowledge", "find_policy", "make_policy"]
+
+Maker = Callable[[str, Outside], Policy]
+"""Takes what stands behind the first colon of the name, and what a policy may need."""
+
+
+class Entry(NamedTuple):
+    """A kind of policy."""
+
+    make: Maker
+    usage: str
+    """How it is written after `--policy`."""
+    needs_recording: bool = False
+    """Whether it carries out actions of archived episodes."""
+    reads_instruction: bool = False
+
+
+POLICIES: Mapping[str, Entry] = MappingProxyType(
+    {
+        "expert": Entry(lambda rest, _: ExpertPolicy(_expert_name(rest)), "expert[:NAME]"),
+        "planner": Entry(lambda _rest, _: ExpertPolicy(ExpertName.PLANNER), "planner"),
+        "random": Entry(lambda _rest, _: RandomPolicy(), "random"),
+        "stop": Entry(lambda _rest, _: StopPolicy(), "stop"),
+        "replay": Entry(lambda _rest, outside: ReplayPolicy(outside), "replay", needs_recording=True),
+        "playback": Entry(lambda _rest, outside: PlaybackPolicy(outside), "playback", needs_recording=True),
+        "ws": Entry(lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True),
+        "wss": Entry(lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True),
+    }
+)
+"""By the word before the first colon; any other name is taken for `package.module:Class`."""
+_FOREIGN = Entry(lambda name, _: load_class(name), "package.module:Class", reads_instruction=True)
+
+
+def find_policy(name: str) -> Entry:
+    """Returns the kind of a policy without making it.
+
+    Raises:
+        UsageError: nothing is called that.
+    """
+    kind = name.partition(":")[0]
+    if kind in POLICIES:
+        return POLICIES[kind]
+    if ":" not in name or not all(part.isidentifier() for part in name.replace(":", ".").split(".")):
+        known = ", ".join(entry.usage for entry in (*POLICIES.values(), _FOREIGN))
+        raise UsageError(f"no policy {name!r}; there are {known}")
+    return _FOREIGN
+
+
+def make_policy(name: str, outside: Outside) -> Policy:
+    """Returns the policy of that name, ready for its first episode.
+
+    Args:
+        name: as after `--policy`.
+        outside: what policies may need of their surroundings.
+
+    Raises:
+        UsageError: nothing is called that, or it cannot be made; the message says why.
+        ServerAway: its server cannot be reached.
+    """
+    entry = find_policy(name)
+    policy = entry.make(name if entry is _FOREIGN else name.partition(":")[2], outside)
+    missing = [method for method in ("reset", "act") if not callable(getattr(policy, method, None))]
+    if missing:
+        raise UsageError(f"policy {name} has no method {' and no '.join(missing)}; see docs/evaluation/README.md")
+    return policy
+
+
+def describe_knowledge(policy: Policy) -> str:
+    """Returns what a policy goes by, for the results."""
+    knows = getattr(policy, "knows", None) if is_built_in(policy) else None
+    return str(knows or "camera and instruction")
+
+
+def _expert_name(rest: str) -> ExpertName:
+    try:
+        return ExpertName(rest or ExpertName.PROPORTIONAL)
+    except ValueError as error:
+        raise UsageError(f"no expert {rest!r}; there are {', '.join(ExpertName)}") from error

@@ -1,0 +1,22 @@
+"""What policies may need of their surroundings: the dataset's directory and the time limits. Holds values only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["Outside"]
+
+
+@dataclass(frozen=True)
+class Outside:
+    """Given to every policy when it is made."""
+
+    root: Path | None = None
+    """The dataset, for policies that carry out recorded actions."""
+    act_timeout_s: float = 10.0
+    """Longest time for an answer."""
+    load_timeout_s: float = 300.0
+    """Longest time for the first answer, in which models are compiled."""
+    reconnect_s: float = 30.0
+    """How long a server that went away is waited for."""

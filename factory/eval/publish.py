@@ -1,0 +1,101 @@
+"""From finished episodes to what people read: results.json, episodes.parquet and the page. Writes beside the log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from factory.eval.result import EpisodeResult, Variant
+from factory.eval.run import Campaign
+from factory.eval.score import Evaluation, score_policy
+from factory.eval.store import Store
+from schemas.errors import WorldError
+
+__all__ = ["RESULTS_FILE", "TABLE_FILE", "evaluation_of", "publish"]
+
+RESULTS_FILE, TABLE_FILE = "results.json", "episodes.parquet"
+
+
+def publish(campaign: Campaign, store: Store, videos: int) -> Evaluation:
+    """Writes all results of an evaluation and returns them.
+
+    Args:
+        campaign: what was evaluated.
+        store: with the finished episodes.
+        videos: how many failures of each policy the page shows; 0 writes no page.
+
+    Raises:
+        WorldError: the directory cannot be written.
+    """
+    evaluation = evaluation_of(campaign, store)
+    try:
+        _write(store.root / RESULTS_FILE, (evaluation.model_dump_json(indent=1) + "\n").encode())
+        _write_table(store.root / TABLE_FILE, [row for name in campaign.policies for row in store.results(name)])
+    except OSError as error:
+        raise WorldError(f"cannot write to {store.root}: {error.strerror}; free space and run it again") from error
+    del videos
+    return evaluation
+
+
+def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
+    """Returns the tables of the finished episodes."""
+    scores = []
+    is_complete = True
+    for name in campaign.policies:
+        results = [row for row in store.results(name) if row.variant in campaign.variants]
+        note = store.note_of(name)
+        if note is None:
+            raise WorldError(f"{store.root} has no note of policy {name}; run the same command again")
+        expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
+        is_complete = is_complete and len(results) >= expected
+        scores.append(score_policy(name, results, note))
+    return Evaluation(
+        run=campaign.specs.run,
+        source=campaign.specs.source,
+        specs_digest=campaign.specs.digest,
+        episodes=len(campaign.specs.specs),
+        success_radius_m=campaign.specs.settings.task.success_radius_m,
+        complete=is_complete,
+        policies=tuple(scores),
+        remarks=tuple(_remarks(campaign)),
+    )
+
+
+def _remarks(campaign: Campaign) -> list[str]:
+    specs = campaign.specs.specs
+    moved = sum(spec.spawn_source == "frame" for spec in specs)
+    ways = sum(spec.geodesic_m is None for spec in specs)
+    remarks = []
+    if moved:
+        remarks.append(
+            f"{moved} of {len(specs)} episodes start at frame 0 of their archived episode, because another version of "
+            "the software collected them; replay need not succeed there"
+        )
+    if ways:
+        remarks.append(f"{ways} of {len(specs)} episodes have no way along the floor and are left out of SPL")
+    if Variant.WRONG in campaign.variants:
+        remarks.append("policies that read no instruction are not driven again under other words")
+    return remarks
+
+
+def _write(path: Path, data: bytes) -> None:
+    part = path.with_name(f"{path.name}.part")
+    part.write_bytes(data)
+    part.replace(path)
+
+
+def _write_table(path: Path, rows: Sequence[EpisodeResult]) -> None:
+    part = path.with_name(f"{path.name}.part")
+    pq.write_table(pa.Table.from_pylist([_flat(row) for row in rows]), part)
+    part.replace(path)
+
+
+def _flat(row: EpisodeResult) -> dict[str, object]:
+    """The row with its track as three lists, as tables like it."""
+    data = row.model_dump(mode="json", exclude={"track"})
+    for number, name in enumerate(("track_x_m", "track_y_m", "track_yaw_rad")):
+        data[name] = [pose[number] for pose in row.track]
+    return data

@@ -1,0 +1,170 @@
+"""The evaluating process's handle on one driving process: order, hear, and end it when its policy hangs.
+
+Knows no set of episodes and no results on disk.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from typing import IO, NamedTuple
+
+from factory.eval.message import Order, Report, Setup, read_report, to_line
+from factory.eval.policy import PolicyFault
+from factory.eval.sheet import Busy, Sheet, State
+
+__all__ = ["CHILD", "Ended", "Seat"]
+
+CHILD = (sys.executable, "-m", "factory.eval.child")
+_ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+_SIMULATION_S = 120.0
+_GRACE_S = 5.0
+"""What a policy that keeps its own time limit is given beyond it."""
+_TAIL_BYTES = 4000
+_REAP_S = 3.0
+
+
+class Ended(NamedTuple):
+    """A driving process is no more; it has been reaped."""
+
+    fault: PolicyFault | None
+    """What the policy did, or `None` where it was not being asked."""
+    detail: str
+    state: State
+    """What it was at."""
+
+
+class Seat:
+    """One driving process, started again when needed."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._process: subprocess.Popen[bytes] | None = None
+        self._reports: queue.Queue[Report | None] = queue.Queue()
+        self._sheet: Sheet | None = None
+        self._stderr: IO[bytes] | None = None
+        self.order_at_hand: Order | None = None
+        """What it is driving."""
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process, if there is one."""
+        return self._process.pid if self._process is not None else None
+
+    def give(self, order: Order) -> None:
+        """Hands an order over, to a fresh process where there is none; its death is heard from `hear`."""
+        if self._process is None:
+            self._start()
+        self.order_at_hand = order
+        self._write(to_line(order))
+
+    def hear(self, timeout_s: float) -> Report | Ended | None:
+        """Returns what it says next, its end, or `None` after `timeout_s` without news."""
+        if self._process is None:
+            return None
+        try:
+            report = self._reports.get(timeout=timeout_s)
+        except queue.Empty:
+            return self._end_if_late()
+        return self._bury() if report is None else report
+
+    def kill(self) -> None:
+        """Ends the process at once, if there is one."""
+        process, self._process = self._process, None
+        if process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_REAP_S)
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    with contextlib.suppress(OSError):
+                        pipe.close()
+        if self._sheet is not None:
+            self._sheet.close()
+            self._sheet = None
+        if self._stderr is not None:
+            self._stderr.close()
+            self._stderr = None
+
+    def _start(self) -> None:
+        self._sheet = Sheet.fresh()
+        self._stderr = tempfile.TemporaryFile(mode="a+b")  # noqa: SIM115 - closed by kill
+        os.set_inheritable(self._sheet.descriptor, True)
+        self._process = subprocess.Popen(
+            (*CHILD, str(self._sheet.descriptor)),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._stderr,
+            pass_fds=(self._sheet.descriptor,),
+            env={**os.environ, **_ONE_CORE},
+            start_new_session=True,  # Ctrl-C is for the caller
+        )
+        self._reports = queue.Queue()
+        threading.Thread(target=_read, args=(self._process.stdout, self._reports), daemon=True).start()
+        self._write(to_line(self._setup))
+
+    def _write(self, line: bytes) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.write(line)
+                self._process.stdin.flush()
+
+    def _end_if_late(self) -> Ended | None:
+        if self._sheet is None or self.order_at_hand is None:
+            return None
+        state = self._sheet.read()
+        limit_s = {
+            Busy.ASKING: self._setup.act_timeout_s + _GRACE_S * self._is_remote,
+            Busy.MAKING: self._setup.load_timeout_s + (_GRACE_S + self._setup.reconnect_s) * self._is_remote,
+        }.get(state.busy, _SIMULATION_S)
+        if time.monotonic() - state.since_s <= limit_s:
+            return None
+        words = self._last_words()
+        self.kill()
+        is_policy = state.busy in {Busy.ASKING, Busy.MAKING}
+        who = "no answer from the policy" if is_policy else "no progress of the simulation"
+        return Ended(PolicyFault.HUNG if is_policy else None, f"{who} within {limit_s:g} s, killed{words}", state)
+
+    @property
+    def _is_remote(self) -> bool:
+        return self.order_at_hand is not None and self.order_at_hand.policy.startswith(("ws:", "wss:"))
+
+    def _bury(self) -> Ended:
+        process, sheet = self._process, self._sheet
+        if process is None or sheet is None:
+            raise RuntimeError("no process to bury")
+        state, words = sheet.read(), self._last_words()
+        try:
+            status = process.wait(_REAP_S)
+        except subprocess.TimeoutExpired:
+            status = -signal.SIGKILL  # closed its stdout and lives on: not ours any more
+        self.kill()
+        how = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        is_policy = state.busy in {Busy.ASKING, Busy.MAKING}
+        whom = "the process died in the policy" if is_policy else "the driving process died"
+        return Ended(PolicyFault.DIED if is_policy else None, f"{whom}: {how}{words}", state)
+
+    def _last_words(self) -> str:
+        if self._stderr is None:
+            return ""
+        end = self._stderr.seek(0, os.SEEK_END)
+        self._stderr.seek(max(0, end - _TAIL_BYTES))
+        lines = self._stderr.read().decode(errors="replace").strip().splitlines()
+        return f"; last words: {lines[-1].strip()[:300]}" if lines else ""
+
+
+def _read(stream: IO[bytes], reports: queue.Queue[Report | None]) -> None:
+    with contextlib.suppress(ValueError, OSError):  # closed under our hands when killed
+        for line in stream:
+            report = read_report(line)
+            if report is not None:
+                reports.put(report)
+    reports.put(None)
