@@ -19,6 +19,10 @@ AnyExporter = Exporter[Any, Any]
 EXPORTERS: Mapping[str, str] = MappingProxyType(
     {
         "paper": "factory.export.paper:PaperExporter",
+        "webdataset": "factory.export.webdataset:WebdatasetExporter",
+        "mcap": "factory.export.mcap:McapExporter",
+        "gnm": "factory.export.gnm:GnmExporter",
+        "vlnce": "factory.export.vlnce:VlnceExporter",
     }
 )
 """Name -> module and class."""

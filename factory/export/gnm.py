@@ -1,0 +1,154 @@
+"""`gnm`: the folders that GNM, ViNT and NoMaD train from: numbered JPEGs, positions and headings, lists of names.
+
+Layout and keys are those of robodhruv/visualnav-transformer; instruction, depth and ids have no place there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import Field
+
+from coordinator.dataset_meta import DatasetMeta
+from factory.episode import Episode
+from factory.export.base import Exporter, Facts, Finish, Piece
+from factory.export.card import CARD_FILE, export_card
+from factory.export.gnm_pickle import pickle_arrays
+from factory.export.options import Decimated, stride_of
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.config import CameraConfig
+from schemas.measure import yaw_of
+from schemas.terms import Split
+
+__all__ = ["DATASET_NAME", "GnmExporter", "GnmFacts", "GnmOptions"]
+
+DATASET_NAME = "minivla_nav"
+"""Name of the dataset in `data_config.yaml` and `data_splits`."""
+_LOADER_SPLITS = ("train", "test")
+_TEST_SPLITS = frozenset(split for split in Split if split not in (Split.TRAIN_ID, Split.VAL_ID))
+_CARD = """
+- `{name}/ep_000001/0.jpg, 1.jpg, ...` and `traj_data.pkl`: `position` (T, 2) metres and `yaw` (T,) radians of base_link
+  in the world frame, float64. Row i is where frame i was taken.
+- `data_splits/{name}/train/traj_names.txt`: the episodes of `train_id`; `test/`: those of `val_id`, the loaders'
+  only other list, or of the test splits where there are none; beside them one folder for every split of the dataset.
+- `data_config.yaml`: the entry to paste into `vint_train/data/data_config.yaml`.
+
+In the training configuration:
+
+```yaml
+datasets:
+  {name}:
+    data_folder: <here>/{name}
+    train: <here>/data_splits/{name}/train/
+    test: <here>/data_splits/{name}/test/
+    end_slack: 0
+    goals_per_obs: 1
+    negative_mining: True
+```
+
+The loaders skip trajectories of no more than context_size + len_traj_pred frames (5 + 5 in ViNT). Frames here come at
+{fps} a second; the median episode has {median} of them.
+"""
+
+
+class GnmOptions(Decimated):
+    """What can be chosen of the folders."""
+
+    jpeg_quality: int = Field(default=92, ge=1, le=100, description="Quality of JPEG frames.")
+
+
+class GnmFacts(Facts):
+    """What the average distance between waypoints is made from."""
+
+    length_m: float
+    """Sum of distances between consecutive frames that were kept, metres."""
+
+
+class GnmExporter(Exporter[GnmOptions, GnmFacts]):
+    """One folder an episode; numbers of frames count from 0 without gaps, whatever the rate."""
+
+    name = "gnm"
+    about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
+    options = GnmOptions
+    facts = GnmFacts
+
+    def check(self, options: GnmOptions, meta: DatasetMeta) -> None:
+        """Refuses a rate that does not divide the dataset's."""
+        stride_of(options.fps, meta.plan.task.control_hz)
+
+    def write_episode(self, episode: Episode, options: GnmOptions, folder: Path) -> GnmFacts:
+        """Writes `minivla_nav/<id>/`."""
+        steps = range(0, len(episode), stride_of(options.fps, episode.meta.job.task.control_hz))
+        place = folder / DATASET_NAME / episode.episode_id
+        place.mkdir(parents=True)
+        for number, t in enumerate(steps):
+            Image.fromarray(episode.rgb(t)).save(place / f"{number}.jpg", quality=options.jpeg_quality)
+        poses = episode.poses[:: steps.step]
+        position = poses[:, :2].astype(np.float64)
+        yaw = yaw_of(poses)
+        (place / "traj_data.pkl").write_bytes(pickle_arrays({"position": position, "yaw": yaw}))
+        return GnmFacts(frames=len(steps), length_m=_length(position))
+
+    def finish(self, export: Finish[GnmOptions, GnmFacts]) -> None:
+        """Writes the lists of names, the configuration entry and the card."""
+        by_split: dict[str, list[str]] = {}
+        for piece in export.pieces:
+            by_split.setdefault(piece.split, []).append(piece.episode_id)
+        for name, episodes in {**by_split, **_loader_lists(by_split)}.items():
+            lines = "".join(f"{episode}\n" for episode in episodes)
+            export.out.write_text(f"data_splits/{DATASET_NAME}/{name}/traj_names.txt", lines)
+        job = export.dataset.meta.plan
+        export.out.write_text("data_config.yaml", _config(job.camera, _spacing(export.pieces)))
+        fps = export.options.fps or job.task.control_hz
+        frames = sorted(piece.facts.frames for piece in export.pieces)
+        text = _CARD.format(name=DATASET_NAME, fps=fps, median=frames[len(frames) // 2])
+        export.out.write_text(CARD_FILE, export_card(export.dataset.meta, len(export.pieces), text, tags=("gnm",)))
+
+
+def _length(position: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+
+
+def _loader_lists(by_split: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Returns the two lists that the loaders read."""
+    held_out = by_split.get(Split.VAL_ID) or [
+        episode for split, episodes in by_split.items() if split in _TEST_SPLITS for episode in episodes
+    ]
+    return dict(zip(_LOADER_SPLITS, (by_split.get(Split.TRAIN_ID, []), sorted(held_out)), strict=True))
+
+
+def _spacing(pieces: Sequence[Piece[GnmFacts]]) -> float:
+    """Returns the mean distance between consecutive frames, metres: what the loaders divide waypoints by."""
+    length, steps = 0.0, 0
+    for piece in pieces:
+        facts = piece.facts
+        length, steps = length + facts.length_m, steps + facts.frames - 1
+    return length / steps if steps else 0.0
+
+
+def _config(camera: CameraConfig, spacing_m: float) -> str:
+    focal = FRAME_SIZE_PX / 2 / math.tan(math.radians(camera.fov_deg) / 2)
+    centre = FRAME_SIZE_PX / 2 - 0.5
+    return f"""\
+{DATASET_NAME}:
+  metric_waypoint_spacing: {spacing_m:.6f}  # average spacing between waypoints (meters)
+  camera_metrics:
+    camera_height: {camera.z_m}
+    camera_x_offset: {camera.x_m}
+    camera_matrix:
+      fx: {focal:.6f}
+      fy: {focal:.6f}
+      cx: {centre}
+      cy: {centre}
+    dist_coeffs:
+      k1: 0.0
+      k2: 0.0
+      p1: 0.0
+      p2: 0.0
+      k3: 0.0
+"""

@@ -1,0 +1,184 @@
+"""`webdataset`: tar shards of frames that stream from disk, HTTP or the Hub; a sample a frame, a set of shards a split.
+
+Members are the bundle's own bytes where a reader knows their kind. Read with `webdataset` or `datasets`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from isal import igzip
+from numpy.typing import NDArray
+from pydantic import Field
+
+from coordinator.dataset_meta import DatasetMeta
+from factory.episode import Episode
+from factory.export.base import Exporter, Facts, Finish, Piece
+from factory.export.card import CARD_FILE, export_card
+from factory.export.options import Decimated, stride_of
+from factory.export.webdataset_actions import windowed_actions
+from factory.export.webdataset_tar import join_members, member_bytes, write_member
+from schemas.ndarray import encode_npy
+from schemas.tokens import tokens_of
+
+__all__ = ["WebdatasetExporter", "WebdatasetFacts", "WebdatasetOptions", "shards_of"]
+
+MEMBERS_FILE = "members.tar"
+SHARDS_FILE = "shards.json"
+_GZIP_LEVEL = 3
+# isal levels 1 / 3 on depth of a warehouse: 199 kB in 0.7 ms, 83 kB in 2.7 ms
+_CARD = """
+One sample a frame, in tar shards of one split each; episodes are spread over the shards of their split in an order that
+is random but fixed, frames of an episode stand together. Shuffle with a buffer of a few thousand samples.
+
+| member | what |
+|---|---|
+| `rgb.png` | 640 x 640, 8 bit |
+| `depth.npy.gz` | float32 metres along the optical axis, 0 where nothing was hit; both readers unpack it |
+| `seg.png` | 16-bit instance ids |
+| `action.json` | `v_mps`, `w_rps` until the next sample (mean of the commands in between), `v_token`, `w_token` |
+| `json` | instruction, episode, step, time, pose, target, split |
+
+```python
+import webdataset
+for sample in webdataset.WebDataset("train_id-{000000..000009}.tar", shardshuffle=100).shuffle(2000).decode("rgb"):
+    sample["rgb.png"], sample["depth.npy"], sample["json"]["instruction"], sample["action.json"]["v_mps"]
+```
+
+`shards.json` lists every shard with its samples, episodes and bytes.
+"""
+
+
+class WebdatasetOptions(Decimated):
+    """What can be chosen of the shards."""
+
+    shard_mb: int = Field(default=500, ge=1, le=8000, description="Size of a shard in MB, at most one episode more.")
+
+
+class WebdatasetFacts(Facts):
+    """What the division into shards must know."""
+
+    member_bytes: int
+    """Size of the members of the piece."""
+
+
+class Shard(NamedTuple):
+    """A file to be, with the pieces that go into it."""
+
+    name: str
+    pieces: tuple[Piece[WebdatasetFacts], ...]
+    samples: int
+    size: int
+    """Bytes of the members."""
+
+
+class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
+    """A piece is the members of its episode, without the end of an archive; a shard is pieces in a row."""
+
+    name = "webdataset"
+    about = "tar shards, one sample a frame, for webdataset and datasets streaming; lossless"
+    assembles = True
+    options = WebdatasetOptions
+    facts = WebdatasetFacts
+
+    def check(self, options: WebdatasetOptions, meta: DatasetMeta) -> None:
+        """Refuses a rate that does not divide the dataset's."""
+        stride_of(options.fps, meta.plan.task.control_hz)
+
+    def write_episode(self, episode: Episode, options: WebdatasetOptions, folder: Path) -> WebdatasetFacts:
+        """Writes the members of every kept frame, in order."""
+        stride = stride_of(options.fps, episode.meta.job.task.control_hz)
+        steps = range(0, len(episode), stride)
+        actions = windowed_actions(episode.actions, stride)
+        size = 0
+        with (folder / MEMBERS_FILE).open("wb") as file:
+            for t, action in zip(steps, actions, strict=True):
+                for suffix, data in _sample(episode, t, action):
+                    write_member(file, f"{episode.episode_id}_{t:06d}.{suffix}", data)
+                    size += member_bytes(len(data))
+        return WebdatasetFacts(frames=len(steps), member_bytes=size)
+
+    def finish(self, export: Finish[WebdatasetOptions, WebdatasetFacts]) -> None:
+        """Joins pieces to shards, split by split; writes the list of shards and the card."""
+        listed: list[dict[str, Any]] = []
+        splits = dict.fromkeys(piece.split for piece in export.pieces)
+        for split in splits:
+            pieces = [piece for piece in export.pieces if piece.split == split]
+            for shard in shards_of(split, pieces, export.options.shard_mb * 1_000_000):
+                if not export.out.has(shard.name):
+                    with export.out.replacing(shard.name) as part:
+                        join_members((piece.folder / MEMBERS_FILE for piece in shard.pieces), part)
+                listed.append({"name": shard.name, "split": split, "samples": shard.samples, **_contents(shard)})
+        export.out.write_text(SHARDS_FILE, json.dumps({"shards": listed}, indent=1) + "\n")
+        configs = {split: f"{split}-*.tar" for split in splits}
+        card = export_card(export.dataset.meta, len(export.pieces), _CARD, configs, tags=("webdataset",))
+        export.out.write_text(CARD_FILE, card)
+
+
+def shards_of(split: str, pieces: Sequence[Piece[WebdatasetFacts]], limit_bytes: int) -> Iterator[Shard]:
+    """Yields the shards of a split: pieces in a random but fixed order, a new shard when one has reached its size.
+
+    The plan's order goes scene by scene; a shard should hold a bit of everything.
+    """
+    chosen: list[Piece[WebdatasetFacts]] = []
+    samples = size = number = 0
+    for piece in sorted(pieces, key=lambda piece: hashlib.sha256(piece.episode_id.encode()).digest()):
+        facts = piece.facts
+        chosen.append(piece)
+        samples, size = samples + facts.frames, size + facts.member_bytes
+        if size >= limit_bytes:
+            yield Shard(_shard_name(split, number), tuple(chosen), samples, size)
+            chosen, samples, size, number = [], 0, 0, number + 1
+    if chosen:
+        yield Shard(_shard_name(split, number), tuple(chosen), samples, size)
+
+
+def _shard_name(split: str, number: int) -> str:
+    return f"{split}-{number:06d}.tar"
+
+
+def _contents(shard: Shard) -> dict[str, Any]:
+    return {"episodes": [piece.episode_id for piece in shard.pieces], "member_bytes": shard.size}
+
+
+def _sample(episode: Episode, t: int, action: NDArray[np.float32]) -> Iterator[tuple[str, bytes]]:
+    """Yields suffix and bytes of the members of one frame; all frames have the same suffixes."""
+    yield "rgb.png", episode.stored(f"rgb_front/{t:06d}.png")
+    yield "depth.npy.gz", igzip.compress(encode_npy(episode.depth(t)), _GZIP_LEVEL, mtime=0)
+    yield "seg.png", episode.stored(f"seg_front/{t:06d}.png")
+    yield "action.json", _json(_action(action))
+    yield "json", _json(_facts(episode, t))
+
+
+def _action(action: NDArray[np.float32]) -> dict[str, Any]:
+    v_token, w_token = tokens_of(action[None])[0].tolist()
+    return {"v_mps": float(action[0]), "w_rps": float(action[1]), "v_token": v_token, "w_token": w_token}
+
+
+def _facts(episode: Episode, t: int) -> dict[str, Any]:
+    meta, job = episode.meta, episode.meta.job
+    return {
+        "episode_id": episode.episode_id,
+        "step": t,
+        "num_steps": len(episode),
+        "time_s": t / job.task.control_hz,
+        "instruction": job.instruction,
+        "split": str(job.split),
+        "scene": job.scene,
+        "tier": str(job.tier),
+        "template_id": job.template_id,
+        "target_category": job.category,
+        "target_id": job.target_id,
+        "target_instance_id": meta.target_instance_id,
+        "target_centroid_m": list(meta.target_centroid_m),
+        "pose": episode.poses[t].tolist(),
+    }
+
+
+def _json(values: dict[str, Any]) -> bytes:
+    return json.dumps(values, ensure_ascii=False, separators=(",", ":")).encode()
