@@ -21,6 +21,7 @@ from coordinator.archive import Archive
 from coordinator.beacon import light, quench
 from coordinator.catalog import Catalog
 from coordinator.checkpoint import write_checkpoint
+from coordinator.dataset_meta import GateOutcome
 from coordinator.engine import open_reader, open_writer
 from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
@@ -63,6 +64,7 @@ class Coordinator:
         settings: numbers that change no byte of the dataset.
         checker: judges bundles and is closed with the coordinator; by default sandboxed children, one a puller.
         clock: the time; an argument, so that a test can let leases run out.
+        gate: what a pilot found before a new run; goes into the dataset's description.
 
     Raises:
         UsageError: the directory holds another plan.
@@ -80,7 +82,9 @@ class Coordinator:
         *,
         checker: Checker | None = None,
         clock: Callable[[], datetime] = utc_now,
+        gate: Sequence[GateOutcome] = (),
     ) -> None:
+        self._gate = tuple(gate)
         self._settings = settings = settings or CoordinatorSettings()
         self._clock = clock
         self._draining = threading.Event()
@@ -260,4 +264,6 @@ class Coordinator:
         if self._changed.is_set():
             self._changed.clear()
             with self._reader.connect() as connection:
-                write_checkpoint(self._archive, connection, self._terms.plan, self._terms.catalog, self._clock())
+                write_checkpoint(
+                    self._archive, connection, self._terms.plan, self._terms.catalog, self._clock(), self._gate
+                )

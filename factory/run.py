@@ -18,6 +18,7 @@ from typing import Self
 import structlog
 
 from coordinator.catalog import Catalog
+from coordinator.dataset_meta import GateOutcome
 from coordinator.disk import require_room
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -51,6 +52,8 @@ class LocalRun:
     """Worker processes, one simulation each."""
     renderer: RendererKind = "auto"
     verbose: bool = False
+    gate: tuple[GateOutcome, ...] = ()
+    """What the pilot found before the run."""
 
 
 def run_locally(
@@ -70,7 +73,7 @@ def run_locally(
     """
     require_expert(run.plan.expert)
     require_room(run.root, settings.reserve_bytes)
-    with Coordinator(run.root, run.plan, run.catalog, _LISTEN, settings=settings) as coordinator:
+    with Coordinator(run.root, run.plan, run.catalog, _LISTEN, settings=settings, gate=run.gate) as coordinator:
         write_target_lists(run.catalog, run.root)
         progress = coordinator.progress()
         tell(progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from coordinator.plan_file import load_plan
 from coordinator.service import DEFAULT_LISTEN, Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog, write_target_lists
+from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.http import http_options, status_pages
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
 from factory.ledger import plan_of
@@ -46,6 +48,7 @@ def command() -> None:
 @click.option("--lease", "lease_ttl_s", type=click.FloatRange(1.0), help="Seconds a silent worker keeps its job.")
 @click.option("--stay", is_flag=True, help="Keep answering after the run is finished.")
 @http_options
+@gate_option("skip")
 @shrink_options
 @verbose_option
 def start(
@@ -57,10 +60,15 @@ def start(
     stay: bool,
     http: str | None,
     http_token: Path | None,
+    gate_mode: GateMode,
     verbose: bool,
     **changes: Any,
 ) -> int:
-    """Hand the jobs of PLAN to workers and archive what they bring; ends when the run is finished."""
+    """Hand the jobs of PLAN to workers and archive what they bring; ends when the run is finished.
+
+    A coordinator does not simulate, so that its gate is skipped unless asked for; it then runs here, before anything
+    is handed out.
+    """
     configure_logs(verbose)
     require_loopback(listen)
     begun = plan_of(root)
@@ -70,8 +78,12 @@ def start(
     require_room(root, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        gate = hold_gate(plan, catalog, gate_mode if begun is None else "skip", "auto", os.cpu_count() or 1, stop)
+        if gate is None:
+            click.echo("interrupted at the gate; nothing was kept", err=True)
+            return 130
         with (
-            Coordinator(root, plan, catalog, listen, ledger, settings) as coordinator,
+            Coordinator(root, plan, catalog, listen, ledger, settings, gate=gate) as coordinator,
             status_pages(coordinator.vitals, http, http_token),
         ):
             write_target_lists(catalog, root)

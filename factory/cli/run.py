@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,6 +13,7 @@ from rich.progress import Progress as Bar
 from coordinator.plan_file import load_plan
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
+from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
 from factory.cli.output import json_option, print_json, say_duration, stderr
 from factory.cli.summary import print_summary, summarise
@@ -35,6 +35,7 @@ __all__ = ["command"]
 @click.option("--out", "root", required=True, type=click.Path(path_type=Path), help="Dataset directory; resumed.")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one a core.")
 @click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@gate_option("auto")
 @shrink_options
 @json_option
 @verbose_option
@@ -43,6 +44,7 @@ def command(
     root: Path,
     workers: int | None,
     renderer: str,
+    gate_mode: GateMode,
     as_json: bool,
     verbose: bool,
     **changes: Any,
@@ -55,12 +57,16 @@ def command(
     configure_logs(verbose)
     plan = _choose_plan(plan_name, root, changes)
     require_expert(plan.expert)
-    with stop_on_signals() as (stop, _), ExitStack() as stack:
-        bar = stack.enter_context(_RunBar(plan))
-        catalog = open_catalog(plan, root, scene_cache(), bar.tell_scene)
-        kind = cast(RendererKind, renderer)
-        run = LocalRun(plan, catalog, root, workers or os.cpu_count() or 1, kind, verbose)
-        progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
+    kind, processes = cast(RendererKind, renderer), workers or os.cpu_count() or 1
+    with stop_on_signals() as (stop, _):
+        catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        gate = hold_gate(plan, catalog, gate_mode if plan_of(root) is None else "skip", kind, processes, stop)
+        if gate is None:
+            click.echo("interrupted at the gate; nothing was kept", err=True)
+            return 130
+        run = LocalRun(plan, catalog, root, processes, kind, verbose, gate)
+        with _RunBar(plan) as bar:
+            progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
     if not progress.finished:
         click.echo(f"interrupted; go on with: factory run --out {root}", err=True)
         return 130
@@ -91,10 +97,6 @@ class _RunBar(Bar):
             console=stderr,
         )
         self._task = self.add_task(plan.name, total=plan.episodes, remark="")
-
-    def tell_scene(self, name: str) -> None:
-        """Says that a scene is being built."""
-        self.update(self._task, remark=f"building {name}")
 
     def tell(self, progress: Progress) -> None:
         """Shows where the run stands."""

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+
+import pytest
+
 PILOT = """
 [tiers]
 near = 1.0
@@ -34,3 +38,30 @@ def test_gate_fails_under_the_share_and_names_the_reasons(factory, tmp_path):
 
 def test_gate_refuses_a_scene_that_the_plan_does_not_have(factory):
     assert "office" in factory("gate", "--scene", "garage", expect=2).stderr
+
+
+HASTY = "[task]\nmax_steps = 20\n[budget]\nattempts_per_draw = 1\ndraws = 1\n" + PILOT.replace("50", "2")
+"""Every attempt times out, and is not repeated."""
+
+
+@pytest.mark.parametrize("verb", [("run", "--workers", 2), ("coordinator", "start", "--listen", "tcp/127.0.0.1:0")])
+def test_an_enforced_gate_keeps_a_hopeless_plan_from_being_handed_out(factory, tmp_path, verb):
+    plan, root = tmp_path / "hasty.toml", tmp_path / "dataset"
+    plan.write_text(HASTY)
+    err = factory(*verb, plan, "--out", root, "--gate", "enforce", expect=1).stderr
+    assert "2 timeout" in err
+    assert "the gate is closed: under 80 % of first attempts succeed in hospital" in err
+    assert not (root / "dataset_meta.json").exists()
+    assert not (root / "ledger.db").exists()
+
+
+def test_a_reported_gate_is_written_down_and_not_held_again(factory, tmp_path):
+    plan, root = tmp_path / "hasty.toml", tmp_path / "dataset"
+    plan.write_text(HASTY)
+    factory("run", plan, "--out", root, "--workers", 2, "--gate", "report", expect=1)
+    (found,) = json.loads((root / "dataset_meta.json").read_text())["gate"]
+    assert (found["scene"], found["attempts"], found["succeeded"], found["passed"]) == ("hospital", 2, 0, False)
+    assert found["reasons"] == {"timeout": 2}
+    again = factory("run", "--out", root, "--workers", 1, "--gate", "enforce", expect=1)
+    assert "first attempts" not in again.stderr
+    assert json.loads((root / "dataset_meta.json").read_text())["gate"] == [found]
