@@ -142,7 +142,7 @@ def _as_svg(figure: Figure) -> str:
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     # names of groups repeat from panel to panel, which one page must not have; nothing refers to them
-    text = re.sub(r'<g id="[^"]*">', "<g>", text)
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
     text = _PATH.sub(lambda match: _DECIMALS.sub(_shorten, match.group()), text)
     return text.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif")
 

@@ -166,7 +166,8 @@ def _tiers(material: Material) -> Iterator[Comparison]:
             continue
         members = [episode for episode in material.episodes if row.group in (ALL, episode.spawn_tier)]
         facts = facts_of(members)
-        yield from _length(material, "tier_statistics", row, facts)
+        if row.group != ALL:  # that one stands beside the histogram
+            yield from _length(material, "tier_statistics", row, facts)
         differ = row.steps_mean is not None and _differ(row.steps_mean, said.steps_mean)
         yield Comparison(
             exhibit="tier_statistics",

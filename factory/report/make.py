@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from factory.report.comparison import compare
 from factory.report.drawers import DRAWERS
-from factory.report.exhibit import Exhibit
+from factory.report.exhibit import Drawer, Exhibit
 from factory.report.folder import FIGURES, PAGE_FILE, Summary, require_usable, write_files
 from factory.report.gather import gather
 from factory.report.material import Material
@@ -42,13 +42,21 @@ def make_report(
 
 
 def render_report(
-    material: Material, on_progress: Callable[[int, int], None] = lambda _done, _all: None
+    material: Material,
+    on_progress: Callable[[int, int], None] = lambda _done, _all: None,
+    drawers: Sequence[Drawer] = DRAWERS,
 ) -> tuple[dict[str, bytes], Summary]:
-    """Returns the files of a report by name, and its summary; the same material gives the same bytes."""
+    """Returns the files of a report by name, and its summary; the same material gives the same bytes.
+
+    Args:
+        material: what the dataset holds.
+        on_progress: called with the number of figures drawn and their total.
+        drawers: which figures, in the order of the page.
+    """
     exhibits: list[Exhibit] = []
-    for done, drawer in enumerate(DRAWERS, 1):
+    for done, drawer in enumerate(drawers, 1):
         exhibits.append(drawer(material))
-        on_progress(done, len(DRAWERS))
+        on_progress(done, len(drawers))
     comparisons = compare(material)
     files = {PAGE_FILE: write_page(material, exhibits, comparisons).encode()}
     for exhibit in exhibits:

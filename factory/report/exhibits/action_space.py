@@ -26,11 +26,11 @@ def draw(material: Material) -> Exhibit:
     if not drives.steps:
         return Exhibit("action_space", title, source, "No steps to show: no episode could be read.")
     used = int((drives.tokens > 0).sum())
+    read = f"{len(drives.tracks)} of {count(len(material.episodes), 'episode')}"
     caption = (
         f"Each square is one of the {GRID_POINTS}×{GRID_POINTS} = {GRID_POINTS**2} tokens of speed v and yaw rate ω; "
-        f"its tone (logarithmic) and number give the share of {drives.steps:,} recorded steps of "
-        f"{len(drives.tracks)} of {count(len(material.episodes), 'episode')} whose action lies nearest. {used} of {GRID_POINTS**2} occur. "
-        "Positive ω turns left."
+        f"its tone (logarithmic) and number give the share of {drives.steps:,} recorded steps of {read} whose action "
+        f"lies nearest. {used} of {GRID_POINTS**2} occur. Positive ω turns left."
     )
     alt = f"Grid of {GRID_POINTS} speeds by {GRID_POINTS} yaw rates, {used} squares toned by use"
     panel = draw_panel("action_space", alt, lambda axes: _paint(axes, drives.tokens), height_in=3.9)

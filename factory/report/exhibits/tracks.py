@@ -19,8 +19,9 @@ def draw(material: Material) -> Exhibit:
     title, source = "Ways driven", "not in the paper"
     if not tracks:
         return Exhibit("tracks", title, source, "No tracks to show: no episode could be read.")
+    read = f"{len(tracks)} of {count(len(material.episodes), 'episode')}"
     caption = (
-        f"Tracks of base_link in {len(tracks)} of {count(len(material.episodes), 'episode')} over the maps, from the dot at the start to within "
+        f"Tracks of base_link in {read} over the maps, from the dot at the start to within "
         f"{material.statistics.success_radius_m:g} m of a target (filled diamond). A straight-driving expert leaves "
         "straight lines; bends show a planner or a start that faces away."
     )

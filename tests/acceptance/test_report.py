@@ -1,0 +1,46 @@
+"""`factory report` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+
+def test_a_report_is_written_and_read_again(factory, calm, tmp_path):
+    found = factory.json("report", calm, "-o", tmp_path / "out")
+    assert (found["episodes"], found["complete"], found["remarks"]) == (5, True, [])
+    assert all((tmp_path / "out" / name).stat().st_size > 0 for name in found["files"])
+    assert found["page"] == str(tmp_path / "out" / "report.html")
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["files"] == found["files"]
+    said = {row["what"]: row for row in found["comparisons"]}
+    assert said["TL mean, all"]["published"] == 2.74
+    assert said["TL mean, all"]["reason"]
+
+
+def test_damage_is_told_by_the_exit_code_and_a_full_folder_is_refused(factory, calm, tmp_path):
+    damaged = tmp_path / "damaged"
+    shutil.copytree(calm, damaged)
+    (damaged / "episodes" / "ep_000001.zip").write_bytes(b"no bundle")
+    done = factory("report", damaged, "-o", tmp_path / "out", expect=1)
+    assert "report.html: 5 of 5 episodes" in done.stdout
+    assert "damage: episodes/ep_000001.zip: left out of tracks" in done.stderr
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("mine")
+    refused = factory("report", calm, "-o", tmp_path / "mine", expect=2).stderr
+    assert "--force" in refused
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
+
+
+def test_without_matplotlib_the_remedy_is_named(calm, tmp_path):
+    code = "import sys; sys.modules['matplotlib'] = None; from factory.cli.main import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "report", str(calm), "-o", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "pip install 'minivla-factory[report]'" in done.stderr
+    assert not (tmp_path / "out").exists()

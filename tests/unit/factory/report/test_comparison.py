@@ -1,0 +1,98 @@
+"""Beside the paper: every difference is right, and where it is one, the reason has the numbers that make it."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from factory.report.comparison import Comparison, compare
+from factory.report.facts import facts_of
+from factory.report.material import Drives, Material
+from factory.stats import compute_statistics
+from schemas.terms import Split, Tier
+from tests.builders.dataset import failure
+from tests.builders.statistics import episode_row, rows_of, two_scenes
+
+
+def material(episodes: list[Any], failures: list[Any] | None = None) -> Material:
+    rows = rows_of(episodes, failures, two_scenes(max(len(episodes), 1)))
+    return Material(rows.meta, compute_statistics("run", rows), episodes, failures, Drives(), {})
+
+
+def drive(index: int, spawn: float, length: float, error: float = 0.967, **changes: Any) -> Any:
+    values = {"spawn_dist_m": spawn, "trajectory_length_m": length, "final_ne_m": error, "num_steps": 120}
+    return episode_row(index, **values | changes)
+
+
+def found(episodes: list[Any], what: str, failures: list[Any] | None = None) -> Comparison:
+    (row,) = [row for row in compare(material(episodes, failures)) if row.what == what]
+    return row
+
+
+def test_a_length_is_the_straight_way_and_the_detour() -> None:
+    facts = facts_of([drive(1, 2.0, 1.2), drive(2, 3.0, 2.1, 0.95)])
+    assert facts is not None
+    assert facts.tl_m == pytest.approx(facts.spawn_m - facts.ne_m + facts.detour_m)
+    assert facts.detour_m == pytest.approx((1.2 - 1.033 + 2.1 - 2.05) / 2)
+
+
+def test_the_reason_of_a_length_adds_up_to_the_difference() -> None:
+    row = found([drive(1, 2.0, 1.05), drive(2, 2.2, 1.25)], "TL mean, near")
+    here, there, shift, detour = map(float, re.findall(r"[+−]?\d+\.\d+", row.reason.replace("−", "-"))[:4])
+    assert (here, there) == (2.1, 2.53)
+    assert row.difference == pytest.approx(1.15 - 1.56)
+    assert abs(shift) == pytest.approx(there - here, abs=0.011)
+    assert here - 0.967 + detour == pytest.approx(1.15, abs=0.011)
+
+
+def test_a_length_like_the_papers_needs_no_reason() -> None:
+    row = found([drive(1, 2.527, 1.56)], "TL mean, near")
+    assert row.reason == ""
+    assert row.ratio == pytest.approx(1.0)
+
+
+def test_the_overall_length_is_weighted_by_the_papers_tiers() -> None:
+    lengths = {Tier.NEAR: 1.0, Tier.MID: 4.0, Tier.FAR: 9.0}
+    episodes = [drive(n, 1 + length, length, spawn_tier=tier) for n, (tier, length) in enumerate(lengths.items(), 1)]
+    reason = found(episodes, "TL mean, all").reason
+    assert f"{0.545 * 1 + 0.443 * 4 + 0.012 * 9:.2f} m" in reason
+
+
+def test_a_missing_tier_is_said_instead_of_weighted() -> None:
+    assert "No mid episodes" in found([drive(1, 6.0, 5.0)], "TL mean, all").reason
+
+
+def test_a_rate_within_the_papers_range_differs_by_nothing() -> None:
+    failures = [failure(1).model_copy(update={"reason": "collision"})]
+    row = found([episode_row(n) for n in range(1, 6)], "attempts that succeed, office", failures)
+    assert (row.ours, row.difference, row.reason) == (pytest.approx(5 / 6), 0, "")
+
+
+def test_a_rate_outside_the_papers_range_says_what_failed() -> None:
+    failures = [failure(1, attempt).model_copy(update={"reason": "collision"}) for attempt in (1, 2, 3)]
+    row = found([episode_row(1, attempt=4)], "attempts that succeed, office", failures)
+    assert row.difference == pytest.approx(0.25 - 0.8)
+    assert "1 of 4 attempts succeeded (3 collision)" in row.reason
+    assert "0.10 m" in row.reason
+
+
+def test_shares_follow_the_plan() -> None:
+    row = found([episode_row(1, split=Split.TEST_ID)], "share of test_id")
+    assert row.published == pytest.approx(121 / 1174)
+    assert row.reason.startswith("The plan asks for 10 %")
+
+
+def test_an_empty_dataset_is_compared_with_nothing() -> None:
+    assert compare(material([])) == ()
+
+
+def test_every_noticeable_difference_of_lengths_and_steps_has_a_reason() -> None:
+    rows = compare(material([drive(1, 6.0, 5.5), drive(2, 7.0, 6.6, scene="hospital")]))
+    silent = [
+        row.what
+        for row in rows
+        if row.unit in {"m", "steps"} and row.ratio and abs(row.ratio - 1) > 0.05 and not row.reason
+    ]
+    assert not silent

@@ -1,0 +1,195 @@
+"""A whole report of small datasets: what is on the page, that it needs nothing else, and what it says of damage."""
+
+from __future__ import annotations
+
+import io
+import re
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from factory.report import make_report, render_report
+from factory.report.drawers import DRAWERS
+from factory.report.exhibits import action_space, attempts, samples, spawn_maps
+from factory.report.folder import PAGE_FILE
+from factory.report.gather import gather
+from factory.stats import measure_dataset
+from schemas.errors import ArchiveCorrupt, WorldError
+from tests.builders.dataset import make_dataset
+
+_VOID = {"meta", "img", "br", "link", "input"}
+HOSTILE = 'Go to the <script>alert("x")</script> & stop.'
+
+
+class Outline(HTMLParser):
+    """Checks that tags are balanced and collects what matters."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.tags: set[str] = set()
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        found = dict(attrs)
+        self.ids += [found["id"]] if found.get("id") else []
+        self.links += [value for key, value in attrs if value and key in {"href", "src", "xlink:href"}]
+        if tag not in _VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in _VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset that the tests only read: three episodes, one failed attempt."""
+    root = tmp_path_factory.mktemp("report") / "data"
+    make_dataset(root, 3)
+    return root
+
+
+@pytest.fixture(scope="module")
+def files(data: Path) -> dict[str, bytes]:
+    return render_report(gather(data))[0]
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A dataset that the test may damage."""
+    make_dataset(tmp_path / "data", 3)
+    return tmp_path / "data"
+
+
+def page_of(root: Path) -> str:
+    """Returns the page with the quickest figure alone."""
+    return render_report(gather(root), drawers=(action_space.draw,))[0][PAGE_FILE].decode()
+
+
+def change_rows(root: Path, column: str, value: object) -> None:
+    path = root / "metadata.parquet"
+    table = pq.read_table(path)
+    place = table.schema.get_field_index(column)
+    values = pa.array([value] * table.num_rows, table.schema.field(column).type)
+    pq.write_table(table.set_column(place, table.schema.field(column), values), path)
+
+
+def test_the_page_is_whole_and_every_figure_has_its_place(files: dict[str, bytes]) -> None:
+    outline = Outline(files[PAGE_FILE].decode())
+    assert len(set(outline.ids)) == len(outline.ids)
+    anchors = [link[1:] for link in outline.links if link.startswith("#")]
+    assert set(anchors) <= set(outline.ids)
+    assert files[PAGE_FILE].count(b"<section id=") == len(DRAWERS) + 2
+    assert files[PAGE_FILE].count(b'<li><a href="#') == len(DRAWERS) + 2
+
+
+def test_the_page_asks_nothing_of_a_network_and_runs_nothing(files: dict[str, bytes]) -> None:
+    text = files[PAGE_FILE].decode()
+    outline = Outline(text)
+    assert all(link.startswith(("#", "data:image/")) for link in outline.links)
+    assert not outline.tags & {"script", "link", "iframe", "object"}
+    assert not re.search(r"url\((?!#)|@import", text)
+    assert "default-src 'none'" in text
+
+
+def test_every_drawing_is_there_as_svg_and_png(files: dict[str, bytes]) -> None:
+    names = {name.rsplit(".", 1)[0] for name in files if name.startswith("figures/")}
+    assert len(names) >= 16
+    for name in names:
+        assert ET.fromstring(files[f"{name}.svg"]).tag.endswith("svg")
+        with Image.open(io.BytesIO(files[f"{name}.png"])) as picture:
+            assert picture.width == 940
+            assert len(set(picture.convert("L").resize((64, 64)).tobytes())) > 2, name
+
+
+def test_the_same_dataset_gives_the_same_bytes(files: dict[str, bytes], data: Path) -> None:
+    again, _ = render_report(gather(data))
+    assert {name for name in files if files[name] != again.get(name)} == set()
+    assert again.keys() == files.keys()
+
+
+def test_where_the_dataset_lies_is_not_on_the_page(files: dict[str, bytes], data: Path) -> None:
+    assert not [name for name, content in files.items() if str(data.parent).encode() in content]
+
+
+def test_numbers_are_those_of_the_statistics(files: dict[str, bytes], data: Path) -> None:
+    found = measure_dataset(data)
+    text = files[PAGE_FILE].decode()
+    assert f"<strong>{found.scenes[-1].tl_mean_m:.2f} m</strong>" in text
+    assert f"<strong>{found.scenes[-1].steps_mean:.1f}</strong>" in text
+    assert "3 episodes" in text
+
+
+def test_instructions_are_shown_as_text_whatever_they_say(own: Path) -> None:
+    change_rows(own, "instruction", HOSTILE)
+    text = render_report(gather(own), drawers=(samples.draw,))[0][PAGE_FILE].decode()
+    assert "script" not in Outline(text).tags
+    assert "&lt;script&gt;" in text
+
+
+def test_a_damaged_episode_is_left_out_and_said(own: Path) -> None:
+    path = own / "episodes" / "ep_000002.zip"
+    path.write_bytes(path.read_bytes()[:5000])
+    material = gather(own)
+    assert sorted(material.drives.tracks) == ["ep_000001", "ep_000003"]
+    (remark,) = material.statistics.remarks
+    assert (remark.is_damage, remark.file) == (True, "episodes/ep_000002.zip")
+    text = render_report(material, drawers=(action_space.draw,))[0][PAGE_FILE].decode()
+    assert "What is left out, and why" in text
+    assert "episodes/ep_000002.zip" in text
+
+
+def test_a_missing_map_is_said_and_the_rest_is_drawn(own: Path) -> None:
+    for package in (own / "scenes").glob("*.scene.zip"):
+        package.unlink()
+    files, summary = render_report(gather(own), drawers=(spawn_maps.draw,))
+    assert "figures/spawn_map_office.svg" in files
+    assert any("the map of office is left out" in remark.text for remark in summary.remarks)
+
+
+def test_an_unreadable_record_of_attempts_is_said(own: Path) -> None:
+    (own / "attempts.parquet").write_bytes(b"nothing")
+    files, summary = render_report(gather(own), drawers=(attempts.draw,))
+    assert "figures/attempts.svg" not in files
+    assert [remark.file for remark in summary.remarks] == ["attempts.parquet"]
+    assert "the record of attempts cannot be read" in files[PAGE_FILE].decode()
+
+
+def test_an_empty_dataset_has_a_page_that_says_so(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data", 0, planned=3)
+    files, summary = render_report(gather(tmp_path / "data"))
+    text = files[PAGE_FILE].decode()
+    Outline(text)
+    assert (summary.episodes, summary.planned, summary.comparisons) == (0, 3, ())
+    assert "No episodes to show." in text
+    assert "0 of 3 planned episodes" in text
+
+
+def test_a_partial_dataset_says_how_far_it_is(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data", 1, planned=3)
+    text = page_of(tmp_path / "data")
+    assert "the run is not finished: 1 of 3 planned episodes" in text
+
+
+def test_no_dataset_and_no_table_are_errors(own: Path, tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="holds no dataset"):
+        make_report(tmp_path / "nothing", tmp_path / "out")
+    (own / "metadata.parquet").unlink()
+    with pytest.raises(ArchiveCorrupt, match="missing"):
+        make_report(own, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
