@@ -19,6 +19,7 @@ AnyExporter = Exporter[Any, Any]
 EXPORTERS: Mapping[str, str] = MappingProxyType(
     {
         "paper": "factory.export.paper:PaperExporter",
+        "lerobot": "factory.export.lerobot.v30:LeRobotExporter",
         "webdataset": "factory.export.webdataset:WebdatasetExporter",
         "mcap": "factory.export.mcap:McapExporter",
         "gnm": "factory.export.gnm:GnmExporter",

@@ -1,0 +1,91 @@
+"""The numbers of an episode as columns of LeRobot: state, action, tokens, pose, time. Pure.
+
+Under decimation to every n-th frame an action is the mean of the n commands from its frame to the next one kept: held
+for one step of the slower clock it covers the same way and angle. Tokens are the grid points nearest to that mean.
+State and pose are those of the frame itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.measure import yaw_of
+from schemas.tokens import tokens_of
+
+__all__ = ["ACTION_NAMES", "POSE_NAMES", "STATE_NAMES", "TOKEN_NAMES", "FrameColumns", "frame_columns", "kept_frames"]
+
+STATE_NAMES = ("x_m", "y_m", "yaw_rad", "v_mps", "w_rps")
+ACTION_NAMES = ("v_mps", "w_rps")
+TOKEN_NAMES = ("v", "w")
+POSE_NAMES = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+
+
+@dataclass(frozen=True)
+class FrameColumns:
+    """One row a kept frame."""
+
+    state: NDArray[np.float32]
+    """(N, 5) what wheel odometry would tell: x, y and yaw since the first frame, in its frame (x forward, y left, yaw
+    unwrapped), and the measured twist over the recorded step before the frame, 0 at the first."""
+    action: NDArray[np.float32]
+    """(N, 2) commanded v in m/s and w in rad/s; the mean of the commands until the next kept frame."""
+    tokens: NDArray[np.int64]
+    """(N, 2) nearest points of the 7 x 7 grid."""
+    pose: NDArray[np.float32]
+    """(N, 7) x, y, z, qw, qx, qy, qz of base_link in the world frame."""
+    timestamp: NDArray[np.float32]
+    """(N,) seconds since the first frame."""
+    frame_index: NDArray[np.int64]
+    """(N,) 0 to N - 1."""
+
+
+def kept_frames(steps: int, stride: int) -> range:
+    """Returns which of the recorded frames are kept."""
+    return range(0, steps, stride)
+
+
+def frame_columns(
+    actions: NDArray[np.float32], poses: NDArray[np.float32], recorded_hz: int, stride: int
+) -> FrameColumns:
+    """Returns the columns of an episode.
+
+    Args:
+        actions: (T, 2) as recorded.
+        poses: (T, 7) as recorded.
+        recorded_hz: frames a second in the recording.
+        stride: which frames are kept, every n-th; `recorded_hz` is a multiple of it.
+    """
+    kept = np.asarray(kept_frames(len(actions), stride))
+    action = _mean_of_windows(actions, stride) if stride > 1 else actions
+    return FrameColumns(
+        state=_odometry(poses, recorded_hz)[kept],
+        action=action,
+        tokens=tokens_of(action).astype(np.int64),
+        pose=poses[kept],
+        timestamp=(np.arange(len(kept)) / (recorded_hz // stride)).astype(np.float32),
+        frame_index=np.arange(len(kept), dtype=np.int64),
+    )
+
+
+def _mean_of_windows(actions: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
+    starts = np.arange(0, len(actions), stride)
+    sums = np.add.reduceat(actions.astype(np.float64), starts, axis=0)
+    sizes = np.diff(np.append(starts, len(actions)))
+    return (sums / sizes[:, None]).astype(np.float32)
+
+
+def _odometry(poses: NDArray[np.float32], hz: int) -> NDArray[np.float32]:
+    """Returns (T, 5) planar pose in the frame of the first one, and twist by backward differences."""
+    yaw = np.unwrap(yaw_of(poses))
+    offset = poses[:, :2].astype(np.float64) - poses[0, :2].astype(np.float64)
+    cos, sin = np.cos(yaw[0]), np.sin(yaw[0])
+    x, y = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
+    turned = yaw - yaw[0]
+    heading = (turned[1:] + turned[:-1]) / 2
+    v, w = np.zeros(len(poses)), np.zeros(len(poses))
+    v[1:] = (np.diff(x) * np.cos(heading) + np.diff(y) * np.sin(heading)) * hz
+    w[1:] = np.diff(turned) * hz
+    return np.stack([x, y, turned, v, w], axis=1).astype(np.float32)

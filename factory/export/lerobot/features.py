@@ -1,0 +1,128 @@
+"""The features of a LeRobot dataset as `info.json` and the parquet files describe them. Pure; computes no values."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pyarrow as pa
+from pydantic import Field
+
+from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, STATE_NAMES, TOKEN_NAMES
+from factory.export.lerobot.depth import SHIFT_M
+from factory.export.options import Decimated
+from factory.export.video import DEPTH_CODEC, RGB_CODEC, Codec
+from schemas.arrays import FRAME_SIZE_PX
+
+__all__ = [
+    "DEPTH",
+    "FILES",
+    "IDS",
+    "RGB",
+    "ROBOT",
+    "VECTORS",
+    "LeRobotOptions",
+    "data_schema",
+    "features_of",
+    "info_of",
+    "video_keys",
+]
+
+RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
+ROBOT = "nova_carter"
+FILES = {RGB: "front.mp4", DEPTH: "depth.mp4"}
+"""Video feature -> name of its file in a piece."""
+_IMAGE_NAMES = ["height", "width", "channels"]
+
+VECTORS: dict[str, tuple[str, tuple[str, ...] | None]] = {
+    "observation.state": ("float32", STATE_NAMES),
+    "action": ("float32", ACTION_NAMES),
+    "tokens": ("int64", TOKEN_NAMES),
+    "pose": ("float32", POSE_NAMES),
+    "timestamp": ("float32", None),
+    "frame_index": ("int64", None),
+    "episode_index": ("int64", None),
+    "index": ("int64", None),
+    "task_index": ("int64", None),
+}
+"""Column of numbers -> dtype and names; those without names are single numbers. Policies of LeRobot take every column
+that begins with `observation` or `action` as input or output, so tokens and the world pose are called otherwise."""
+_TYPES = {"float32": pa.float32(), "int64": pa.int64()}
+_IMAGE_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+
+
+class LeRobotOptions(Decimated):
+    """What can be chosen of both versions."""
+
+    depth: bool = Field(default=False, description="Also metric depth, as lossless 12-bit video.")
+    ids: bool = Field(default=False, description="Also instance ids, as 16-bit PNG images in the data files.")
+
+
+def video_keys(options: LeRobotOptions) -> tuple[str, ...]:
+    """Returns the features that are videos."""
+    return (RGB, DEPTH) if options.depth else (RGB,)
+
+
+def features_of(options: LeRobotOptions, fps: int, far_m: float) -> dict[str, Any]:
+    """Returns the `features` of `info.json`."""
+    side = FRAME_SIZE_PX
+    found: dict[str, Any] = {
+        RGB: {"dtype": "video", "shape": [side, side, 3], "names": _IMAGE_NAMES, "info": _rgb_info(fps)}
+    }
+    if options.depth:
+        info = _depth_info(fps, far_m)
+        found[DEPTH] = {"dtype": "video", "shape": [side, side, 1], "names": _IMAGE_NAMES, "info": info}
+    if options.ids:
+        found[IDS] = {"dtype": "image", "shape": [side, side, 1], "names": _IMAGE_NAMES}
+    for name, (dtype, names) in VECTORS.items():
+        found[name] = {"dtype": dtype, "shape": [len(names) if names else 1], "names": list(names) if names else None}
+    return found
+
+
+def info_of(options: LeRobotOptions, fps: int, far_m: float, **values: Any) -> str:
+    """Returns `info.json` as text."""
+    known = {"robot_type": ROBOT, "fps": fps, "features": features_of(options, fps, far_m)}
+    return json.dumps({**values, **known}, indent=4) + "\n"
+
+
+def data_schema(options: LeRobotOptions) -> pa.Schema:
+    """Returns the columns of the data files, with the description that `datasets` reads."""
+    fields: list[pa.Field] = [pa.field(IDS, _IMAGE_TYPE)] if options.ids else []
+    described: dict[str, Any] = {IDS: {"_type": "Image"}} if options.ids else {}
+    for name, (dtype, names) in VECTORS.items():
+        value = {"dtype": dtype, "_type": "Value"}
+        if names is None:
+            fields.append(pa.field(name, _TYPES[dtype]))
+            described[name] = value
+        else:
+            fields.append(pa.field(name, pa.list_(pa.field("element", _TYPES[dtype]), len(names))))
+            described[name] = {"feature": value, "length": len(names), "_type": "List"}
+    metadata = {"huggingface": json.dumps({"info": {"features": described}})}
+    return pa.schema(fields, metadata=metadata)
+
+
+def _rgb_info(fps: int) -> dict[str, Any]:
+    extra = {"video.crf": int(RGB_CODEC.options["crf"]), "video.extra_options": {"bf": 0}}
+    return _video_info(RGB_CODEC, fps, 3) | extra | {"is_depth_map": False}
+
+
+def _depth_info(fps: int, far_m: float) -> dict[str, Any]:
+    quantiser = {"video.depth_min": 0.0, "video.depth_max": far_m, "video.shift": SHIFT_M, "video.use_log": True}
+    extra = {"video.crf": None, "video.extra_options": {"x265-params": "lossless=1"}}
+    return {"is_depth_map": True, "depth_unit": "m", **_video_info(DEPTH_CODEC, fps, 1), **extra, **quantiser}
+
+
+def _video_info(codec: Codec, fps: int, channels: int) -> dict[str, Any]:
+    return {
+        "video.height": FRAME_SIZE_PX,
+        "video.width": FRAME_SIZE_PX,
+        "video.codec": codec.name,
+        "video.pix_fmt": codec.pixels,
+        "video.fps": fps,
+        "video.channels": channels,
+        "has_audio": False,
+        "video.g": int(codec.options["g"]),
+        "video.preset": codec.options["preset"],
+        "video.fast_decode": 0,
+        "video.video_backend": "pyav",
+    }

@@ -1,0 +1,114 @@
+"""Which number each exported episode has in a LeRobot dataset: sorted by split, so that splits are ranges. Pure.
+
+Tasks are the instructions, numbered as they first appear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.export.base import Piece
+from factory.export.lerobot.piece import LeRobotFacts
+from schemas.terms import Split
+
+__all__ = ["ABOUT", "Numbered", "Numbering", "number_pieces"]
+
+_SPLIT_ORDER = {str(split): place for place, split in enumerate(Split)}
+ABOUT = (
+    "episode_id",
+    "split",
+    "scene",
+    "spawn_tier",
+    "target_category",
+    "target_id",
+    "template_id",
+    "colour",
+    "phrase_is_unique",
+    "expert",
+    "goal_x_m",
+    "goal_y_m",
+    "goal_z_m",
+    "spawn_dist_m",
+    "geodesic_m",
+    "trajectory_length_m",
+    "final_ne_m",
+    "collision_count",
+    "content_digest",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Numbered:
+    """A piece with its place in the dataset."""
+
+    piece: Piece[LeRobotFacts]
+    episode_index: int
+    task_index: int
+    task: str
+    first: int
+    """Number of its first frame among all."""
+    frames: int
+
+    def numbers(self) -> dict[str, NDArray[np.int64]]:
+        """Returns the columns that number its frames among all."""
+        return {
+            "episode_index": np.full(self.frames, self.episode_index, np.int64),
+            "index": np.arange(self.first, self.first + self.frames, dtype=np.int64),
+            "task_index": np.full(self.frames, self.task_index, np.int64),
+        }
+
+    def about(self) -> dict[str, Any]:
+        """Returns what the dataset says of the episode, for columns beside LeRobot's own."""
+        summary = self.piece.summary
+        return {name: getattr(summary, name) for name in ABOUT}
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """All pieces in their new order."""
+
+    episodes: Sequence[Numbered]
+    tasks: tuple[str, ...]
+    splits: dict[str, str]
+    """Split -> `start:stop` of its episodes."""
+    frames: int
+
+    def __iter__(self) -> Iterator[Numbered]:
+        return iter(self.episodes)
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+
+def number_pieces(pieces: Sequence[Piece[LeRobotFacts]], stride: int) -> Numbering:
+    """Returns the pieces by split, within a split in the order of the plan.
+
+    Args:
+        pieces: in the order of the plan.
+        stride: of how many recorded frames one is kept.
+    """
+    ordered = sorted(pieces, key=lambda piece: (_SPLIT_ORDER.get(piece.split, len(_SPLIT_ORDER)), piece.split))
+    tasks: dict[str, int] = {}
+    found: list[Numbered] = []
+    first = 0
+    for number, piece in enumerate(ordered):
+        row = piece.dataset.metadata
+        task = str(row["instruction"][piece.position].as_py())
+        frames = -(-int(row["num_steps"][piece.position].as_py()) // stride)
+        found.append(Numbered(piece, number, tasks.setdefault(task, len(tasks)), task, first, frames))
+        first += frames
+    return Numbering(found, tuple(tasks), _ranges(ordered), first)
+
+
+def _ranges(ordered: Sequence[Piece[LeRobotFacts]]) -> dict[str, str]:
+    starts: dict[str, int] = {}
+    stops: dict[str, int] = {}
+    for number, piece in enumerate(ordered):
+        starts.setdefault(piece.split, number)
+        stops[piece.split] = number + 1
+    return {split: f"{start}:{stops[split]}" for split, start in starts.items()}

@@ -1,0 +1,169 @@
+"""Statistics of features as LeRobot stores them: of one episode, and of all. Pure.
+
+Quantiles of images come from counts per value, and those of the whole dataset from all values, not as means of the
+episodes' quantiles as LeRobot's own aggregation takes them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.base import Model
+
+__all__ = ["QUANTILES", "ImageCounts", "ImageTally", "RunningStats", "image_stats", "sampled_frames", "vector_stats"]
+
+Stats = dict[str, Any]
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+_BINS = 4096
+_FEWEST, _MOST, _POWER = 100, 10_000, 0.75
+
+
+def sampled_frames(frames: int) -> frozenset[int]:
+    """Returns which frames of an episode image statistics look at: about N^0.75, at least 100, evenly spread."""
+    wanted = max(min(frames, _FEWEST), min(int(frames**_POWER), _MOST))
+    return frozenset(np.round(np.linspace(0, frames - 1, wanted)).astype(int).tolist())
+
+
+def vector_stats(values: NDArray[np.generic]) -> Stats:
+    """Returns the statistics of (N,) or (N, D) numbers, per column, as lists."""
+    table = np.asarray(values, np.float64).reshape(len(values), -1)
+    stats: Stats = {
+        "min": table.min(axis=0).tolist(),
+        "max": table.max(axis=0).tolist(),
+        "mean": table.mean(axis=0).tolist(),
+        "std": table.std(axis=0).tolist(),
+        "count": [len(table)],
+    }
+    found = np.quantile(table, list(QUANTILES.values()), axis=0)
+    return stats | {name: row.tolist() for name, row in zip(QUANTILES, found, strict=True)}
+
+
+class ImageCounts(Model):
+    """How often each value was seen in sampled frames, per channel: what statistics can be made and added up from."""
+
+    samples: int
+    """Frames looked at."""
+    values: tuple[int, ...]
+    """Codes that were seen at least once, ascending."""
+    counts: tuple[tuple[int, ...], ...]
+    """For each channel, how often each of the values was seen."""
+
+
+@dataclass
+class ImageTally:
+    """Counts the values of images while they pass by, or those of many episodes."""
+
+    channels: int
+    largest: int
+    """Of all codes."""
+    samples: int = 0
+    counts: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.counts = np.zeros((self.channels, self.largest + 1), np.int64)
+
+    def add(self, image: NDArray[np.generic]) -> None:
+        """Counts an image of (H, W) or (H, W, C) unsigned codes."""
+        planes = image.reshape(-1, self.channels)
+        for channel in range(self.channels):
+            self.counts[channel] += np.bincount(planes[:, channel], minlength=self.largest + 1)
+        self.samples += 1
+
+    def merge(self, other: ImageCounts) -> None:
+        """Adds the counts of an episode."""
+        self.counts[:, list(other.values)] += np.asarray(other.counts, np.int64)
+        self.samples += other.samples
+
+    def result(self) -> ImageCounts:
+        """Returns what was counted."""
+        seen = np.flatnonzero(self.counts.any(axis=0))
+        counts = tuple(tuple(row[seen].tolist()) for row in self.counts)
+        return ImageCounts(samples=self.samples, values=tuple(seen.tolist()), counts=counts)
+
+
+def image_stats(counts: ImageCounts, decode: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Stats:
+    """Returns the statistics of an image feature, each but `count` of shape (C, 1, 1), as lists.
+
+    Args:
+        counts: of its codes.
+        decode: from codes to the feature's unit, rising.
+    """
+    values = decode(np.asarray(counts.values, np.float64))
+    columns = [_weighted_stats(values, np.asarray(row, np.float64)) for row in counts.counts]
+    stats: Stats = {name: [[[column[name]]] for column in columns] for name in columns[0]}
+    return {**stats, "count": [counts.samples]}
+
+
+def _weighted_stats(values: NDArray[np.float64], counts: NDArray[np.float64]) -> dict[str, float]:
+    values, counts = values[counts > 0], counts[counts > 0]
+    total = counts.sum()
+    mean = float((values * counts).sum() / total)
+    rising = np.cumsum(counts) / total
+    places = np.minimum(np.searchsorted(rising, list(QUANTILES.values())), len(values) - 1)
+    return {
+        "min": float(values[0]),
+        "max": float(values[-1]),
+        "mean": mean,
+        "std": math.sqrt(float(((values - mean) ** 2 * counts).sum() / total)),
+        **{name: float(values[place]) for name, place in zip(QUANTILES, places, strict=True)},
+    }
+
+
+class RunningStats:
+    """Statistics of a column of all episodes, in two passes: `merge` every episode's, then `add` every one's values.
+
+    Memory does not grow with the rows. Quantiles are exact to the width of a bin, 1/4096 of the range.
+    """
+
+    def __init__(self) -> None:
+        self._low: NDArray[np.float64] | None = None
+        self._bins: NDArray[np.int64] | None = None
+
+    def merge(self, stats: Mapping[str, Any]) -> None:
+        """Takes minimum, maximum, mean and deviation of an episode (Chan's parallel formula)."""
+        low, high = np.asarray(stats["min"], np.float64), np.asarray(stats["max"], np.float64)
+        mean, count = np.asarray(stats["mean"], np.float64), int(stats["count"][0])
+        spread = np.asarray(stats["std"], np.float64) ** 2 * count
+        if self._low is None:
+            self._low, self._high, self._mean, self._spread, self._count = low, high, mean, spread, count
+            return
+        total = self._count + count
+        step = mean - self._mean
+        self._mean = self._mean + step * (count / total)
+        self._spread = self._spread + spread + step**2 * (self._count * count / total)
+        self._low, self._high, self._count = np.minimum(self._low, low), np.maximum(self._high, high), total
+
+    def add(self, values: NDArray[np.generic]) -> None:
+        """Counts the (N,) or (N, D) values of an episode for the quantiles; after all have been merged."""
+        table = np.asarray(values, np.float64).reshape(len(values), -1)
+        assert self._low is not None, "nothing merged yet"
+        if self._bins is None:
+            self._bins = np.zeros((table.shape[1], _BINS), np.int64)
+        width = np.maximum(self._high - self._low, np.finfo(np.float64).tiny)
+        places = np.clip(((table - self._low) / width * _BINS).astype(np.int64), 0, _BINS - 1)
+        for column in range(table.shape[1]):
+            self._bins[column] += np.bincount(places[:, column], minlength=_BINS)
+
+    def result(self) -> Stats:
+        """Returns the statistics of all values."""
+        assert self._low is not None, "nothing merged yet"
+        assert self._bins is not None, "nothing added yet"
+        rising = np.cumsum(self._bins, axis=1) / self._count
+        width = (self._high - self._low) / _BINS
+        stats: Stats = {
+            "min": self._low.tolist(),
+            "max": self._high.tolist(),
+            "mean": self._mean.tolist(),
+            "std": np.sqrt(self._spread / self._count).tolist(),
+            "count": [self._count],
+        }
+        for name, share in QUANTILES.items():
+            places = np.minimum((rising < share).sum(axis=1), _BINS - 1)
+            stats[name] = np.minimum(self._low + (places + 0.5) * width, self._high).tolist()
+        return stats

@@ -1,0 +1,233 @@
+"""`lerobot`: LeRobotDataset v3.0; many episodes share a data file and a video file.
+
+Layout and limits are those of LeRobot 0.6 (datasets/utils.py); a test compares the schemas with its own writer's.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from coordinator.dataset_meta import DatasetMeta
+from coordinator.dataset_tables import parquet_schema
+from coordinator.summary import EpisodeSummary
+from factory.episode import Episode
+from factory.export.base import Exporter, Finish, Requirement
+from factory.export.card import CARD_FILE, export_card
+from factory.export.lerobot.card import card_text
+from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, info_of, video_keys
+from factory.export.lerobot.measure import DatasetStats, episode_stats
+from factory.export.lerobot.numbering import ABOUT, Numbered, Numbering, number_pieces
+from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns, write_piece
+from factory.export.lerobot.statistics import QUANTILES
+from factory.export.options import stride_of
+from factory.export.video import join_videos
+
+__all__ = ["LeRobotExporter", "episodes_schema", "tasks_table"]
+
+VERSION = "v3.0"
+_CHUNK_FILES = 1000
+_DATA_MIB, _VIDEO_MIB = 100, 200
+_EPISODES_A_FILE, _EPISODES_A_BATCH = 10_000, 200
+_FILE = "chunk-{:03d}/file-{:03d}"
+_SCALAR, _NESTED = pa.list_(pa.float64()), pa.list_(pa.list_(pa.list_(pa.float64())))
+Places = dict[int, tuple[int, int, float]]
+"""Episode -> chunk, file, and seconds from the file's beginning."""
+
+
+class LeRobotExporter(Exporter[LeRobotOptions, LeRobotFacts]):
+    """Pieces are joined to files of at most 100 MiB of rows and 200 MiB of video."""
+
+    name = "lerobot"
+    about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
+    requires = (Requirement("av", "lerobot"),)
+    assembles = True
+    options = LeRobotOptions
+    facts = LeRobotFacts
+
+    def check(self, options: LeRobotOptions, meta: DatasetMeta) -> None:
+        """Refuses a rate that does not divide the dataset's."""
+        stride_of(options.fps, meta.plan.task.control_hz)
+
+    def write_episode(self, episode: Episode, options: LeRobotOptions, folder: Path) -> LeRobotFacts:
+        """Writes videos and columns of one episode."""
+        return write_piece(episode, options, folder)
+
+    def finish(self, export: Finish[LeRobotOptions, LeRobotFacts]) -> None:
+        """Writes data, videos and `meta/`."""
+        task, options, out = export.dataset.meta.plan.task, export.options, export.out
+        far_m = export.dataset.meta.plan.camera.far_m
+        stride = stride_of(options.fps, task.control_hz)
+        fps = task.control_hz // stride
+        numbering = number_pieces(export.pieces, stride)
+        data = _write_data(export, numbering)
+        videos = {key: _write_videos(export, numbering, key, fps) for key in video_keys(options)}
+        stats = DatasetStats(far_m)
+        _write_episodes(export, numbering, data, videos, fps, far_m, stats)
+        out.write_text("meta/stats.json", json.dumps(stats.result(numbering, options), indent=4) + "\n")
+        with out.replacing("meta/tasks.parquet") as part:
+            pq.write_table(tasks_table(numbering.tasks), part, compression="snappy")
+        card = card_text(VERSION, options, fps, stride, numbering.splits)
+        configs = {"frames": "data/*/*.parquet", "episodes": "meta/episodes/*/*.parquet"}
+        out.write_text(CARD_FILE, export_card(export.dataset.meta, len(numbering), card, configs, ["LeRobot"]))
+        out.write_text("meta/info.json", _info(options, numbering, fps, far_m))
+
+
+def episodes_schema(options: LeRobotOptions, images: Sequence[str]) -> pa.Schema:
+    """Returns the columns of `meta/episodes`: LeRobot's own in its order, then ours."""
+    fields = [("episode_index", pa.int64()), ("tasks", pa.list_(pa.string())), ("length", pa.int64())]
+    fields += [(name, pa.int64()) for name in ("data/chunk_index", "data/file_index")]
+    fields += [(name, pa.int64()) for name in ("dataset_from_index", "dataset_to_index")]
+    for key in video_keys(options):
+        fields += [(f"videos/{key}/{name}", pa.int64()) for name in ("chunk_index", "file_index")]
+        fields += [(f"videos/{key}/{name}", pa.float64()) for name in ("from_timestamp", "to_timestamp")]
+    for key in (*images, *VECTORS):
+        kind = _NESTED if key in images else _SCALAR
+        for stat in ("min", "max", "mean", "std", "count", *QUANTILES):
+            fields.append((f"stats/{key}/{stat}", pa.list_(pa.int64()) if stat == "count" else kind))
+    fields += [(name, pa.int64()) for name in ("meta/episodes/chunk_index", "meta/episodes/file_index")]
+    ours = parquet_schema(EpisodeSummary)
+    return pa.schema([*fields, *((name, ours.field(name).type) for name in ABOUT)])
+
+
+def tasks_table(tasks: Sequence[str]) -> pa.Table:
+    """Returns `meta/tasks.parquet`: a pandas frame whose index is the instruction."""
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": dtype, "metadata": None}
+        for name, kind, dtype in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    unnamed = {"name": None, "field_name": None, "pandas_type": "unicode", "numpy_type": "object"}
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [unnamed | {"metadata": {"encoding": "UTF-8"}}],
+        "columns": columns,
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "2.3.3",
+    }
+    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(pandas)})
+    return pa.table([list(range(len(tasks))), list(tasks)], schema=schema)
+
+
+def _write_data(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering) -> Places:
+    """Writes the data files, one row group an episode, and returns where each episode is."""
+    places: Places = {}
+    schema = data_schema(export.options)
+    for number, group in enumerate(_grouped(numbering, FRAMES_FILE, _DATA_MIB)):
+        chunk, file = divmod(number, _CHUNK_FILES)
+        places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
+        name = f"data/{_FILE.format(chunk, file)}.parquet"
+        if export.out.has(name):
+            continue
+        with (
+            export.out.replacing(name) as part,
+            pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
+        ):
+            for numbered in group:
+                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), export.options))
+    return places
+
+
+def _write_videos(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering, key: str, fps: int) -> Places:
+    """Writes the video files of a feature and returns where each episode is."""
+    places: Places = {}
+    for number, group in enumerate(_grouped(numbering, FILES[key], _VIDEO_MIB)):
+        chunk, file = divmod(number, _CHUNK_FILES)
+        begun = group[0].first
+        places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / fps) for numbered in group}
+        name = f"videos/{key}/{_FILE.format(chunk, file)}.mp4"
+        if not export.out.has(name):
+            with export.out.replacing(name) as part:
+                join_videos((numbered.piece.folder / FILES[key] for numbered in group), part, fps)
+    return places
+
+
+def _write_episodes(
+    export: Finish[LeRobotOptions, LeRobotFacts],
+    numbering: Numbering,
+    data: Places,
+    videos: dict[str, Places],
+    fps: int,
+    far_m: float,
+    stats: DatasetStats,
+) -> None:
+    """Writes `meta/episodes`, and takes the statistics of every episode on the way."""
+    images = tuple(numbering.episodes[0].piece.facts.images)
+    schema = episodes_schema(export.options, images)
+    for file, begin in enumerate(range(0, len(numbering), _EPISODES_A_FILE)):
+        place = divmod(file, _CHUNK_FILES)
+        with (
+            export.out.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
+            pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
+        ):
+            some = numbering.episodes[begin : begin + _EPISODES_A_FILE]
+            for first in range(0, len(some), _EPISODES_A_BATCH):
+                rows = []
+                for numbered in some[first : first + _EPISODES_A_BATCH]:
+                    found = episode_stats(numbered, export.options, far_m)
+                    stats.merge(numbered, found)
+                    rows.append(_row(numbered, data, videos, fps, place, found))
+                writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+
+
+def _row(
+    numbered: Numbered,
+    data: Places,
+    videos: dict[str, Places],
+    fps: int,
+    place: tuple[int, int],
+    stats: dict[str, dict[str, Any]],
+) -> dict[str, Any]:
+    chunk, file, _ = data[numbered.episode_index]
+    row: dict[str, Any] = {
+        "episode_index": numbered.episode_index,
+        "tasks": [numbered.task],
+        "length": numbered.frames,
+        "data/chunk_index": chunk,
+        "data/file_index": file,
+        "dataset_from_index": numbered.first,
+        "dataset_to_index": numbered.first + numbered.frames,
+    }
+    for key, places in videos.items():
+        chunk, file, begun_s = places[numbered.episode_index]
+        row |= {f"videos/{key}/chunk_index": chunk, f"videos/{key}/file_index": file}
+        row |= {f"videos/{key}/from_timestamp": begun_s, f"videos/{key}/to_timestamp": begun_s + numbered.frames / fps}
+    row |= {f"stats/{key}/{stat}": value for key, found in stats.items() for stat, value in found.items()}
+    row |= {"meta/episodes/chunk_index": place[0], "meta/episodes/file_index": place[1]}
+    return row | numbered.about()
+
+
+def _grouped(numbering: Numbering, file: str, limit_mib: int) -> Iterator[list[Numbered]]:
+    """Yields episodes whose pieces fill one file; an episode is never divided."""
+    group: list[Numbered] = []
+    size = 0
+    for numbered in numbering:
+        more = (numbered.piece.folder / file).stat().st_size
+        if group and size + more > limit_mib << 20:
+            yield group
+            group, size = [], 0
+        group.append(numbered)
+        size += more
+    yield group
+
+
+def _info(options: LeRobotOptions, numbering: Numbering, fps: int, far_m: float) -> str:
+    return info_of(
+        options,
+        fps,
+        far_m,
+        codebase_version=VERSION,
+        total_episodes=len(numbering),
+        total_frames=numbering.frames,
+        total_tasks=len(numbering.tasks),
+        chunks_size=_CHUNK_FILES,
+        data_files_size_in_mb=_DATA_MIB,
+        video_files_size_in_mb=_VIDEO_MIB,
+        splits=numbering.splits,
+        data_path="data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        video_path="videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+    )
