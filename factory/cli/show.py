@@ -1,7 +1,8 @@
-"""`factory show`: a picture of one episode."""
+"""`factory show`: a picture or a short film of one episode."""
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 
 import click
@@ -9,27 +10,75 @@ import click
 from factory.catalog import find_package
 from factory.cli.episodes import episode_path
 from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json
 from factory.contact_sheet import draw_contact_sheet
+from factory.film import draw_film, film_rate, write_gif, write_mp4
 from schemas.bundle import BundleReader
-from schemas.scene import decode_scene
+from schemas.errors import UsageError, WorldError
+from schemas.scene import CompiledScene, decode_scene
 
 __all__ = ["command"]
+
+_GIF_FPS = 15
+_KINDS = (".png", ".mp4", ".gif")
 
 
 @click.command("show")
 @dataset_argument
 @click.argument("episode")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="PNG to write; default EPISODE.png.")
-@click.option("--columns", type=click.IntRange(2, 24), default=6, show_default=True, help="Frames across.")
-def command(root: Path, episode: str, out: Path | None, columns: int) -> None:
-    """Draw the contact sheet of EPISODE (`ep_000001` or a number) of the dataset DIR."""
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="PNG, MP4 or GIF; default EPISODE.png."
+)
+@click.option("--columns", type=click.IntRange(2, 24), default=6, show_default=True, help="Frames across, of a PNG.")
+@json_option
+def command(root: Path, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
+    """Show EPISODE (`ep_000001` or a number) of the dataset DIR.
+
+    A .png is a contact sheet; a .mp4 or .gif is a film at the speed of life: colour, depth, ids and the track from
+    above, with the instruction beneath.
+    """
     path = episode_path(root, episode)
     target = out or Path(f"{path.stem}.png")
-    with path.open("rb") as file:
-        bundle = BundleReader(file)
+    kind = target.suffix.lower()
+    if kind not in _KINDS:
+        raise UsageError(
+            f"-o {target}: nothing is written as {kind or 'a file without suffix'!r}; use {', '.join(_KINDS)}"
+        )
+    with path.open("rb") as file, BundleReader(file) as bundle:
         job = bundle.meta.job
         with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
-            sheet = draw_contact_sheet(bundle, decode_scene(package), columns)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    sheet.save(target)
-    click.echo(str(target))
+            scene = decode_scene(package)
+        _make_room(target)
+        facts = {"file": str(target), "kind": kind[1:], "episode": job.episode_id, "frames": bundle.length}
+        if kind == ".png":
+            _save_sheet(target, bundle, scene, columns)
+        else:
+            facts |= {"fps": float(_save_film(target, bundle, scene))}
+    if as_json:
+        print_json(facts | {"bytes": target.stat().st_size})
+    else:
+        click.echo(str(target))
+
+
+def _make_room(target: Path) -> None:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WorldError(f"cannot make {target.parent} ({error.strerror}); choose another -o") from error
+
+
+def _save_sheet(target: Path, bundle: BundleReader, scene: CompiledScene, columns: int) -> None:
+    sheet = draw_contact_sheet(bundle, scene, columns)
+    try:
+        sheet.save(target)
+    except OSError as error:
+        raise WorldError(f"cannot write {target} ({error.strerror}); free space or choose another -o") from error
+
+
+def _save_film(target: Path, bundle: BundleReader, scene: CompiledScene) -> Fraction:
+    is_gif = target.suffix.lower() == ".gif"
+    hz = bundle.meta.job.task.control_hz
+    stride, rate = film_rate(hz, _GIF_FPS) if is_gif else film_rate(hz)
+    write = write_gif if is_gif else write_mp4
+    write(target, draw_film(bundle, scene, stride), rate)
+    return rate

@@ -1,0 +1,98 @@
+"""What pictures and films of an episode are put together from: depth and ids in colour, the track from above. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image, ImageDraw
+
+from schemas.bundle import BundleReader
+from schemas.scene import CompiledScene
+
+__all__ = ["DEPTH_SHOWN_M", "TrackMap", "show_depth", "show_ids"]
+
+DEPTH_SHOWN_M = 10.0
+"""Depth at the dark end of the colours, metres."""
+_LEAST_SPAN_M = 8.0
+_RIM_M = 3.0
+_DEPTH_COLOURS = ((252, 253, 191), (254, 159, 109), (222, 73, 104), (140, 41, 129), (59, 15, 112), (8, 8, 30))
+"""Near to far, as dark as it is far; between them linear."""
+_TARGET, _TRACK, _START = (230, 30, 30), (20, 80, 220), (20, 160, 60)
+Rgb = NDArray[np.uint8]
+
+
+def _depth_table() -> Rgb:
+    places = np.linspace(0, 255, len(_DEPTH_COLOURS))
+    channels = [np.interp(np.arange(256), places, column) for column in zip(*_DEPTH_COLOURS, strict=True)]
+    return np.stack(channels, axis=1).astype(np.uint8)
+
+
+_TABLE = _depth_table()
+
+
+def show_depth(depth: NDArray[np.float32]) -> Rgb:
+    """Returns depth (H, W) in metres as colour (H, W, 3): bright is near, black is nothing."""
+    shade = np.sqrt(np.clip(depth / DEPTH_SHOWN_M, 0, 1))  # most of what is seen is near
+    colours: Rgb = _TABLE[(255 * shade).astype(np.uint8)]
+    colours[depth == 0] = 0
+    return colours
+
+
+def show_ids(ids: NDArray[np.uint16], target: int) -> Rgb:
+    """Returns ids (H, W) as colour (H, W, 3), one colour an instance in every frame and episode; the target is red."""
+    mixed = ids.astype(np.uint32) * np.uint32(2654435761)
+    colours = np.stack([mixed >> 24, mixed >> 16, mixed >> 8], axis=-1).astype(np.uint8) // 2 + 40
+    colours[ids == 0] = 0
+    colours[ids == target] = (255, 40, 40)
+    return colours
+
+
+class TrackMap:
+    """A window of the scene's floor plan, north up, on which an episode's track is drawn.
+
+    Args:
+        episode: the bundle.
+        scene: the package it was made in.
+        size: of the square picture, pixels.
+    """
+
+    def __init__(self, episode: BundleReader, scene: CompiledScene, size: int) -> None:
+        self._track = episode.arrays.poses[:, :2].astype(float)
+        self._goal = np.array(episode.meta.target_centroid_m[:2])
+        points = np.vstack([self._track, self._goal])
+        self._centre = (points.min(axis=0) + points.max(axis=0)) / 2
+        span_m = max(float(np.ptp(points, axis=0).max()) + _RIM_M, _LEAST_SPAN_M)
+        self._size, self._scale = size, size / span_m
+        self._floor = _window(scene, self._centre, span_m, size)
+        self._radius_m = episode.meta.job.task.success_radius_m
+
+    def draw(self, steps: int) -> Image.Image:
+        """Returns the map with the first `steps` poses of the track, the start, the goal and its success circle."""
+        picture = self._floor.copy()
+        pen = ImageDraw.Draw(picture)
+        track = [self._pixel(point) for point in self._track[: max(1, steps)]]
+        width = max(2, self._size // 240)
+        if len(track) > 1:
+            pen.line(track, fill=_TRACK, width=width)
+        gx, gy = self._pixel(self._goal)
+        radius, dot = self._radius_m * self._scale, max(4.0, self._size / 120)
+        pen.ellipse((gx - radius, gy - radius, gx + radius, gy + radius), outline=_TARGET, width=width)
+        for (x, y), colour in (((gx, gy), _TARGET), (track[0], _START), (track[-1], _TRACK)):
+            pen.ellipse((x - dot, y - dot, x + dot, y + dot), fill=colour)
+        return picture
+
+    def _pixel(self, xy: ArrayLike) -> tuple[float, float]:
+        x, y = (np.asarray(xy, float) - self._centre) * self._scale
+        return self._size / 2 + float(x), self._size / 2 - float(y)
+
+
+def _window(scene: CompiledScene, centre: NDArray[np.float64], span_m: float, size: int) -> Image.Image:
+    info = scene.info
+    offsets = (np.arange(size) + 0.5) / size * span_m - span_m / 2
+    columns = np.floor((centre[0] + offsets - info.grid_origin_m[0]) / info.grid_resolution_m).astype(int)
+    rows = np.floor((centre[1] - offsets - info.grid_origin_m[1]) / info.grid_resolution_m).astype(int)
+    height, width = scene.occupancy.shape
+    inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None, :]
+    cells = scene.occupancy[np.clip(rows, 0, height - 1)[:, None], np.clip(columns, 0, width - 1)[None, :]]
+    grey = np.where(inside, np.where(cells > 0, 90, 245), 160).astype(np.uint8)
+    return Image.fromarray(grey).convert("RGB")
