@@ -11,17 +11,26 @@ from pathlib import Path
 
 from coordinator import ledger_admin
 from coordinator.archive import Archive
-from coordinator.ask import ask_admin
+from coordinator.ask import OPERATOR, ask_admin
 from coordinator.beacon import sight
 from coordinator.engine import open_reader, open_writer
 from coordinator.ledger import ledger_url_of, read_info
 from schemas.errors import TransientError, UsageError
+from schemas.identity import TlsFiles
 from schemas.wire import AdminAction, AdminReply, AdminRequest
 
 __all__ = ["administer"]
 
 
-def administer(root: Path, request: AdminRequest, now: datetime, ledger_url: str | None = None) -> AdminReply:
+def administer(
+    root: Path,
+    request: AdminRequest,
+    now: datetime,
+    ledger_url: str | None = None,
+    *,
+    name: str = OPERATOR,
+    tls: TlsFiles | None = None,
+) -> AdminReply:
     """Carries out an operator's wish; repeating it changes nothing more.
 
     Args:
@@ -29,6 +38,8 @@ def administer(root: Path, request: AdminRequest, now: datetime, ledger_url: str
         request: the wish.
         now: of the wish.
         ledger_url: where the ledger is, when not in the directory.
+        name: who asks; with TLS the name in the certificate.
+        tls: to connect to a running coordinator with, when it wants that.
 
     Raises:
         WorldError: there is no ledger, or a coordinator holds the directory and cannot be asked.
@@ -39,9 +50,14 @@ def administer(root: Path, request: AdminRequest, now: datetime, ledger_url: str
     beacon = sight(root)
     if beacon is not None:
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its beacon behind: the lock tells
-            return ask_admin(beacon.endpoints, request)
+            return ask_admin([_from_here(endpoint) for endpoint in beacon.endpoints], request, name, tls)
     with Archive(root):
         return _administer_offline(url, request, now)
+
+
+def _from_here(endpoint: str) -> str:
+    """Returns where an endpoint that listens on every address is reached from this machine."""
+    return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
 
 
 def _check_readable(url: str) -> None:

@@ -12,6 +12,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.zenoh_config import client_config
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
+from schemas.identity import TlsFiles
 from schemas.keys import Verb, any_hello_key
 from schemas.wire import AdminReply, AdminRequest, Progress, Refusal
 
@@ -22,30 +23,39 @@ _TIMEOUT_S = 10.0
 R = TypeVar("R", bound=Model)
 
 
-def ask_progress(endpoints: Sequence[str], name: str = OPERATOR) -> Progress:
+def ask_progress(endpoints: Sequence[str], name: str = OPERATOR, tls: TlsFiles | None = None) -> Progress:
     """Returns where the run of a coordinator stands.
+
+    Args:
+        endpoints: of the coordinator.
+        name: who asks; with TLS the name in the certificate.
+        tls: to connect with.
 
     Raises:
         TransientError: nobody answers there.
     """
-    return _ask(endpoints, Verb.PROGRESS, None, Progress, name)
+    return _ask(endpoints, Verb.PROGRESS, None, Progress, name, tls)
 
 
-def ask_admin(endpoints: Sequence[str], request: AdminRequest, name: str = OPERATOR) -> AdminReply:
+def ask_admin(
+    endpoints: Sequence[str], request: AdminRequest, name: str = OPERATOR, tls: TlsFiles | None = None
+) -> AdminReply:
     """Has a coordinator carry out an operator's wish; safe to repeat.
 
     Raises:
         TransientError: nobody answers there; whether it was done is unknown.
         WorldError: it was refused.
     """
-    return _ask(endpoints, Verb.ADMIN, request, AdminReply, name)
+    return _ask(endpoints, Verb.ADMIN, request, AdminReply, name, tls)
 
 
-def _ask(endpoints: Sequence[str], verb: Verb, message: Model | None, answer: type[R], name: str) -> R:
+def _ask(
+    endpoints: Sequence[str], verb: Verb, message: Model | None, answer: type[R], name: str, tls: TlsFiles | None
+) -> R:
     named = ", ".join(endpoints)
     payload = message.model_dump_json() if message is not None else ""
     try:
-        with zenoh.open(client_config(endpoints, CoordinatorSettings().transport_lease_s)) as session:
+        with zenoh.open(client_config(endpoints, CoordinatorSettings().transport_lease_s, tls)) as session:
             replies = session.get(
                 any_hello_key(name, verb),
                 zenoh.handlers.FifoChannel(4),
@@ -58,7 +68,8 @@ def _ask(endpoints: Sequence[str], verb: Verb, message: Model | None, answer: ty
                     return _read(reply.ok.payload.to_bytes(), answer, named)
     except zenoh.ZError as error:
         raise TransientError(f"no coordinator at {named}: {error}; start one, or check the endpoint") from error
-    raise TransientError(f"the coordinator at {named} did not answer {verb!r}; ask again")
+    admitted = f", or it admits no operator {name!r} (its hosts.txt)" if tls is not None else ""
+    raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; ask again")
 
 
 def _read(payload: bytes, answer: type[R], named: str) -> R:

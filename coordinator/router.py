@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 import resource
 import socket
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Self
@@ -17,6 +19,7 @@ import zenoh
 
 from coordinator.catalog import Catalog
 from coordinator.settings import CoordinatorSettings
+from coordinator.tls import Guard
 from coordinator.zenoh_config import router_config
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
@@ -39,6 +42,7 @@ __all__ = ["Inquiry", "Router"]
 _RX_THREADS = "(rx: (worker_threads: 8))"
 _ANY_PORT = ":0"
 _PORT_TRIES = 5
+_REOPEN_PAUSE_S = 0.2
 _VERBS = frozenset(verb.value for verb in Verb)
 
 log = structlog.get_logger(__name__)
@@ -78,6 +82,7 @@ class Router:
         settings: the coordinator's.
         on_inquiry: takes a question and must not block.
         on_gone: takes the session id of a worker whose link has closed, and must not block.
+        guard: certificates and who is admitted; `None` lets in whoever can connect.
 
     Raises:
         WorldError: an endpoint cannot be listened on.
@@ -91,6 +96,7 @@ class Router:
         settings: CoordinatorSettings,
         on_inquiry: Callable[[Inquiry], None],
         on_gone: Callable[[str], None],
+        guard: Guard | None = None,
     ) -> None:
         self._run = run
         self._timeout_s = settings.pull_timeout_s
@@ -99,11 +105,13 @@ class Router:
         self._scenes = _open_scenes(run, catalog)
         os.environ.setdefault("ZENOH_RUNTIME", _RX_THREADS)  # two receiving threads freeze when two clients block
         _raise_file_limit()
-        self.endpoints, self._session = _listen(listen, settings)
+        self._settings = settings
+        self._guard = guard
+        self._admitted = guard.admitted() if guard is not None else {}
+        self._opening = threading.Lock()
+        self.endpoints, self._session = _listen(listen, self._config)
         """Endpoints in force, with their ports."""
-        self._session.declare_queryable(verb_pattern(run), self._take)
-        self._session.declare_queryable(scene_pattern(run), self._serve_scene)
-        self._session.liveliness().declare_subscriber(alive_pattern(run), self._note_token)
+        self._declare()
 
     def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
         """Asks a worker for a part of a spooled bundle; never tries twice, so that no puller hangs on a frozen worker.
@@ -130,10 +138,31 @@ class Router:
         """Whether workers can be heard."""
         return not self._session.is_closed()
 
+    def admit(self) -> bool:
+        """Opens the session anew when who is admitted has changed; workers come back by themselves.
+
+        Returns:
+            Whether it did.
+
+        Raises:
+            UsageError: the list cannot be understood; those admitted before stay so.
+            WorldError: the endpoints cannot be listened on now; ask again.
+        """
+        admitted = self._guard.admitted() if self._guard is not None else {}
+        if admitted == self._admitted and self.is_open:
+            return False
+        with self._opening:
+            self._admitted = admitted
+            self._session.close()
+            self._session = _reopen(self.endpoints, self._config)
+            self._declare()
+        return True
+
     def close(self) -> None:
         """Closes the session; what zenoh runs in threads ends with it."""
-        if not self._session.is_closed():
-            self._session.close()
+        with self._opening:
+            if not self._session.is_closed():
+                self._session.close()
         for descriptor in self._scenes.values():
             os.close(descriptor)
         self._scenes = {}
@@ -145,6 +174,15 @@ class Router:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _config(self, endpoints: Sequence[str]) -> zenoh.Config:
+        files = self._guard.files if self._guard is not None else None
+        return router_config(endpoints, self._settings.transport_lease_s, files, self._admitted)
+
+    def _declare(self) -> None:
+        self._session.declare_queryable(verb_pattern(self._run), self._take)
+        self._session.declare_queryable(scene_pattern(self._run), self._serve_scene)
+        self._session.liveliness().declare_subscriber(alive_pattern(self._run), self._note_token)
 
     def _take(self, query: zenoh.Query) -> None:
         self._on_inquiry(Inquiry(self._run, query))
@@ -172,11 +210,14 @@ def _open_scenes(run: str, catalog: Catalog) -> Mapping[str, int]:
     return {scene_key(run, entry.sha256): os.open(entry.path, os.O_RDONLY | os.O_CLOEXEC) for entry in catalog.values()}
 
 
-def _listen(wanted: Sequence[str], settings: CoordinatorSettings) -> tuple[tuple[str, ...], zenoh.Session]:
+Configure = Callable[[Sequence[str]], zenoh.Config]
+
+
+def _listen(wanted: Sequence[str], configure: Configure) -> tuple[tuple[str, ...], zenoh.Session]:
     for trial in range(_PORT_TRIES):
         endpoints = tuple(_with_port(endpoint) for endpoint in wanted)
         try:
-            return endpoints, zenoh.open(router_config(endpoints, settings.transport_lease_s))
+            return endpoints, zenoh.open(configure(endpoints))
         except zenoh.ZError as error:
             # between choosing a free port and listening on it somebody else may take it
             if endpoints == tuple(wanted) or trial + 1 == _PORT_TRIES:
@@ -185,6 +226,17 @@ def _listen(wanted: Sequence[str], settings: CoordinatorSettings) -> tuple[tuple
                     f"cannot listen on {named}: {reason}; is another coordinator running there? Stop it, or give "
                     "another endpoint with --listen"
                 ) from error
+    raise AssertionError("unreachable")
+
+
+def _reopen(endpoints: Sequence[str], configure: Configure) -> zenoh.Session:
+    for trial in range(_PORT_TRIES):
+        try:
+            return zenoh.open(configure(endpoints))
+        except zenoh.ZError as error:
+            if trial + 1 == _PORT_TRIES:
+                raise WorldError(f"cannot listen on {', '.join(endpoints)} again: {error}") from error
+            time.sleep(_REOPEN_PAUSE_S)
     raise AssertionError("unreachable")
 
 

@@ -33,6 +33,7 @@ from coordinator.puller import Checker, Pullers
 from coordinator.reconcile import reconcile
 from coordinator.router import Router
 from coordinator.settings import CoordinatorSettings
+from coordinator.tls import Guard
 from coordinator.validator import Validator
 from coordinator.vitals import Vitals
 from coordinator.writer import Writer
@@ -62,6 +63,7 @@ class Coordinator:
         listen: zenoh endpoints; port 0 takes a free one.
         ledger_url: another database than `ledger.db` in the directory.
         settings: numbers that change no byte of the dataset.
+        guard: certificates and who is admitted; `None` lets in whoever can connect.
         checker: judges bundles and is closed with the coordinator; by default sandboxed children, one a puller.
         clock: the time; an argument, so that a test can let leases run out.
         gate: what a pilot found before a new run; goes into the dataset's description.
@@ -80,6 +82,7 @@ class Coordinator:
         ledger_url: str | None = None,
         settings: CoordinatorSettings | None = None,
         *,
+        guard: Guard | None = None,
         checker: Checker | None = None,
         clock: Callable[[], datetime] = utc_now,
         gate: Sequence[GateOutcome] = (),
@@ -112,7 +115,7 @@ class Coordinator:
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
             self._look_for_room()
             front = stack.enter_context(self._open_front())
-            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone)
+            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
             self.vitals = self._measured()
@@ -236,6 +239,7 @@ class Coordinator:
             {
                 "expire": (settings.sweep_s, self._expire),
                 "look_for_room": (1.0, self._look_for_room),
+                "admit": (settings.admission_s, self._admit),
                 "write_tables": (settings.checkpoint_s, self._write_tables),
             }
         )
@@ -245,6 +249,10 @@ class Coordinator:
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
+
+    def _admit(self) -> None:
+        if self._router.admit():
+            log.warning("admission_changed", remedy="none; workers reconnect within seconds")
 
     def _look_for_room(self) -> None:
         free = self._archive.free_bytes()

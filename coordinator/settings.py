@@ -32,5 +32,7 @@ class CoordinatorSettings(Model):
     """Pause between two writings of the dataset's tables."""
     transport_lease_s: Positive = 5.0
     """Silence after which zenoh closes a link."""
+    admission_s: Positive = 2.0
+    """Pause between two looks at who is admitted, with TLS."""
     backlog: Annotated[int, Field(ge=1)] = 20_000
     """Requests that may wait; further ones get no answer and are asked again."""

@@ -6,40 +6,53 @@ Builds configurations; opens nothing. Bulk travels in chunks, so that no message
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import zenoh
+
+from coordinator.access import access_control
+from schemas.identity import Role, TlsFiles
 
 __all__ = ["client_config", "router_config"]
 
 _MAX_MESSAGE_BYTES = 4 << 20
 _MAX_SESSIONS, _MAX_ARRIVING = 5000, 1000
-_CONNECT_TIMEOUT_MS = 2000
+_CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
 
 
-def router_config(listen: Sequence[str], lease_s: float) -> zenoh.Config:
+def router_config(
+    listen: Sequence[str], lease_s: float, tls: TlsFiles | None = None, admitted: Mapping[str, Role] | None = None
+) -> zenoh.Config:
     """Returns the configuration of the coordinator's session, which is the router of the run.
 
     Args:
         listen: endpoints such as `tcp/0.0.0.0:7447`.
         lease_s: silence after which a link is closed.
+        tls: certificate to listen with, asking for one of the same authority; `None` for plain TCP.
+        admitted: with TLS, who may do what; everybody else nothing.
     """
     values = _common("router", lease_s) | {
         "listen/endpoints": json.dumps(list(listen)),
         "transport/unicast/max_sessions": str(_MAX_SESSIONS),
         "transport/unicast/accept_pending": str(_MAX_ARRIVING),
     }
+    if tls is not None:
+        values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
     return _config(values)
 
 
-def client_config(connect: Sequence[str], lease_s: float) -> zenoh.Config:
+def client_config(connect: Sequence[str], lease_s: float, tls: TlsFiles | None = None) -> zenoh.Config:
     """Returns the configuration of a client that gives up connecting after two seconds."""
     values = _common("client", lease_s) | {
         "listen/endpoints": "[]",
         "connect/endpoints": json.dumps(list(connect)),
         "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
         "connect/exit_on_failure": "true",
+        # a close waits for a reconnect under way, and a frozen router answers none: ten seconds by default
+        "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
+    if tls is not None:
+        values |= _tls(tls, "connect")
     return _config(values)
 
 
@@ -48,6 +61,18 @@ def _config(values: dict[str, str]) -> zenoh.Config:
     for key, value in values.items():
         config.insert_json5(key, value)
     return config
+
+
+def _tls(tls: TlsFiles, side: str) -> dict[str, str]:
+    return {
+        "transport/link/protocols": '["tls"]',
+        "transport/link/tls/root_ca_certificate": json.dumps(str(tls.ca)),
+        "transport/link/tls/enable_mtls": "true",
+        "transport/link/tls/verify_name_on_connect": "true",
+        "transport/link/tls/close_link_on_expiration": "true",
+        f"transport/link/tls/{side}_private_key": json.dumps(str(tls.key)),
+        f"transport/link/tls/{side}_certificate": json.dumps(str(tls.certificate)),
+    }
 
 
 def _common(mode: str, lease_s: float) -> dict[str, str]:

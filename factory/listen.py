@@ -1,4 +1,4 @@
-"""Which endpoints may be listened on without TLS: loopback, and nothing else. Pure."""
+"""Which endpoints may be used: without TLS loopback and nothing else, with it TLS and nothing else. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from schemas.errors import UsageError
 
-__all__ = ["require_loopback"]
+__all__ = ["require_loopback", "require_tls_endpoints"]
 
 
 def require_loopback(endpoints: Sequence[str]) -> None:
@@ -17,19 +17,32 @@ def require_loopback(endpoints: Sequence[str]) -> None:
         UsageError: an endpoint is malformed, or reachable from other machines.
     """
     for endpoint in endpoints:
-        host = _host_of(endpoint)
+        host = _host_of(endpoint, "tcp")
         if host != "localhost" and not _is_loopback(host):
             raise UsageError(
-                f"{endpoint} could be reached from other machines, and this version has no TLS: listen on "
-                "tcp/127.0.0.1:PORT and let other hosts in through a tunnel (ssh -N -L 7447:127.0.0.1:7447 HOST)"
+                f"{endpoint} could be reached from other machines: without --tls only loopback is listened on. Make "
+                "certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
             )
 
 
-def _host_of(endpoint: str) -> str:
+def require_tls_endpoints(endpoints: Sequence[str]) -> None:
+    """Makes sure that every endpoint is of the form tls/HOST:PORT.
+
+    Raises:
+        UsageError: an endpoint is malformed, or would not be encrypted.
+    """
+    for endpoint in endpoints:
+        _host_of(endpoint, "tls")
+
+
+def _host_of(endpoint: str, wanted: str) -> str:
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
-    if protocol != "tcp" or not host or not port.isdigit() or int(port) > 65535:
-        raise UsageError(f"{endpoint!r} is no endpoint; write tcp/127.0.0.1:7447")
+    if protocol in {"tcp", "tls"} and protocol != wanted:
+        remedy = f"write tls/{address}, or leave out --tls" if wanted == "tls" else "give the TLS folder with --tls"
+        raise UsageError(f"{endpoint} and {'--tls' if wanted == 'tls' else 'no --tls'} do not go together: {remedy}")
+    if protocol != wanted or not host or not port.isdigit() or int(port) > 65535:
+        raise UsageError(f"{endpoint!r} is no endpoint; write {wanted}/127.0.0.1:7447")
     return host.strip("[]")
 
 

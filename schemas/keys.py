@@ -100,8 +100,11 @@ def sid_of_alive_key(key: str) -> str:
 
 
 def sid_belongs_to(sid: str, host: str) -> bool:
-    """Whether a worker of that host may call itself so: `HOST` or `HOST-` and whatever tells its starts apart."""
-    return sid == host or sid.startswith(f"{host}-")
+    """Whether a worker of that host may call itself so: `HOST` or `HOST.` and whatever tells its starts apart.
+
+    A host's name has no dot, so that no host's sessions look like another's, whatever the two are called.
+    """
+    return "." not in host and (sid == host or sid.startswith(f"{host}."))
 
 
 def scene_key(run: str, sha256: str) -> str:

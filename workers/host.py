@@ -100,5 +100,5 @@ def tidy_host(name: str) -> str:
 
 
 def make_sid(host: str) -> str:
-    """Returns a session id no earlier start of a worker has had."""
-    return f"{host}-{secrets.token_hex(4)}"
+    """Returns a session id no earlier start of a worker has had; the dot cannot be part of a host's name."""
+    return f"{host}.{secrets.token_hex(4)}"

@@ -17,6 +17,7 @@ import zenoh
 from pydantic import ValidationError
 
 from schemas.base import Model
+from schemas.identity import TlsFiles
 from schemas.keys import (
     BundleChunk,
     Chunk,
@@ -51,11 +52,15 @@ class Link:
     Args:
         endpoints: where a coordinator or gateway may listen.
         host: this machine's name, under which every verb is asked.
+        tls: to connect with; `None` for plain TCP.
     """
 
-    def __init__(self, endpoints: Sequence[str], host: str) -> None:
+    def __init__(self, endpoints: Sequence[str], host: str, tls: TlsFiles | None = None) -> None:
         self.endpoints = tuple(endpoints)
         self._host = host
+        self._tls = tls
+        self.last_error = ""
+        """Why the last opening failed."""
         self._session: zenoh.Session | None = None
         self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
         self._serving: tuple[str, str, ReadChunk] | None = None
@@ -74,8 +79,9 @@ class Link:
         self.close()
         opening = self._closings
         try:
-            session = zenoh.open(_config(self.endpoints))
+            session = zenoh.open(_config(self.endpoints, self._tls))
         except zenoh.ZError as error:
+            self.last_error = str(error).split(" at /")[0]  # without zenoh's source paths
             log.debug("connect_failed", endpoints=self.endpoints, error=str(error))
             return False
         with self._guard:
@@ -198,7 +204,7 @@ def _parse(payload: zenoh.ZBytes, kind: type[R]) -> R | Refusal | None:
     return None
 
 
-def _config(endpoints: Sequence[str]) -> zenoh.Config:
+def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
     values = {
         "mode": '"client"',
         "listen/endpoints": "[]",
@@ -216,6 +222,16 @@ def _config(endpoints: Sequence[str]) -> zenoh.Config:
         "transport/link/rx/max_message_size": str(_MAX_PACKET_BYTES),
         "queries_default_timeout": "5000",
     }
+    if tls is not None:
+        values |= {
+            "transport/link/protocols": '["tls"]',
+            "transport/link/tls/root_ca_certificate": json.dumps(str(tls.ca)),
+            "transport/link/tls/enable_mtls": "true",
+            "transport/link/tls/verify_name_on_connect": "true",
+            "transport/link/tls/close_link_on_expiration": "true",
+            "transport/link/tls/connect_private_key": json.dumps(str(tls.key)),
+            "transport/link/tls/connect_certificate": json.dumps(str(tls.certificate)),
+        }
     config = zenoh.Config()
     for name, value in values.items():
         config.insert_json5(name, value)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import platformdirs
 
+from schemas.identity import TlsFiles
 from schemas.terms import RendererKind
 
 __all__ = ["WorkerSettings"]
@@ -33,7 +34,9 @@ class WorkerSettings:
     run: str | None = None
     """Name of the run to work for; `None` takes the one that answers."""
     host: str | None = None
-    """Name of this machine towards the coordinator; `None` takes the system's."""
+    """Name of this machine towards the coordinator; `None` takes the system's. With TLS the name in the certificate."""
+    tls: TlsFiles | None = None
+    """To connect with; `None` for plain TCP."""
     spool_dir: Path = field(default_factory=lambda: _cache("spool"))
     """Finished bundles wait here until the coordinator has them."""
     scene_dir: Path = field(default_factory=lambda: _cache("fetched"))

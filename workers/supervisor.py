@@ -59,7 +59,7 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
     at_once = at_once or threading.Event()
     name = tidy_host(settings.host or socket.gethostname())
     sid = make_sid(name)
-    with Link(settings.connect, name) as link:
+    with Link(settings.connect, name, settings.tls) as link:
         while True:
             terms = _meet(link, settings, name, sid, stop)
             if terms is None:
@@ -168,9 +168,11 @@ def _meet(link: Link, settings: WorkerSettings, name: str, sid: str, stop: threa
                 return terms
         if time.monotonic() - begun > settings.wait_s:
             where = ", ".join(settings.connect)
+            refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
+            found = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
-                f"no coordinator at {where} within {settings.wait_s:g} s: start one with `factory coordinator start`, "
-                "give its endpoint with --connect, or wait longer with --wait"
+                f"no coordinator at {where} within {settings.wait_s:g} s{found}{refused}: start one with `factory "
+                "coordinator start`, give its endpoint with --connect, or wait longer with --wait"
             )
         stop.wait(pause.fail())
     return None

@@ -12,18 +12,20 @@ from coordinator.disk import require_room
 from coordinator.plan_file import load_plan
 from coordinator.service import DEFAULT_LISTEN, Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.tls import Guard
 from factory.catalog import open_catalog, write_target_lists
 from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.http import http_options, status_pages
-from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
+from factory.cli.options import plan_argument, shrink_options, shrunk_plan, tls_option, verbose_option
 from factory.ledger import plan_of
-from factory.listen import require_loopback
+from factory.listen import require_loopback, require_tls_endpoints
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from workers.stopping import stop_on_signals
 
 __all__ = ["command"]
 
+_TLS_LISTEN = ("tls/0.0.0.0:7447",)
 _LINGER_S = 5.0
 """How long a finished run is announced, so that every worker hears it and leaves."""
 
@@ -39,14 +41,13 @@ def command() -> None:
 @click.option(
     "--listen",
     multiple=True,
-    default=DEFAULT_LISTEN,
-    show_default=True,
     metavar="ENDPOINT",
-    help="Where workers connect; port 0 takes a free one.",
+    help="Where workers connect; port 0 takes a free one. Default tcp/127.0.0.1:7447, with --tls tls/0.0.0.0:7447.",
 )
 @click.option("--ledger", metavar="URL", help="Another database than DIR/ledger.db, as an SQLAlchemy URL.")
 @click.option("--lease", "lease_ttl_s", type=click.FloatRange(1.0), help="Seconds a silent worker keeps its job.")
 @click.option("--stay", is_flag=True, help="Keep answering after the run is finished.")
+@tls_option
 @http_options
 @gate_option("skip")
 @shrink_options
@@ -58,6 +59,7 @@ def start(
     ledger: str | None,
     lease_ttl_s: float | None,
     stay: bool,
+    tls: Path | None,
     http: str | None,
     http_token: Path | None,
     gate_mode: GateMode,
@@ -70,7 +72,7 @@ def start(
     is handed out.
     """
     configure_logs(verbose)
-    require_loopback(listen)
+    guard, listen = _door(tls, listen)
     begun = plan_of(root)
     wanted = load_plan(plan_name) if plan_name is not None else begun or load_plan("demo")
     plan = shrunk_plan(wanted, changes)
@@ -83,13 +85,12 @@ def start(
             click.echo("interrupted at the gate; nothing was kept", err=True)
             return 130
         with (
-            Coordinator(root, plan, catalog, listen, ledger, settings, gate=gate) as coordinator,
+            Coordinator(root, plan, catalog, listen, ledger, settings, guard=guard, gate=gate) as coordinator,
             status_pages(coordinator.vitals, http, http_token),
         ):
             write_target_lists(catalog, root)
-            click.echo(
-                f"run {coordinator.run} in {root}: {plan.episodes} episodes, listening on loopback only", err=True
-            )
+            where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
+            click.echo(f"run {coordinator.run} in {root}: {plan.episodes} episodes, listening {where}", err=True)
             for endpoint in coordinator.endpoints:
                 click.echo(f"factory worker --cores 2 --connect {endpoint}")
             finished = coordinator.wait(stop=stop)
@@ -97,3 +98,12 @@ def start(
                 stop.wait(None if stay else _LINGER_S)
     click.echo("finished" if finished else f"stopped; go on with: factory coordinator start --out {root}", err=True)
     return 0
+
+
+def _door(tls: Path | None, listen: tuple[str, ...]) -> tuple[Guard | None, tuple[str, ...]]:
+    """Returns who is let in, and where: without TLS on loopback only."""
+    if tls is None:
+        require_loopback(listen)
+        return None, listen or DEFAULT_LISTEN
+    require_tls_endpoints(listen)
+    return Guard(tls), listen or _TLS_LISTEN

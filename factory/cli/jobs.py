@@ -12,8 +12,9 @@ import click
 
 from coordinator.ledger_records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
 from coordinator.states import State
+from coordinator.tls import read_credentials
 from factory.cli.episodes import episode_index
-from factory.cli.options import dataset_argument
+from factory.cli.options import dataset_argument, tls_option
 from factory.cli.output import json_option, print_json, print_table
 from factory.ledger import read_ledger
 from schemas.errors import UsageError
@@ -96,29 +97,38 @@ def show(root: Path, episode: str, as_json: bool) -> None:
 @dataset_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Every failed job.")
+@tls_option
 @json_option
-def retry(root: Path, episodes: tuple[str, ...], everything: bool, as_json: bool) -> int:
+def retry(root: Path, episodes: tuple[str, ...], everything: bool, tls: Path | None, as_json: bool) -> int:
     """Put failed or cancelled EPISODES back into the queue with fresh budgets."""
-    return _administer(root, AdminAction.RETRY, episodes, everything, as_json)
+    return _administer(root, AdminAction.RETRY, episodes, everything, tls, as_json)
 
 
 @command.command("cancel")
 @dataset_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Every job that has not ended.")
+@tls_option
 @json_option
-def cancel(root: Path, episodes: tuple[str, ...], everything: bool, as_json: bool) -> int:
+def cancel(root: Path, episodes: tuple[str, ...], everything: bool, tls: Path | None, as_json: bool) -> int:
     """Give up EPISODES that have not ended; workers that hold one stop with their next beat."""
-    return _administer(root, AdminAction.CANCEL, episodes, everything, as_json)
+    return _administer(root, AdminAction.CANCEL, episodes, everything, tls, as_json)
 
 
-def _administer(root: Path, action: AdminAction, names: tuple[str, ...], everything: bool, as_json: bool) -> int:
+def _administer(
+    root: Path, action: AdminAction, names: tuple[str, ...], everything: bool, tls: Path | None, as_json: bool
+) -> int:
     from coordinator.admin import administer  # opens zenoh
 
     if bool(names) == everything:
         raise UsageError(f"which jobs to {action}? name episodes, or give --all")
     request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
-    reply = administer(root, request, datetime.now(UTC))
+    now = datetime.now(UTC)
+    if tls is None:
+        reply = administer(root, request, now)
+    else:
+        files, name = read_credentials(tls)
+        reply = administer(root, request, now, name=name, tls=files)
     if as_json:
         print_json(reply.model_dump(mode="json"))
     else:

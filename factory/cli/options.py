@@ -12,7 +12,7 @@ from coordinator.plan_file import shrink
 from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName
 
-__all__ = ["dataset_argument", "plan_argument", "shrink_options", "shrunk_plan", "verbose_option"]
+__all__ = ["dataset_argument", "plan_argument", "shrink_options", "shrunk_plan", "tls_option", "verbose_option"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -48,5 +48,14 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
 
 dataset_argument = click.argument("root", metavar="DIR", type=click.Path(path_type=Path))
 """DIR: a dataset directory."""
+
+tls_option = click.option(
+    "--tls",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    envvar="MINIVLA_TLS",
+    help="The TLS folder of this host, as `factory keys host` makes it.",
+)
+"""`--tls DIR`, or the environment's MINIVLA_TLS."""
 
 verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log every event, not only warnings.")

@@ -12,6 +12,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from coordinator.tls import read_credentials
+from factory.cli.options import tls_option
 from factory.cli.output import json_option, print_json, say_duration, stdout
 from factory.ledger import progress_of
 from schemas.errors import UsageError
@@ -27,10 +29,13 @@ _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 @click.option("--connect", metavar="ENDPOINT", help="Ask a running coordinator, e.g. tcp/127.0.0.1:7447.")
 @click.option("--ledger", metavar="URL", help="The ledger, when it is not DIR/ledger.db.")
 @click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
+@tls_option
 @json_option
-def command(root: Path | None, connect: str | None, ledger: str | None, watch: bool, as_json: bool) -> None:
+def command(
+    root: Path | None, connect: str | None, ledger: str | None, watch: bool, tls: Path | None, as_json: bool
+) -> None:
     """Show the progress of the run in DIR, by scene, tier and split, with rate, ETA and workers."""
-    source = _source(root, connect, ledger)
+    source = _source(root, connect, ledger, tls)
     if as_json:
         print_json(source().model_dump(mode="json"))
     elif watch:
@@ -39,11 +44,14 @@ def command(root: Path | None, connect: str | None, ledger: str | None, watch: b
         stdout.print(draw_progress(source()))
 
 
-def _source(root: Path | None, connect: str | None, ledger: str | None) -> Callable[[], Progress]:
+def _source(root: Path | None, connect: str | None, ledger: str | None, tls: Path | None) -> Callable[[], Progress]:
     if connect is not None:
         from coordinator.ask import ask_progress
 
-        return lambda: ask_progress((connect,))
+        if tls is None:
+            return lambda: ask_progress((connect,))
+        files, name = read_credentials(tls)
+        return lambda: ask_progress((connect,), name, files)
     if root is None:
         raise UsageError("whose status? give a dataset DIR, or --connect ENDPOINT")
     return lambda: progress_of(root, ledger)

@@ -8,7 +8,9 @@ from typing import Any, cast
 
 import click
 
-from factory.cli.options import verbose_option
+from coordinator.tls import read_credentials
+from factory.cli.options import tls_option, verbose_option
+from factory.listen import require_tls_endpoints
 from factory.logs import configure_logs
 from schemas.terms import RendererKind
 from workers.settings import WorkerSettings
@@ -23,10 +25,8 @@ __all__ = ["command"]
 @click.option(
     "--connect",
     multiple=True,
-    default=("tcp/127.0.0.1:7447",),
-    show_default=True,
     metavar="ENDPOINT",
-    help="A coordinator; several are tried in turn.",
+    help="A coordinator; several are tried in turn. Default tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447.",
 )
 @click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
 @click.option("--spool", type=click.Path(path_type=Path), help="Where finished bundles wait; default: user's cache.")
@@ -39,6 +39,7 @@ __all__ = ["command"]
     help="Seconds to look for the coordinator at the start.",
 )
 @click.option("--until-eof", is_flag=True, hidden=True, help="Leave when stdin is closed.")
+@tls_option
 @verbose_option
 def command(
     cores: int,
@@ -47,13 +48,21 @@ def command(
     spool: Path | None,
     wait_s: float,
     until_eof: bool,
+    tls: Path | None,
     verbose: bool,
 ) -> int:
     """Simulate jobs for the coordinator until its run is finished; SIGTERM gives back what is under way."""
     configure_logs(verbose)
     given: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
+    if tls is not None:
+        require_tls_endpoints(connect)
+        given["tls"], given["host"] = read_credentials(tls)
     settings = WorkerSettings(
-        connect=connect, cores=cores, renderer=cast(RendererKind, renderer), wait_s=wait_s, **given
+        connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),
+        cores=cores,
+        renderer=cast(RendererKind, renderer),
+        wait_s=wait_s,
+        **given,
     )
     with stop_on_signals() as (stop, at_once):
         if until_eof:

@@ -13,6 +13,7 @@ import zenoh
 
 from coordinator.zenoh_config import client_config
 from schemas.base import Model
+from schemas.identity import TlsFiles
 from schemas.job import Job
 from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
 from schemas.terms import FailReason
@@ -53,14 +54,16 @@ def until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
 class WireWorker:
     """A client session with a spool in memory; a context manager."""
 
-    def __init__(self, endpoints: Sequence[str], run: str, host: str = "host") -> None:
+    def __init__(
+        self, endpoints: Sequence[str], run: str, host: str = "host", tls: TlsFiles | None = None, sid: str = ""
+    ) -> None:
         self.run, self.host = run, host
-        self.sid = f"{host}-{secrets.token_hex(3)}"
+        self.sid = sid or f"{host}.{secrets.token_hex(3)}"
         self.spool: dict[tuple[int, int], tuple[Done, bytes]] = {}
         self.served: list[int] = []
         """Offsets that were asked for."""
         self.is_frozen = False
-        self._session = zenoh.open(client_config(endpoints, 2.0))
+        self._session = zenoh.open(client_config(endpoints, 2.0, tls))
         self._session.declare_queryable(bundle_key(run, self.sid), self._serve)
         self._token = self._session.liveliness().declare_token(alive_key(run, self.sid))
 

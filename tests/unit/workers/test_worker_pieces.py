@@ -34,6 +34,9 @@ def test_session_id_is_fresh_and_belongs_to_its_host():
     one, other = make_sid("node-1"), make_sid("node-1")
     assert one != other
     assert sid_belongs_to(one, "node-1")
+    assert not sid_belongs_to(one, "node")
+    assert not sid_belongs_to(make_sid("node-1"), "node-1.x")
+    assert not sid_belongs_to("a.b.1", "a.b")
     assert Hello(sid=one, host="node-1", slots=1, version="0").sid == one
 
 

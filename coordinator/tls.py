@@ -1,0 +1,69 @@
+"""Reads a coordinator's TLS folder: its certificate, and whom it admits. Builds no configuration, opens no socket."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from schemas.errors import UsageError
+from schemas.identity import Role, TlsFiles, parse_admitted, tls_files
+
+__all__ = ["Guard", "read_credentials"]
+
+_WORLD_BITS = 0o007
+
+
+@dataclass(frozen=True)
+class Guard:
+    """The door of a coordinator; `admitted` is read anew whenever asked.
+
+    Args:
+        folder: as `factory keys host DIR NAME --role coordinator` makes it.
+
+    Raises:
+        UsageError: a file is missing, or the key can be read by everybody.
+    """
+
+    folder: Path
+    files: TlsFiles = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "files", read_credentials(self.folder)[0])
+        self.admitted()
+
+    def admitted(self) -> Mapping[str, Role]:
+        """Returns who may connect, by common name.
+
+        Raises:
+            UsageError: the list is missing or cannot be understood.
+        """
+        try:
+            text = self.files.admitted.read_text(encoding="ascii")
+        except (OSError, UnicodeDecodeError) as error:
+            raise UsageError(
+                f"{self.files.admitted} cannot be read ({error}): a coordinator's --tls is a folder made by "
+                "`factory keys host DIR NAME --role coordinator`"
+            ) from error
+        try:
+            return parse_admitted(text)
+        except UsageError as error:
+            raise UsageError(f"{self.files.admitted}: {error}") from error
+
+
+def read_credentials(folder: Path) -> tuple[TlsFiles, str]:
+    """Returns the files of a TLS folder and the name in its certificate.
+
+    Raises:
+        UsageError: a file is missing, or the key can be read by everybody.
+    """
+    files = tls_files(folder)
+    try:
+        missing = [path.name for path in (files.ca, files.certificate, files.key, files.name) if not path.is_file()]
+        if missing:
+            raise UsageError(f"{folder} lacks {', '.join(missing)}: give a folder that `factory keys host` has made")
+        if files.key.stat().st_mode & _WORLD_BITS:
+            raise UsageError(f"{files.key} can be read by everybody: chmod 600 {files.key}")
+        return files, files.name.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{folder} cannot be read: {error}") from error

@@ -1,0 +1,180 @@
+"""The door to `cryptography`: makes an authority and signs certificates of hosts. Writes no file."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, NamedTuple
+
+from schemas.errors import UsageError, WorldError
+from schemas.identity import Role
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+
+__all__ = ["Certificate", "expiry_of", "found_authority", "issue", "require_cryptography"]
+
+_HEAD_START = timedelta(minutes=5)
+"""Clocks of hosts differ."""
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+
+class Certificate(NamedTuple):
+    """A certificate and its private key, as PEM."""
+
+    certificate: bytes
+    key: bytes
+
+
+def require_cryptography() -> None:
+    """Makes sure that the extra is there.
+
+    Raises:
+        UsageError: it is not.
+    """
+    try:
+        import cryptography  # noqa: F401
+    except ImportError as error:
+        raise UsageError("keys need cryptography: pip install 'minivla-factory[tls]'") from error
+
+
+def found_authority(name: str, days: int, now: datetime) -> Certificate:
+    """Makes a new authority: P-256, signing certificates of hosts only."""
+    require_cryptography()
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+
+    key = _new_key()
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    signed = (
+        _builder(_name(name), _name(name), key, days, now)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    return _pem(signed, key)
+
+
+def issue(
+    authority: Certificate, name: str, role: Role, addresses: Sequence[str], days: int, now: datetime
+) -> Certificate:
+    """Signs a certificate whose common name is the host's name.
+
+    Args:
+        authority: that signs.
+        name: of the host.
+        role: a coordinator's certificate can only listen, the others' can only connect.
+        addresses: names and IP addresses under which others reach the host; loopback is always among them.
+        days: of validity.
+        now: the beginning, less a few minutes for clocks that differ.
+
+    Raises:
+        WorldError: the authority's files cannot be understood.
+    """
+    require_cryptography()
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.x509.oid import ExtendedKeyUsageOID
+
+    signer, signer_key = _read(authority)
+    key = _new_key()
+    purpose = ExtendedKeyUsageOID.SERVER_AUTH if role is Role.COORDINATOR else ExtendedKeyUsageOID.CLIENT_AUTH
+    reached = dict.fromkeys((name, *_LOOPBACK, *addresses) if role is Role.COORDINATOR else (name, *addresses))
+    signed = (
+        _builder(_name(name), signer.subject, key, days, now)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
+        .add_extension(x509.SubjectAlternativeName([_alternative(address) for address in reached]), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signer_key.public_key()), critical=False)
+        .sign(signer_key, hashes.SHA256())
+    )
+    return _pem(signed, key)
+
+
+def expiry_of(certificate: bytes) -> datetime:
+    """Returns when a certificate ends, UTC.
+
+    Raises:
+        WorldError: it cannot be understood.
+    """
+    require_cryptography()
+    from cryptography import x509
+
+    try:
+        return x509.load_pem_x509_certificate(certificate).not_valid_after_utc
+    except ValueError as error:
+        raise WorldError(f"no certificate in PEM: {error}") from error
+
+
+def _read(authority: Certificate) -> tuple[x509.Certificate, EllipticCurvePrivateKey]:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    try:
+        certificate = x509.load_pem_x509_certificate(authority.certificate)
+        key = load_pem_private_key(authority.key, None)
+    except (ValueError, TypeError) as error:
+        raise WorldError(f"the authority cannot be read ({error}): bring its files back from a backup") from error
+    if not isinstance(key, EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+        raise WorldError("the authority's key does not fit its certificate: bring both back from one backup")
+    return certificate, key
+
+
+def _new_key() -> EllipticCurvePrivateKey:
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def _name(common: str) -> x509.Name:
+    from cryptography import x509
+    from cryptography.x509.oid import NameOID
+
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: EllipticCurvePrivateKey, days: int, now: datetime
+) -> x509.CertificateBuilder:
+    from cryptography import x509
+
+    begin = now.astimezone(UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begin - _HEAD_START)
+        .not_valid_after(begin + timedelta(days=days))
+    )
+
+
+def _alternative(address: str) -> x509.GeneralName:
+    from cryptography import x509
+
+    try:
+        return x509.IPAddress(ipaddress.ip_address(address))
+    except ValueError:
+        return x509.DNSName(address)
+
+
+def _pem(certificate: x509.Certificate, key: EllipticCurvePrivateKey) -> Certificate:
+    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+    secret = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    return Certificate(certificate.public_bytes(Encoding.PEM), secret)

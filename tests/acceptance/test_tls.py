@@ -1,0 +1,37 @@
+"""Certificates, a coordinator and a worker behind TLS, an operator: all as a user calls them."""
+
+from __future__ import annotations
+
+from tests.acceptance.factory_cli import FactoryCli, wait_for
+from tests.builders.fake_coordinator import free_endpoint
+
+
+def test_a_run_behind_tls_is_finished_by_the_admitted_only(factory: FactoryCli, plan, tmp_path):
+    pki, out = tmp_path / "pki", tmp_path / "out"
+    factory("keys", "ca", pki)
+    factory("keys", "host", pki, "hub", "--role", "coordinator", "--address", "127.0.0.1")
+    factory("keys", "host", pki, "node-1")
+    factory("keys", "host", pki, "boss", "--role", "operator")
+    factory("keys", "host", pki, "gone")
+    assert "gone is out" in factory("keys", "revoke", pki, "gone").stdout
+    assert [host["admitted"] for host in factory.json("keys", "list", pki)] == [True, False, True, True]
+
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    start = ("coordinator", "start", plan, "--out", out, "--listen", endpoint, "--scene", "hospital", "--episodes", 2)
+    assert "--tls" in factory(*start, expect=2).stderr
+    hub = factory.start(*start, "--tls", pki / "hub")
+    wait_for(lambda: (out / ".coordinator.json").exists())
+    outsider = ("worker", "--connect", endpoint, "--wait", 1, "--spool", tmp_path / "spool")
+    assert (
+        "do not go together"
+        in factory("worker", "--tls", pki / "gone", "--connect", endpoint[:1] + "cp/" + endpoint[4:], expect=2).stderr
+    )
+    assert "hosts.txt" in factory(*outsider, "--tls", pki / "gone", expect=1).stderr
+    assert factory.json("status", "--connect", endpoint, "--tls", pki / "boss")["planned"] == 2
+    factory("status", "--connect", endpoint, "--tls", pki / "gone", expect=1)
+    factory("jobs", "cancel", out, "2", "--tls", pki / "boss")
+    factory("worker", "--connect", endpoint, "--tls", pki / "node-1", "--spool", tmp_path / "spool")
+    assert hub.wait(60) == 0
+    progress = factory.json("status", out)
+    assert (progress["jobs"]["archived"], progress["jobs"]["cancelled"]) == (1, 1)
+    assert progress["workers"][0]["host"] == "node-1"

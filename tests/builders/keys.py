@@ -1,0 +1,28 @@
+"""An authority, a coordinator and hosts with certificates, made by the product itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from factory.keys import admit, found
+from schemas.identity import Role, TlsFiles, tls_files
+
+__all__ = ["files_of", "make_authority"]
+
+
+def make_authority(folder: Path, workers: Sequence[str] = (), operators: Sequence[str] = (), days: int = 2) -> Path:
+    """Returns the folder of an authority with a coordinator called hub and these hosts."""
+    now = datetime.now(UTC)
+    found(folder, "test", days, now)
+    admit(folder, "hub", Role.COORDINATOR, (), days, now)
+    for role, names in ((Role.WORKER, workers), (Role.OPERATOR, operators)):
+        for name in names:
+            admit(folder, name, role, (), days, now)
+    return folder
+
+
+def files_of(folder: Path, name: str) -> TlsFiles:
+    """Returns a host's files below its authority's folder."""
+    return tls_files(folder / name)

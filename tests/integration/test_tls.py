@@ -1,0 +1,253 @@
+"""mTLS and access control over real zenoh on loopback: who is admitted works, everybody else has no effect."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from coordinator.admin import administer
+from coordinator.ask import ask_progress
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from coordinator.tls import Guard
+from coordinator.zenoh_config import client_config, router_config
+from factory.keys import admit, revoke
+from schemas.errors import TransientError, WorldError
+from schemas.identity import Role, TlsFiles
+from schemas.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
+from schemas.wire import AdminAction, AdminReply, AdminRequest, Claim, ClaimReply, HelloReply
+from tests.builders.bundle import parts_for
+from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.keys import files_of, make_authority
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+from tests.builders.worker import WorkerThread, settings_for
+
+ANY_PORT = ("tls/127.0.0.1:0",)
+
+
+@pytest.fixture(scope="module")
+def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_authority(tmp_path_factory.mktemp("tls") / "pki", ("node", "node-1", "other"), ("boss",))
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Another authority, which gives the same names."""
+    return make_authority(tmp_path_factory.mktemp("foreign") / "pki", ("node",), ("boss",))
+
+
+def opened_at(folder: Path, pki: Path, endpoint: str = ANY_PORT[0]) -> Coordinator:
+    settings = CoordinatorSettings(
+        reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0, admission_s=0.2
+    )
+    guard = Guard(pki / "hub")
+    return Coordinator(folder / "out", room_plan(2), room_catalog(folder), (endpoint,), settings=settings, guard=guard)
+
+
+@pytest.fixture
+def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
+    with opened_at(tmp_path, pki) as running:
+        yield running
+
+
+def can_connect(endpoints: tuple[str, ...], tls: TlsFiles | None) -> bool:
+    try:
+        zenoh.open(client_config(endpoints, 2.0, tls)).close()
+    except zenoh.ZError:
+        return False
+    return True
+
+
+def answers(session: zenoh.Session, selector: str, payload: str = "") -> list[bytes]:
+    replies = session.get(
+        selector,
+        zenoh.handlers.FifoChannel(8),
+        payload=payload,
+        timeout=2.0,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+
+def test_an_admitted_worker_goes_the_whole_way(hub, pki):
+    with WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
+        assert isinstance(worker.hello(version("minivla-factory")), HelloReply)
+        for _ in range(2):
+            job, lease = worker.job()
+            assert worker.fetch(scene_selector(hub.run, job.scene_sha256, Chunk(0, 100)))
+            assert worker.deliver(lease, bundle_for(job))
+        until(hub.is_finished)
+        assert len(worker.beat().drop) == 2
+
+
+def test_the_real_worker_finds_its_run_and_brings_every_episode(hub, pki, tmp_path):
+    settings = settings_for(
+        hub.endpoints[0],
+        tmp_path / "host",
+        host="node",
+        tls=files_of(pki, "node"),
+        command=(sys.executable, "-m", "tests.builders.small_simulation", "0.0"),
+    )
+    with WorkerThread(settings) as worker:
+        until(hub.is_finished, 60)
+        assert worker.join() == 0
+    assert hub.progress().workers[0].host == "node"
+
+
+def test_nobody_connects_without_a_certificate_of_the_authority(hub, pki, foreign):
+    assert can_connect(hub.endpoints, files_of(pki, "node"))
+    plain = tuple(endpoint.replace("tls/", "tcp/") for endpoint in hub.endpoints)
+    stolen_name = files_of(foreign, "node")
+    assert not can_connect(plain, None)
+    assert not can_connect(hub.endpoints, None)
+    assert not can_connect(hub.endpoints, stolen_name)
+    assert not can_connect(hub.endpoints, stolen_name._replace(ca=pki / "ca.pem"))
+    assert hub.progress().workers == ()
+
+
+def test_an_expired_certificate_does_not_connect(hub, pki, tmp_path):
+    folder = tmp_path / "old"
+    shutil.copytree(pki, folder)
+    admit(folder, "node", Role.WORKER, (), 1, datetime(2026, 1, 1, tzinfo=UTC), renew=True)
+    assert not can_connect(hub.endpoints, files_of(folder, "node"))
+
+
+def test_a_certificate_whose_host_is_not_admitted_has_no_effect(hub, pki, tmp_path):
+    folder = tmp_path / "beside"
+    shutil.copytree(pki, folder)
+    admit(folder, "stranger", Role.WORKER, (), 1, datetime.now(UTC))  # signed, but not on the coordinator's list
+    with WireWorker(hub.endpoints, hub.run, "stranger", files_of(folder, "stranger")) as worker:
+        assert worker.hello(version("minivla-factory")) is None
+    assert hub.progress().workers == ()
+
+
+def test_a_host_cannot_ask_under_another_name(hub, pki):
+    with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
+        assert liar.hello(version("minivla-factory")) is None
+        assert liar.ask(Verb.CLAIM, Claim(sid=liar.sid, token=secrets.token_hex(16)), ClaimReply) is None
+    assert hub.progress().workers == ()
+    assert hub.progress().jobs["pending"] == 2
+
+
+def test_a_host_cannot_ask_what_operators_ask(hub, pki):
+    request = AdminRequest(action=AdminAction.CANCEL)
+    with WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
+        assert worker.ask(Verb.ADMIN, request, AdminReply) is None
+    assert hub.progress().jobs["cancelled"] == 0
+
+
+@pytest.mark.parametrize("victim", ["node-1", "other"])
+def test_a_host_cannot_serve_bundles_or_be_alive_as_another(hub, pki, victim):
+    with WireWorker(hub.endpoints, hub.run, victim, files_of(pki, victim)) as honest:
+        honest.hello(version("minivla-factory"))
+        job, lease = honest.job()
+        asked: list[str] = []
+
+        def lie(query: zenoh.Query) -> None:
+            with query:
+                asked.append(str(query.key_expr))
+                query.reply(bundle_key(hub.run, honest.sid), b"x" * 100)
+
+        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as liar:
+            liar.declare_queryable(bundle_key(hub.run, honest.sid), lie)
+            liar.declare_queryable(bundle_key(hub.run, "*"), lie)
+            token = liar.liveliness().declare_token(alive_key(hub.run, honest.sid))
+            time.sleep(0.3)
+            token.undeclare()  # if it were seen, the honest worker's leases would be shortened
+            before = hub.progress()
+            assert honest.deliver(lease, bundle_for(job))
+            until(lambda: hub.progress().jobs["archived"] == 1)
+            assert before.workers[0].leased == 1
+        assert asked == []
+
+
+def test_a_host_cannot_read_anothers_bundles(hub, pki):
+    with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
+        honest.hello(version("minivla-factory"))
+        _, lease = honest.job()
+        honest.is_frozen = True  # towards the coordinator too, so that the bundle stays
+        honest.deliver(lease, b"secret" * 100)
+        honest.is_frozen = False
+        where = f"?job={lease.job_id};fence={lease.fence};off=0;n=10"
+        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as curious:
+            assert answers(curious, bundle_key(hub.run, honest.sid) + where) == []
+
+
+def test_nobody_but_the_coordinator_answers_for_it(hub, pki):
+    lies: list[str] = []
+
+    def lie(query: zenoh.Query) -> None:
+        with query:
+            lies.append(str(query.key_expr))
+            query.reply(verb_key(hub.run, "other", Verb.CLAIM), b'{"finished": true}')
+
+    with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "node"))) as liar:
+        liar.declare_queryable(verb_pattern(hub.run), lie)
+        liar.declare_queryable(verb_key(hub.run, "other", Verb.CLAIM), lie)
+        time.sleep(0.3)
+        with zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "other"))) as honest:
+            claim = Claim(sid="other.1", token=secrets.token_hex(16)).model_dump_json()
+            (reply,) = answers(honest, verb_key(hub.run, "other", Verb.CLAIM), claim)
+    assert ClaimReply.model_validate_json(reply).job is not None
+    assert lies == []
+
+
+def test_a_workers_certificate_cannot_pass_for_a_coordinators(pki):
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    with zenoh.open(router_config([endpoint], 2.0, files_of(pki, "node"), {"other": Role.WORKER})):
+        assert not can_connect((endpoint,), files_of(pki, "other"))
+    with zenoh.open(router_config([endpoint], 2.0, files_of(pki, "hub"), {"other": Role.WORKER})):
+        assert can_connect((endpoint,), files_of(pki, "other"))
+
+
+def test_an_operator_sees_and_steers_and_claims_nothing(hub, pki, tmp_path):
+    files = files_of(pki, "boss")
+    assert ask_progress(hub.endpoints, "boss", files).planned == 2
+    request = AdminRequest(action=AdminAction.CANCEL, indices=(1,))
+    assert administer(tmp_path / "out", request, datetime.now(UTC), name="boss", tls=files).changed == (1,)
+    with WireWorker(hub.endpoints, hub.run, "boss", files) as greedy:
+        assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token=secrets.token_hex(16)), ClaimReply) is None
+    with pytest.raises(TransientError, match=r"hosts\.txt"):
+        ask_progress(hub.endpoints, "somebody", files)
+    with pytest.raises(WorldError, match="another coordinator"):  # nobody to ask without a certificate
+        administer(tmp_path / "out", request, datetime.now(UTC))
+
+
+def test_a_revoked_host_is_out_while_the_others_work_on(pki, tmp_path):
+    mine = tmp_path / "pki"
+    shutil.copytree(pki, mine)
+    with (
+        opened_at(tmp_path, mine) as hub,
+        WireWorker(hub.endpoints, hub.run, "node", files_of(mine, "node")) as bad,
+        WireWorker(hub.endpoints, hub.run, "other", files_of(mine, "other")) as good,
+    ):
+        assert isinstance(bad.hello(version("minivla-factory")), HelloReply)
+        job, lease = good.job()
+        revoke(mine, "node")
+        until(lambda: bad.hello(version("minivla-factory")) is None, 10)
+        until(lambda: good.hello(version("minivla-factory")) is not None, 10)
+        good.spool.clear()
+        assert good.deliver(lease, parts_for(job).write())
+        until(lambda: hub.progress().jobs["archived"] == 1)
+        assert bad.hello(version("minivla-factory")) is None
+        admit(mine, "late", Role.WORKER, (), 1, datetime.now(UTC))
+        until(lambda: ask_hello(hub, mine, "late"), 10)
+
+
+def ask_hello(hub: Coordinator, pki: Path, name: str) -> bool:
+    try:
+        with WireWorker(hub.endpoints, hub.run, name, files_of(pki, name)) as worker:
+            return isinstance(worker.hello(version("minivla-factory")), HelloReply)
+    except zenoh.ZError:
+        return False
