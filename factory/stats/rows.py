@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,12 +12,14 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from coordinator.archive import EPISODES
+from coordinator.cells import cells
 from coordinator.dataset_meta import META_FILE, DatasetMeta
 from coordinator.dataset_tables import ATTEMPTS_FILE, METADATA_FILE, FailedAttempt
 from coordinator.summary import EpisodeSummary, file_name_of
 from factory.dataset import Dataset
 from factory.stats.model import Remark
 from schemas.base import Model
+from schemas.terms import Split
 
 __all__ = ["Rows", "read_rows"]
 
@@ -57,6 +60,8 @@ def read_rows(root: Path) -> Rows:
     rows.episodes = _with_files(rows, root)
     rows.failures = _read_failures(rows, root / ATTEMPTS_FILE)
     _compare_with_meta(rows, dataset.metadata.num_rows)
+    _compare_with_plan(rows)
+    _compare_with_promise(rows)
     return rows
 
 
@@ -90,12 +95,25 @@ def _with_files(rows: Rows, root: Path) -> list[EpisodeSummary]:
     if rows.episodes and not (root / EPISODES).is_dir():
         rows.note(EPISODES, "is not there; the statistics rest on the tables alone")
         return rows.episodes
-    missing = [row for row in rows.episodes if not (root / file_name_of(row.episode_id)).is_file()]
+    sizes = {row.episode_id: _size_of(root, row) for row in rows.episodes}
+    missing = [name for name, size in sizes.items() if size is None]
+    cut = [
+        f"{row.episode_id} ({sizes[row.episode_id]} bytes, recorded {row.file_bytes})"
+        for row in rows.episodes
+        if sizes[row.episode_id] not in (None, row.file_bytes)
+    ]
     if missing:
-        names = _some([row.episode_id for row in missing])
-        rows.blame(EPISODES, f"{len(missing)} episodes left out whose file is not there: {names}")
-    gone = {row.episode_id for row in missing}
-    return [row for row in rows.episodes if row.episode_id not in gone]
+        rows.blame(EPISODES, f"{len(missing)} episodes left out whose file is not there: {_some(missing)}")
+    if cut:
+        rows.blame(EPISODES, f"{len(cut)} episodes left out whose file has another size: {_some(cut)}")
+    return [row for row in rows.episodes if sizes[row.episode_id] == row.file_bytes]
+
+
+def _size_of(root: Path, row: EpisodeSummary) -> int | None:
+    try:
+        return (root / file_name_of(row.episode_id)).stat().st_size
+    except OSError:
+        return None
 
 
 def _read_failures(rows: Rows, path: Path) -> list[FailedAttempt] | None:
@@ -120,6 +138,39 @@ def _compare_with_meta(rows: Rows, table_rows: int) -> None:
         rows.note(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
     if not rows.episodes:
         rows.note(METADATA_FILE, "no episodes; every mean is left out")
+
+
+def _compare_with_plan(rows: Rows) -> None:
+    """Blames cells that hold more than their quota, or less although the run says that it is complete."""
+    plan = rows.meta.plan
+    found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
+    wanted = {(scene.name, *cell): count for scene in plan.scenes for cell, count in cells(plan, scene).items()}
+    wrong = [
+        f"{' / '.join(key)} has {found[key]} of {wanted.get(key, 0)}"
+        for key in sorted(found.keys() | wanted.keys())
+        if found[key] > wanted.get(key, 0) or (rows.meta.complete and found[key] < wanted.get(key, 0))
+    ]
+    if wrong:
+        rows.blame(METADATA_FILE, f"{len(wrong)} cells differ from the plan: {_some(wrong)}")
+
+
+def _compare_with_promise(rows: Rows) -> None:
+    """Says which categories training and evaluation share, and blames instances that they were not to share."""
+    shared = rows.meta.shared_instances
+    if shared is None:
+        return
+    for scene, categories in shared.items():
+        if categories:
+            text = f"{scene} has too few of {', '.join(categories)} to keep training and evaluation apart"
+            rows.note(META_FILE, text)
+    train: set[tuple[str, str]] = set()
+    evaluation: set[tuple[str, str]] = set()
+    for row in rows.episodes:
+        if row.target_category not in shared.get(row.scene, ()):
+            (train if row.split is Split.TRAIN_ID else evaluation).add((row.scene, row.target_id))
+    both = [" ".join(key) for key in sorted(train & evaluation)]
+    if both:
+        rows.blame(METADATA_FILE, f"{len(both)} instances in training and evaluation against the plan: {_some(both)}")
 
 
 def _some(names: list[str]) -> str:

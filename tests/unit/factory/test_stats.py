@@ -180,6 +180,49 @@ def test_missing_episodes_are_left_out_and_named(own: Path) -> None:
     assert "1 episodes left out whose file is not there: ep_000002" in found.remarks[0].text
 
 
+def test_truncated_episodes_are_left_out_and_named(own: Path) -> None:
+    path = own / "episodes" / "ep_000003.zip"
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[:1000])
+    found = measure_dataset(own)
+    assert (found.episodes, found.is_sound) == (2, False)
+    assert f"whose file has another size: ep_000003 (1000 bytes, recorded {size})" in found.remarks[0].text
+
+
+def test_cells_that_differ_from_the_plan_are_named(own: Path) -> None:
+    (own / "episodes" / "ep_000002.zip").unlink()
+    texts = [remark.text for remark in measure_dataset(own).remarks]
+    assert "1 cells differ from the plan: office / train_id / near has 2 of 3" in texts
+
+
+def describe(root: Path, **changes: object) -> None:
+    path = root / "dataset_meta.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def resplit(root: Path, splits: list[str]) -> None:
+    table = pq.read_table(root / "metadata.parquet")
+    rows = [row | {"split": split} for row, split in zip(table.to_pylist(), splits, strict=True)]
+    pq.write_table(type(table).from_pylist(rows, schema=table.schema), root / "metadata.parquet")
+
+
+def test_an_instance_on_both_sides_against_the_promise_is_damage(own: Path) -> None:
+    resplit(own, ["train_id", "test_id", "test_id"])
+    describe(own, shared_instances={"office": []})
+    found = measure_dataset(own)
+    assert not found.is_sound
+    assert "1 instances in training and evaluation against the plan: office chair_001" in found.remarks[-1].text
+
+
+def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
+    describe(own, shared_instances={"office": ["chair"]})
+    found = measure_dataset(own)
+    assert found.is_sound
+    assert [remark.text for remark in found.remarks] == [
+        "office has too few of chair to keep training and evaluation apart"
+    ]
+
+
 def test_wrong_rows_are_left_out_and_named(own: Path) -> None:
     table = pq.read_table(own / "metadata.parquet")
     values = table.to_pylist()
