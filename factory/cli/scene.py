@@ -1,21 +1,19 @@
-"""`factory scene`: list, build, import and draw scenes; other verbs are files of their own."""
+"""`factory scene`: list, build and import scenes; other verbs are files of their own."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast
 
 import click
 
-from factory.cli import scene_inspect, scene_survey, scene_targets
+from factory.cli import scene_inspect, scene_render, scene_survey, scene_targets
 from factory.cli.options import verbose_option
 from factory.cli.output import json_option, print_json, print_table, stderr
-from factory.cli.scene_choice import chosen_scene, open_scene, scene_argument, seed_option
+from factory.cli.scene_choice import open_scene
 from factory.logs import configure_logs
 from factory.settings import scene_cache
-from schemas.terms import RendererKind
 
 __all__ = ["command"]
 
@@ -26,6 +24,7 @@ def command() -> None:
 
 
 command.add_command(scene_inspect.command)
+command.add_command(scene_render.command)
 command.add_command(scene_survey.command)
 command.add_command(scene_targets.command)
 
@@ -107,23 +106,6 @@ def import_(
     with stderr.status(f"importing {usd}"):
         path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache(), book, chosen, limits)
     _print_scene(path, as_json)
-
-
-@command.command("render")
-@scene_argument
-@seed_option
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the pictures; default ./SCENE.")
-@click.option("--views", type=click.IntRange(1, 64), default=8, show_default=True, help="Views from the robot's eye.")
-@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
-def render(scene: str, seed: int, out: Path | None, views: int, renderer: str) -> None:
-    """Draw the map of SCENE (a built-in name or a compiled package) and views from the robot's eye."""
-    from factory.scenes.pictures import draw_scene
-
-    configure_logs()
-    compiled = chosen_scene(scene, seed)
-    folder = out or Path(compiled.info.name)
-    for path in draw_scene(compiled, folder, views, cast(RendererKind, renderer)):
-        click.echo(str(path))
 
 
 def _print_scene(path: Path, as_json: bool) -> None:

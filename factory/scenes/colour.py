@@ -14,6 +14,9 @@ COLOUR_NAMES = ("black", "gray", "white", "red", "orange", "yellow", "green", "b
 """The eleven basic colour terms."""
 _BLACK, _GRAY, _WHITE, _RED, _ORANGE, _YELLOW, _GREEN, _BLUE, _PURPLE, _PINK, _BROWN = range(11)
 _HUES = ((0, 45, _RED), (45, 72, _ORANGE), (72, 108, _YELLOW), (108, 195, _GREEN), (195, 308, _BLUE))
+_NAMELESS = len(COLOUR_NAMES)
+_TEAL = (183.0, 217.0)
+"""Hues that some people call green and others blue: a vote for neither."""
 _LATE_HUES = ((308, 342, _PURPLE), (342, 361, _RED))
 
 _TO_XYZ = np.array(
@@ -22,6 +25,10 @@ _TO_XYZ = np.array(
 _D65 = np.array([0.95047, 1.0, 1.08883])
 MIN_SHARE = 0.5
 """Share of the samples that a name needs; below it a thing has no one colour."""
+MAX_RIVAL = 0.36
+"""Share of the samples from which on a second name makes the first one doubtful."""
+_BLACK_BELOW = 30.0
+"""Lightness under which a colour without chroma is called black: charcoal is, once a room's light falls on it."""
 
 Floats = NDArray[np.float64]
 
@@ -49,18 +56,22 @@ def lab_of(srgb: ArrayLike) -> Floats:
 
 
 def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
-    """Returns the index in `COLOUR_NAMES` of each sRGB value (..., 3): sectors of lightness, chroma and hue."""
+    """Returns the index in `COLOUR_NAMES` of each sRGB value (..., 3): sectors of lightness, chroma and hue.
+
+    What people do not agree on has the index after the last.
+    """
     lab = lab_of(srgb)
     lightness, chroma = lab[..., 0], np.hypot(lab[..., 1], lab[..., 2])
     hue = np.degrees(np.arctan2(lab[..., 2], lab[..., 1])) % 360
     names = np.full(lightness.shape, _RED, np.int64)
     for first, last, name in _HUES + _LATE_HUES:
         names[(hue >= first) & (hue < last)] = name
+    names[(hue >= _TEAL[0]) & (hue < _TEAL[1])] = _NAMELESS
     names[(names == _RED) & (lightness > 68)] = _PINK
     names[_is_brown(lightness, chroma, hue)] = _BROWN
     names[(hue >= 50) & (hue < 125) & (lightness >= 85) & (chroma < 24)] = _WHITE
     plain = chroma < np.where(lightness > 75, 9, 12)
-    names[plain] = np.where(lightness[plain] < 25, _BLACK, np.where(lightness[plain] < 85, _GRAY, _WHITE))
+    names[plain] = np.where(lightness[plain] < _BLACK_BELOW, _BLACK, np.where(lightness[plain] < 85, _GRAY, _WHITE))
     names[lightness < 8] = _BLACK
     return names
 
@@ -74,10 +85,11 @@ def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool
 
 
 def dominant_name(srgb: ArrayLike) -> str:
-    """Returns the name that at least half of the samples (N, 3) carry, or `unknown`."""
+    """Returns the name that at least half of the samples (N, 3) carry and no other comes near to, or `unknown`."""
     names = name_indices(srgb)
     if names.size == 0:
         return "unknown"
-    votes = np.bincount(names.ravel(), minlength=len(COLOUR_NAMES))
-    winner = int(votes.argmax())
-    return COLOUR_NAMES[winner] if votes[winner] >= MIN_SHARE * names.size else "unknown"
+    votes = np.bincount(names.ravel(), minlength=len(COLOUR_NAMES) + 1)
+    rival, winner = np.argsort(votes, kind="stable")[-2:]
+    is_clear = winner != _NAMELESS and votes[winner] >= MIN_SHARE * names.size and votes[rival] < MAX_RIVAL * names.size
+    return COLOUR_NAMES[winner] if is_clear else "unknown"

@@ -59,6 +59,8 @@ class _Shown:
     book: TextureBook
     chosen: TargetList | None
     """The user's list of targets, if there is one."""
+    uncoloured: frozenset[str]
+    """Categories that are never called after a colour."""
 
     def triangles(self) -> Floats:
         return np.concatenate([part.triangles for part in self.parts])
@@ -164,7 +166,7 @@ def _show(
     owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
     book = load_textures(_texture_areas(visible), read_asset)
     notes += book.notes
-    return _Shown(visible, candidates, owners, number_objects(owners), book, chosen)
+    return _Shown(visible, candidates, owners, number_objects(owners), book, chosen, rules.uncoloured)
 
 
 def _floor_height(file: str, triangles: Floats) -> float:
@@ -190,7 +192,8 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
     targets = honour_targets(list_targets(terrain, shown.candidates, shown.ids, floor_m, notes), shown.chosen)
     if not targets:
         raise WorldError(_why_no_target(file, shown, terrain, notes))
-    targets = recoloured(with_colours(targets, shown.parts, shown.owners, shown.book), shown.chosen)
+    named = with_colours(targets, shown.parts, shown.owners, shown.book, shown.uncoloured)
+    targets = recoloured(named, shown.chosen)
     points = spawns.astype(np.float64)
     sees = sees_matrix(terrain, points, targets)
     return _Survey(with_far_tier(targets, points, sees), spawns, sees)

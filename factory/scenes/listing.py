@@ -67,14 +67,21 @@ def _rounded(vector: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def with_colours(
-    targets: Sequence[Target], parts: Sequence[Part], owners: Sequence[str], book: TextureBook
+    targets: Sequence[Target],
+    parts: Sequence[Part],
+    owners: Sequence[str],
+    book: TextureBook,
+    uncoloured: frozenset[str] = frozenset(),
 ) -> tuple[Target, ...]:
-    """Returns the targets with the names of their dominant colours."""
+    """Returns the targets with the names of their dominant colours, but for categories that are called after none."""
     own: dict[str, list[Part]] = {}
     for part, owner in zip(parts, owners, strict=True):
         own.setdefault(owner, []).append(part)
     named = []
     for target in targets:
+        if target.category in uncoloured:
+            named.append(target)
+            continue
         rng = np.random.default_rng(0)
         named.append(target.model_copy(update={"colour": target_colour(own[target.prim_path], book, rng)}))
     return tuple(named)

@@ -44,12 +44,19 @@ class CategoryRule(Model):
     """Shortest plausible longest side, metres."""
     largest_m: Positive = 40.0
     """Longest plausible longest side, metres."""
+    has_colour: bool = True
+    """Whether it is called after its colour; a rack shows that of its load."""
 
 
 class RuleBook(Model):
     """The rules in order; the first that fits a name wins."""
 
     rules: tuple[CategoryRule, ...]
+
+    @property
+    def uncoloured(self) -> frozenset[str]:
+        """The categories that are never called after a colour."""
+        return frozenset(rule.category for rule in self.rules if not rule.has_colour)
 
     @cached_property
     def _patterns(self) -> tuple[tuple[CategoryRule, re.Pattern[str], re.Pattern[str] | None], ...]:

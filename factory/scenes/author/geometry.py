@@ -99,7 +99,7 @@ def cushion(low: Vector, high: Vector, bevel: float) -> Mesh:
 
     def octagon(inset: float, z: float) -> list[Vector]:
         a0, a1, b0, b1 = x0 + inset, x1 - inset, y0 + inset, y1 - inset
-        c = bevel
+        c = min(bevel, 0.45 * (a1 - a0), 0.45 * (b1 - b0))  # a thin board's corners must not cross
         return [
             (a0 + c, b0, z), (a1 - c, b0, z), (a1, b0 + c, z), (a1, b1 - c, z),
             (a1 - c, b1, z), (a0 + c, b1, z), (a0, b1 - c, z), (a0, b0 + c, z),

@@ -38,11 +38,24 @@ class Bends:
     """(C, 3) normal, not of unit length, at the first corner of the chart's rectangle."""
     slope: Floats
     """(C, 2, 3) its change along and across the whole rectangle."""
+    flat: Floats
+    """(C, 3) unit normal of the piece itself."""
+    widest: Floats
+    """(C,) tangent of the largest angle between that and a corner's normal."""
 
     def normals(self, chart: Ints, share: Floats) -> Floats:
-        """Returns the unit normals (N, 3) at places `share` (N, 2), 0..1, of charts (N,)."""
+        """Returns the unit normals (N, 3) at places `share` (N, 2), 0..1, of charts (N,).
+
+        Where a rectangle reaches past its triangles, normals lean no farther than those of the corners do.
+        """
+        flat = self.flat[chart]
         normals = self.base[chart] + np.einsum("na,nac->nc", share, self.slope[chart])
-        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
+        rise = np.maximum(np.einsum("nk,nk->n", normals, flat), 1e-3)[:, None]
+        lean = (normals - np.einsum("nk,nk->n", normals, flat)[:, None] * flat) / rise
+        size = np.linalg.norm(lean, axis=1, keepdims=True)
+        lean *= np.minimum(1.0, self.widest[chart][:, None] / np.maximum(size, 1e-9))
+        normals = flat + lean
+        return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def least_texels(self) -> Ints:
         """Returns (C, 2) how many texels each side needs at least to show the bend."""
@@ -118,4 +131,5 @@ def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
     off = np.einsum("nk,nk->n", normals, charts.axes[chart, 2])
     least = np.ones(count)
     np.minimum.at(least, chart, off)
-    return Bends(least < _BENT_COS, fit[:, 0], fit[:, 1:])
+    cosine = np.clip(least, 0.1, 1.0)
+    return Bends(least < _BENT_COS, fit[:, 0], fit[:, 1:], charts.axes[:, 2], np.sqrt(1 - cosine**2) / cosine)

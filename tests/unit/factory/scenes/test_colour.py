@@ -13,6 +13,7 @@ from factory.scenes.colour import COLOUR_NAMES, dominant_name, lab_of, linear_of
     [
         ((0, 0, 0), "black"),
         ((40, 40, 42), "black"),
+        ((58, 60, 64), "black"),
         ((128, 128, 128), "gray"),
         ((211, 211, 211), "gray"),
         ((255, 255, 255), "white"),
@@ -42,6 +43,19 @@ def test_half_of_the_samples_make_a_colour_and_less_do_not() -> None:
     red, blue, green = (1.0, 0, 0), (0, 0, 1.0), (0, 0.5, 0)
     assert dominant_name([red, red, blue, green]) == "red"
     assert dominant_name([red, red, blue, green, blue]) == "unknown"
+
+
+def test_a_thing_of_two_colours_has_none() -> None:
+    red, blue = (1.0, 0, 0), (0, 0, 1.0)
+    assert dominant_name([red] * 6 + [blue] * 4) == "unknown"
+    assert dominant_name([red] * 7 + [blue] * 3) == "red"
+
+
+def test_teal_is_neither_green_nor_blue() -> None:
+    assert dominant_name([(31 / 255, 127 / 255, 130 / 255)]) == "unknown"
+
+
+def test_no_samples_have_no_colour() -> None:
     assert dominant_name(np.zeros((0, 3))) == "unknown"
 
 

@@ -78,3 +78,7 @@ def test_a_table_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> N
 def test_a_missing_table_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no category rules"):
         load_rules(tmp_path / "absent.yaml")
+
+
+def test_racks_are_never_called_after_their_loads() -> None:
+    assert load_rules().uncoloured == {"rack"}

@@ -78,3 +78,14 @@ def test_colours_become_linear_as_usd_wants_them() -> None:
 def test_furniture_is_wound_outwards(name: str) -> None:
     pieces = Workshop(0).model(name, 0).pieces
     assert sum(signed_volume(piece.mesh) for piece in pieces) > 0
+
+
+@pytest.mark.parametrize("bevel", [0.005, 0.01, 0.015, 0.019])
+def test_the_chamfers_of_a_thin_board_never_cross(bevel: float) -> None:
+    mesh = cushion((-0.5, -0.02, 0.0), (0.5, 0.02, 0.8), bevel)
+    middle, start = np.array((0.0, 0.0, 0.4)), 0
+    for count in mesh.counts:
+        corners = mesh.points[mesh.indices[start : start + count]]
+        normal = np.cross(np.roll(corners, -1, axis=0) - corners, np.roll(corners, -2, axis=0) - corners).sum(axis=0)
+        assert normal @ (corners.mean(axis=0) - middle) >= -1e-12
+        start += count

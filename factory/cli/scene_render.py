@@ -1,0 +1,55 @@
+"""`factory scene render`: map, views and contact sheets of a scene as pictures to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import click
+
+from factory.cli.output import json_option, print_json, stderr
+from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
+from factory.logs import configure_logs
+from schemas.errors import WorldError
+from schemas.terms import RendererKind
+
+__all__ = ["command"]
+
+
+@click.command("render")
+@scene_argument
+@seed_option
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the pictures; default ./SCENE.")
+@click.option("--views", type=click.IntRange(0, 64), default=6, show_default=True, help="Views at eye height, 1.5 m.")
+@click.option("--robot-views", type=click.IntRange(0, 64), default=4, show_default=True, help="Views of the robot.")
+@click.option("--colours", type=click.IntRange(0, 500), default=0, help="Also N targets in place with colour words.")
+@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@json_option
+def command(
+    scene: str,
+    seed: int,
+    out: Path | None,
+    views: int,
+    robot_views: int,
+    colours: int,
+    renderer: str,
+    as_json: bool,
+) -> None:
+    """Draw SCENE (a built-in name or a compiled package): its map, the views that show most, a sheet of its things."""
+    from factory.scenes.pictures import Wanted, draw_scene
+
+    configure_logs()
+    compiled = chosen_scene(scene, seed)
+    folder = out or Path(compiled.info.name)
+    paths: list[str] = []
+    try:
+        with stderr.status(f"drawing {compiled.info.name}"):
+            for path in draw_scene(compiled, folder, Wanted(views, robot_views, colours), cast(RendererKind, renderer)):
+                paths.append(str(path))
+    except OSError as error:
+        raise WorldError(f"cannot write below {folder} ({error.strerror}); choose another --out") from error
+    if as_json:
+        print_json({"scene": compiled.info.name, "pictures": paths})
+    else:
+        for written in paths:
+            click.echo(written)

@@ -1,0 +1,176 @@
+"""A contact sheet of things with their names: every variant of every category alone, or chosen targets in their place.
+
+Draws; which targets are shown is decided by pure functions.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from factory.scenes.pictures.viewpoints import View, looking
+from schemas.scene import CompiledScene, Target
+from workers.grid import Grid
+from workers.render import Frame, Renderer
+
+__all__ = ["alone", "draw_sheet", "facing", "known_colours", "model_name", "variants"]
+
+_MOST_A_CATEGORY = 12
+_TILE_PX, _TEXT_PX = 200, 34
+_BACKGROUND = (236, 236, 232)
+_FOV_DEG, _DOWN_RAD, _ASIDE_RAD = 34.0, math.radians(-16.0), math.radians(28.0)
+_ROOM = 1.12
+_OPEN_SIDE_WORTH = 1.4
+_TURNS_DEG = (0, 40, -40, 80, -80, 140, -140, 180)
+_IN_PLACE_FOV_DEG, _IN_PLACE_EYE_M = 60.0, 0.9
+_NUMBER = re.compile(r"_\d+$")
+
+Picture = NDArray[np.uint8]
+
+
+def model_name(prim_path: str) -> str:
+    """Returns the name of a prim without its running number: `SM_Chair_A_02` of `/World/Props/SM_Chair_A_02_17`."""
+    return _NUMBER.sub("", prim_path.rpartition("/")[2])
+
+
+def variants(targets: Sequence[Target], most: int = _MOST_A_CATEGORY) -> list[Target]:
+    """Returns one target for each model and colour, at most `most` a category, by category and model."""
+    first: dict[tuple[str, str, str], Target] = {}
+    for target in targets:
+        first.setdefault((target.category, model_name(target.prim_path), target.colour), target)
+    kept: list[Target] = []
+    for category in sorted({key[0] for key in first}):
+        kept += [first[key] for key in sorted(first) if key[0] == category][:most]
+    return kept
+
+
+def known_colours(targets: Sequence[Target], count: int, rng: Generator) -> list[Target]:
+    """Returns a random sample of the targets whose colour is known, in their own order."""
+    known = [target for target in targets if target.colour != "unknown"]
+    rows = rng.choice(len(known), min(count, len(known)), replace=False) if known else np.zeros(0, np.int64)
+    return [known[row] for row in sorted(rows.tolist())]
+
+
+def alone(scene: CompiledScene, instance_id: int) -> CompiledScene:
+    """Returns the scene with nothing to see but one instance, its light kept."""
+    parts = np.flatnonzero(scene.part_instance == instance_id)
+    runs = [np.arange(scene.part_first[p], scene.part_first[p] + scene.part_count[p]) for p in parts]
+    rows = np.concatenate(runs) if runs else np.zeros(0, np.int64)
+    counts = scene.part_count[parts]
+    layers, texture = np.unique(np.maximum(scene.part_texture[parts], 0), return_inverse=True)
+    return replace(
+        scene,
+        positions=scene.positions[rows],
+        uvs=scene.uvs[rows],
+        colours=scene.colours[rows],
+        light_uvs=scene.light_uvs[rows] if len(scene.light_uvs) else scene.light_uvs,
+        part_first=(np.cumsum(counts) - counts).astype(np.int32),
+        part_count=counts,
+        part_instance=scene.part_instance[parts],
+        part_texture=np.where(scene.part_texture[parts] < 0, -1, texture).astype(np.int16),
+        textures=scene.textures[layers] if len(scene.textures) else scene.textures,
+    )
+
+
+def facing(scene: CompiledScene, target: Target) -> float:
+    """Returns the heading, radians, from a target to where most of the connected floor near it lies: its open side."""
+    grid = Grid.from_scene(scene)
+    floor = grid.centre_of(np.argwhere(scene.reachable > 0))
+    away = floor - np.array(target.centroid_m[:2])
+    distance = np.linalg.norm(away, axis=1)
+    reach = max(target.size_m[:2]) / 2
+    near = (distance > 0.05) & (distance < distance.min(initial=np.inf) + reach + 0.6)
+    if not near.any():
+        return 0.0
+    pull = (away[near] / distance[near, None] ** 2).sum(axis=0)
+    return math.atan2(pull[1], pull[0])
+
+
+def _view_alone(scene: CompiledScene, target: Target) -> View:
+    """Stands where the thing fills the frame, aside of its open side and a little above."""
+    yaw = facing(scene, target) + _ASIDE_RAD
+    radius = float(np.linalg.norm(target.size_m)) / 2
+    way = _ROOM * radius / math.sin(math.radians(_FOV_DEG) / 2)
+    centre = np.array(target.centroid_m)
+    out = np.array((math.cos(yaw) * math.cos(_DOWN_RAD), math.sin(yaw) * math.cos(_DOWN_RAD), -math.sin(_DOWN_RAD)))
+    return looking(centre + way * out, yaw + math.pi, _DOWN_RAD, _FOV_DEG)
+
+
+def _view_in_place(scene: CompiledScene, target: Target, yaw: float) -> View:
+    """Stands in a direction of the thing, somewhat higher than the robot's eye, looking at its centre."""
+    radius = float(np.linalg.norm(target.size_m)) / 2
+    way = min(max(1.3 * radius / math.sin(math.radians(_IN_PLACE_FOV_DEG) / 2), 0.8), 3.0)
+    eye = np.array(target.centroid_m) + way * np.array((math.cos(yaw), math.sin(yaw), 0.0))
+    eye[2] = scene.info.floor_height_m + _IN_PLACE_EYE_M
+    rise = math.atan2(target.centroid_m[2] - eye[2], way)
+    return looking(eye, yaw + math.pi, rise, _IN_PLACE_FOV_DEG)
+
+
+def _tiles(eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_place: bool) -> Iterator[Picture]:
+    for target in targets:
+        if in_place:
+            frame = _best_in_place(eye, scene, target)
+        else:
+            view = _view_alone(scene, target)
+            eye.load(alone(scene, target.instance_id), view.camera)
+            frame = eye.render(view.pose)
+        rgb = frame.rgb if in_place else np.where(frame.ids[..., None] == 0, np.array(_BACKGROUND, np.uint8), frame.rgb)
+        if in_place:
+            rgb = _outlined(rgb, frame.ids == target.instance_id)
+        yield np.asarray(Image.fromarray(rgb).resize((_TILE_PX, _TILE_PX), Image.Resampling.LANCZOS))
+
+
+def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> Frame:
+    """Looks from all around, the open side first, and keeps the look that shows most of the thing."""
+    looks: list[Frame] = []
+    for turn in _TURNS_DEG:
+        view = _view_in_place(scene, target, facing(scene, target) + math.radians(turn))
+        eye.load(scene, view.camera)
+        looks.append(eye.render(view.pose))
+    shown = np.array([float((look.ids == target.instance_id).sum()) for look in looks])
+    shown[0] *= _OPEN_SIDE_WORTH
+    return looks[int(shown.argmax())]
+
+
+def _outlined(rgb: Picture, mask: NDArray[np.bool_]) -> Picture:
+    """Returns the picture with a frame around the mask's box."""
+    rows, columns = np.nonzero(mask)
+    if not len(rows):
+        return rgb
+    image = Image.fromarray(rgb)
+    box = (int(columns.min()), int(rows.min()), int(columns.max()), int(rows.max()))
+    ImageDraw.Draw(image).rectangle(box, outline=(255, 0, 255), width=3)
+    return np.asarray(image)
+
+
+def draw_sheet(
+    eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_place: bool = False, columns: int = 8
+) -> Image.Image:
+    """Returns a sheet with a labelled tile for each target: category and colour, below them the prim.
+
+    Args:
+        eye: draws the tiles; frames larger than a tile are smoothed down.
+        scene: where they stand.
+        targets: what to show.
+        in_place: each among its surroundings, outlined by its box, instead of alone.
+        columns: tiles in a row.
+    """
+    rows = max(1, -(-len(targets) // columns))
+    height = _TILE_PX + _TEXT_PX
+    sheet = Image.new("RGB", (columns * _TILE_PX, rows * height), _BACKGROUND)
+    pen = ImageDraw.Draw(sheet)
+    large, small = ImageFont.load_default(14), ImageFont.load_default(11)
+    for number, tile in enumerate(_tiles(eye, scene, targets, in_place)):
+        x, y = number % columns * _TILE_PX, number // columns * height
+        target = targets[number]
+        sheet.paste(Image.fromarray(tile), (x, y))
+        pen.text((x + 6, y + _TILE_PX), f"{target.category}  {target.colour}", fill=(20, 20, 20), font=large)
+        pen.text((x + 6, y + _TILE_PX + 17), target.prim_path.rpartition("/")[2], fill=(90, 90, 90), font=small)
+    return sheet

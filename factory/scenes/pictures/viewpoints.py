@@ -1,0 +1,132 @@
+"""Where to stand to show a scene: many places and headings are tried small, those with most to see are kept.
+
+Chooses by what a frame shows, never by chance; draws nothing that is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import CameraConfig
+from schemas.scene import CompiledScene
+from workers.pose import Pose
+from workers.render import Frame, Renderer
+
+__all__ = ["EYE", "Height", "View", "best_views", "looking", "try_views", "worth"]
+
+_HEADINGS = 10
+_NEAR_M, _FULL_DEPTH_M = 0.7, 4.0
+_SATURATED = 0.05
+"""Share of the picture from which on a thing is not more worth seeing."""
+_CLUTTER = 0.15
+"""Worth of what is no target, in shares of a target's."""
+_SEEN_BEFORE = 0.3
+_BARE_SHARE = 0.45
+
+
+@dataclass(frozen=True)
+class Height:
+    """From how high, and how, a person looks."""
+
+    eye_m: float
+    pitch_rad: float
+    fov_deg: float
+
+
+EYE = Height(1.5, math.radians(-11.0), 80.0)
+"""A person's eyes, a little down."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A pose of the robot's base and the camera on it, in the world frame."""
+
+    pose: Pose
+    camera: CameraConfig
+
+
+def looking(eye: NDArray[np.float64], yaw_rad: float, pitch_rad: float, fov_deg: float, near_m: float = 0.05) -> View:
+    """Returns the view from a place (3,), metres, heading `yaw_rad` and raised by `pitch_rad`."""
+    cos_yaw, sin_yaw = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    cos_pitch, sin_pitch = math.cos(-pitch_rad / 2), math.sin(-pitch_rad / 2)
+    pose = Pose(
+        float(eye[0]),
+        float(eye[1]),
+        float(eye[2]),
+        cos_yaw * cos_pitch,
+        -sin_yaw * sin_pitch,
+        cos_yaw * sin_pitch,
+        sin_yaw * cos_pitch,
+    )
+    return View(pose, CameraConfig(name="view", x_m=0.0, y_m=0.0, z_m=1e-6, fov_deg=fov_deg, near_m=near_m))
+
+
+def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> Iterator[View]:
+    """Yields views from surveyed points all around; the robot's own camera where `height` is `None`."""
+    for number, (x, y) in enumerate(scene.spawns[:places].astype(float)):
+        for heading in range(_HEADINGS):
+            yaw = 2 * math.pi * (heading + number * 0.382) / _HEADINGS
+            if height is None:
+                yield View(Pose.planar(x, y, yaw, scene.info.floor_height_m), CameraConfig())
+            else:
+                place = np.array((x, y, scene.info.floor_height_m + height.eye_m))
+                yield looking(place, yaw, height.pitch_rad, height.fov_deg)
+
+
+def worth(frame: Frame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
+    """Says how much a frame shows: things, large enough, in some depth, not yet seen.
+
+    Args:
+        frame: what the camera sees.
+        targets: instance ids of what can be named.
+        seen: instance ids that earlier pictures show already.
+    """
+    counts = np.bincount(frame.ids.ravel())
+    share = counts / frame.ids.size
+    known = set(seen)
+    total = 0.0
+    for number in np.flatnonzero(counts[1:]) + 1:
+        value = math.sqrt(min(float(share[number]), _SATURATED)) * (1.0 if int(number) in targets else _CLUTTER)
+        total += value * (_SEEN_BEFORE if int(number) in known else 1.0)
+    met = frame.depth[frame.depth > 0]
+    if not len(met) or float(np.quantile(met, 0.05)) < _NEAR_M:
+        return 0.25 * total
+    bare = max(0.0, float(share[1:].max(initial=0.0)) - _BARE_SHARE)
+    return total * (1 - bare) * min(1.0, 0.4 + float(np.median(met)) / _FULL_DEPTH_M)
+
+
+def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count: int) -> list[View]:
+    """Returns the views that together show most, best first.
+
+    Args:
+        eye: a renderer of small frames.
+        scene: what to show.
+        height: a person's, or `None` for the robot's own camera.
+        count: how many views are wanted.
+    """
+    targets = frozenset(target.instance_id for target in scene.info.targets)
+    tried: list[tuple[View, Frame]] = []
+    for view in try_views(scene, height):
+        eye.load(scene, view.camera)
+        tried.append((view, eye.render(view.pose)))
+    chosen: list[View] = []
+    seen: set[int] = set()
+    while tried and len(chosen) < count:
+        values = [worth(frame, targets, seen) for _, frame in tried]
+        view, frame = tried[int(np.argmax(values))]
+        chosen.append(view)
+        counts = np.bincount(frame.ids.ravel())
+        seen |= {int(number) for number in np.flatnonzero(counts > 0.002 * frame.ids.size)}
+        tried = [(other, look) for other, look in tried if _is_apart(other.pose, view.pose)]
+    return chosen
+
+
+def _is_apart(one: Pose, other: Pose) -> bool:
+    """Whether two views differ enough in place or heading."""
+    turn = abs(math.remainder(one.yaw - other.yaw, 2 * math.pi))
+    return math.hypot(one.x - other.x, one.y - other.y) > 2.0 or turn > math.radians(80)
