@@ -11,20 +11,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from isal import igzip
-from numpy.typing import NDArray
 from pydantic import Field
 
 from coordinator.dataset_meta import DatasetMeta
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Piece
 from factory.export.card import CARD_FILE, export_card
+from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import Decimated, stride_of
-from factory.export.webdataset_actions import windowed_actions
 from factory.export.webdataset_tar import join_members, member_bytes, write_member
 from schemas.ndarray import encode_npy
-from schemas.tokens import tokens_of
 
 __all__ = ["WebdatasetExporter", "WebdatasetFacts", "WebdatasetOptions", "shards_of"]
 
@@ -39,15 +36,15 @@ is random but fixed, frames of an episode stand together. Shuffle with a buffer 
 | member | what |
 |---|---|
 | `rgb.png` | 640 x 640, 8 bit |
-| `depth.npy.gz` | float32 metres along the optical axis, 0 where nothing was hit; both readers unpack it |
-| `seg.png` | 16-bit instance ids |
+| `depth.npy.gz` | float32 metres along the optical axis, 0 where nothing was hit; both readers unpack it to an array |
+| `seg.npy.gz` | uint16 instance ids; 0 is nothing |
 | `action.json` | `v_mps`, `w_rps` until the next sample (mean of the commands in between), `v_token`, `w_token` |
 | `json` | instruction, episode, step, time, pose, target, split |
 
 ```python
 import webdataset
 for sample in webdataset.WebDataset("train_id-{000000..000009}.tar", shardshuffle=100).shuffle(2000).decode("rgb"):
-    sample["rgb.png"], sample["depth.npy"], sample["json"]["instruction"], sample["action.json"]["v_mps"]
+    sample["rgb.png"], sample["depth.npy.gz"], sample["json"]["instruction"], sample["action.json"]["v_mps"]
 ```
 
 `shards.json` lists every shard with its samples, episodes and bytes.
@@ -92,13 +89,14 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
 
     def write_episode(self, episode: Episode, options: WebdatasetOptions, folder: Path) -> WebdatasetFacts:
         """Writes the members of every kept frame, in order."""
-        stride = stride_of(options.fps, episode.meta.job.task.control_hz)
-        steps = range(0, len(episode), stride)
-        actions = windowed_actions(episode.actions, stride)
+        hz = episode.meta.job.task.control_hz
+        stride = stride_of(options.fps, hz)
+        steps = kept_frames(len(episode), stride)
+        columns = frame_columns(episode.actions, episode.poses, hz, stride)
         size = 0
         with (folder / MEMBERS_FILE).open("wb") as file:
-            for t, action in zip(steps, actions, strict=True):
-                for suffix, data in _sample(episode, t, action):
+            for t, action, tokens in zip(steps, columns.action.tolist(), columns.tokens.tolist(), strict=True):
+                for suffix, data in _sample(episode, t, action, tokens):
                     write_member(file, f"{episode.episode_id}_{t:06d}.{suffix}", data)
                     size += member_bytes(len(data))
         return WebdatasetFacts(frames=len(steps), member_bytes=size)
@@ -146,18 +144,15 @@ def _contents(shard: Shard) -> dict[str, Any]:
     return {"episodes": [piece.episode_id for piece in shard.pieces], "member_bytes": shard.size}
 
 
-def _sample(episode: Episode, t: int, action: NDArray[np.float32]) -> Iterator[tuple[str, bytes]]:
+def _sample(episode: Episode, t: int, action: list[float], tokens: list[int]) -> Iterator[tuple[str, bytes]]:
     """Yields suffix and bytes of the members of one frame; all frames have the same suffixes."""
     yield "rgb.png", episode.stored(f"rgb_front/{t:06d}.png")
     yield "depth.npy.gz", igzip.compress(encode_npy(episode.depth(t)), _GZIP_LEVEL, mtime=0)
-    yield "seg.png", episode.stored(f"seg_front/{t:06d}.png")
-    yield "action.json", _json(_action(action))
+    # no PNG: webdataset's `decode("rgb")` would make 8-bit colours of 16-bit ids and clip them at 255
+    yield "seg.npy.gz", igzip.compress(encode_npy(episode.ids(t)), _GZIP_LEVEL, mtime=0)
+    (v, w), (v_token, w_token) = action, tokens
+    yield "action.json", _json({"v_mps": v, "w_rps": w, "v_token": v_token, "w_token": w_token})
     yield "json", _json(_facts(episode, t))
-
-
-def _action(action: NDArray[np.float32]) -> dict[str, Any]:
-    v_token, w_token = tokens_of(action[None])[0].tolist()
-    return {"v_mps": float(action[0]), "w_rps": float(action[1]), "v_token": v_token, "w_token": w_token}
 
 
 def _facts(episode: Episode, t: int) -> dict[str, Any]:

@@ -1,0 +1,109 @@
+"""The steps of an episode as RLDS has them (OpenVLA, Octo, Open X-Embodiment). Pure but for reading the episode.
+
+No exporter: TFDS writes the files, in an environment with TensorFlow; `docs/formats/rlds` has the builder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from factory.episode import Episode
+from factory.export.lerobot.columns import frame_columns, kept_frames
+from factory.export.options import stride_of
+
+__all__ = ["Observation", "Step", "rlds_metadata", "rlds_steps"]
+
+
+class Observation(TypedDict):
+    """What the robot knows at a step."""
+
+    image: NDArray[np.uint8]
+    """(image_px, image_px, 3) sRGB."""
+    depth: NDArray[np.float32]
+    """(image_px, image_px, 1) metres along the optical axis; 0 where nothing was hit; nearest pixels, never mixed."""
+    state: NDArray[np.float32]
+    """(5,) wheel odometry: x, y, yaw since the first frame in its frame (m, rad), v and w (m/s, rad/s)."""
+
+
+class Step(TypedDict):
+    """One step."""
+
+    observation: Observation
+    action: NDArray[np.float32]
+    """(2,) mean command until the next step: v in m/s, w in rad/s."""
+    action_tokens: NDArray[np.int32]
+    """(2,) the same on the 7 x 7 grid."""
+    discount: float
+    reward: float
+    """1 at the last step; every archived episode is a success."""
+    is_first: bool
+    is_last: bool
+    is_terminal: bool
+    language_instruction: str
+
+
+def rlds_steps(episode: Episode, fps: int | None = None, image_px: int = 256) -> Iterator[Step]:
+    """Yields the steps of an episode, one frame in memory at a time.
+
+    Args:
+        episode: the episode.
+        fps: steps a second, a divisor of the dataset's rate; `None` keeps all.
+        image_px: side of the images; 640 keeps them as they are.
+
+    Raises:
+        UsageError: the rate does not divide the dataset's.
+        ArchiveCorrupt: the episode is damaged.
+    """
+    hz = episode.meta.job.task.control_hz
+    stride = stride_of(fps, hz)
+    kept = kept_frames(len(episode), stride)
+    columns = frame_columns(episode.actions, episode.poses, hz, stride)
+    tokens = columns.tokens.astype(np.int32)
+    for number, t in enumerate(kept):
+        is_last = number == len(kept) - 1
+        yield {
+            "observation": {
+                "image": _resize(episode.rgb(t), image_px),
+                "depth": _nearest(episode.depth(t), image_px)[:, :, None],
+                "state": columns.state[number],
+            },
+            "action": columns.action[number],
+            "action_tokens": tokens[number],
+            "discount": 1.0,
+            "reward": float(is_last),
+            "is_first": number == 0,
+            "is_last": is_last,
+            "is_terminal": is_last,
+            "language_instruction": episode.instruction,
+        }
+
+
+def rlds_metadata(episode: Episode) -> dict[str, Any]:
+    """Returns `episode_metadata`."""
+    row = episode.summary
+    return {
+        "episode_id": row.episode_id,
+        "split": str(row.split),
+        "scene": row.scene,
+        "target_category": row.target_category,
+        "target_id": row.target_id,
+        "template_id": row.template_id,
+        "content_digest": row.content_digest,
+    }
+
+
+def _resize(rgb: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+    if rgb.shape[0] == side:
+        return rgb
+    return np.asarray(Image.fromarray(rgb).resize((side, side), Image.Resampling.BOX))
+
+
+def _nearest(depth: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    chosen = ((np.arange(side) + 0.5) * depth.shape[0] / side).astype(int)
+    picked: NDArray[np.float32] = depth[chosen[:, None], chosen[None, :]]
+    return picked
