@@ -11,7 +11,9 @@ from typing import cast
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from factory.cli.eval_options import SplitList
+from factory.cli.eval_compare import command as compare_command
+from factory.cli.eval_options import SplitList, splits_of
+from factory.cli.eval_specs import command as specs_command
 from factory.cli.eval_tables import print_evaluation
 from factory.cli.output import json_option, print_json, stderr
 from factory.dataset import Dataset
@@ -30,9 +32,7 @@ from schemas.errors import UsageError
 from schemas.terms import RendererKind, Split
 from workers.stopping import stop_on_signals
 
-__all__ = ["command", "splits_of"]
-
-_TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
+__all__ = ["command"]
 
 
 @click.group("eval", invoke_without_command=True)
@@ -130,17 +130,6 @@ def _specs(dataset: Dataset, path: Path | None, splits: tuple[Split, ...] | None
     return every.only(None, episodes)
 
 
-def splits_of(dataset: Dataset, asked: tuple[Split, ...] | None) -> tuple[Split, ...]:
-    """Returns the splits to evaluate: as asked; all that have episodes; or, unasked, those of them not trained on."""
-    if asked:
-        return asked
-    present = set(dataset.metadata["split"].to_pylist())
-    found = tuple(split for split in Split if str(split) in present and (asked is not None or split not in _TRAINED_ON))
-    if not found:
-        raise UsageError(f"{dataset.root} has no episodes but for training; say --split all if they are meant")
-    return found
-
-
 def _drive(campaign: Campaign, store: Store) -> bool:
     with (
         stop_on_signals() as (stop, _),
@@ -163,3 +152,7 @@ def _columns() -> tuple[TextColumn | BarColumn | MofNCompleteColumn | TimeElapse
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
+
+
+command.add_command(specs_command)
+command.add_command(compare_command)

@@ -6,9 +6,13 @@ from typing import Any
 
 import click
 
+from factory.dataset import Dataset
+from schemas.errors import UsageError
 from schemas.terms import Split
 
-__all__ = ["SplitList"]
+__all__ = ["SplitList", "splits_of"]
+
+_TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
 
 
 class SplitList(click.ParamType):
@@ -27,3 +31,14 @@ class SplitList(click.ParamType):
         if unknown or not names:
             self.fail(f"no split {', '.join(unknown) or 'is named'}; there are {', '.join(Split)}, or all", param, ctx)
         return tuple(split for split in Split if split in names)
+
+
+def splits_of(dataset: Dataset, asked: tuple[Split, ...] | None) -> tuple[Split, ...]:
+    """Returns the splits to evaluate: as asked; all that have episodes; or, unasked, those of them not trained on."""
+    if asked:
+        return asked
+    present = set(dataset.metadata["split"].to_pylist())
+    found = tuple(split for split in Split if str(split) in present and (asked is not None or split not in _TRAINED_ON))
+    if not found:
+        raise UsageError(f"{dataset.root} has no episodes but for training; say --split all if they are meant")
+    return found

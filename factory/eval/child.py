@@ -179,25 +179,25 @@ class _SheetWatch:
         self._state, self._last, self._calls = State(), None, 0
         self.note(busy)
 
-    def asks(self) -> None:
+    def asks(self, simulator: Simulator, view: View) -> None:
         """The policy is about to be asked."""
-        self.note(Busy.ASKING if self.is_warm else Busy.MAKING)
-
-    def has_answer(self, simulator: Simulator, view: View) -> None:
-        """The policy has answered."""
         self._calls += 1
-        self.is_warm = self.is_warm or self._calls > 1  # the first call is a reset
-        here = (view.pose.x, view.pose.y)
+        here, state = (view.pose.x, view.pose.y), self._state
         moved = 0.0 if self._last is None else math.dist(self._last, here)
-        state, self._last = self._state, here
+        is_first, self._last = self._last is None, here
         self._state = state._replace(
             steps=simulator.steps,
-            start_m=view.distance_m if self._calls == 1 else state.start_m,
+            start_m=view.distance_m if is_first else state.start_m,
             now_m=view.distance_m,
-            least_m=view.distance_m if self._calls == 1 else min(state.least_m, view.distance_m),
+            least_m=view.distance_m if is_first else min(state.least_m, view.distance_m),
             driven_m=state.driven_m + moved,
             contact_steps=simulator.contact_steps,
         )
+        self.note(Busy.ASKING if self.is_warm else Busy.MAKING)
+
+    def has_answer(self) -> None:
+        """The policy has answered."""
+        self.is_warm = self.is_warm or self._calls > 1  # the first call is a reset
         self.note(Busy.SIMULATING)
 
 

@@ -7,7 +7,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -56,11 +56,11 @@ class Question:
 class Watch(Protocol):
     """Is told what goes on, so that somebody outside can tell a policy that hangs from a simulation that does."""
 
-    def asks(self) -> None:
-        """The policy is about to be asked."""
+    def asks(self, simulator: Simulator, view: View) -> None:
+        """The policy is about to be asked about a view; the first call of an episode is its reset."""
 
-    def has_answer(self, simulator: Simulator, view: View) -> None:
-        """The policy has answered; the last view is told as well."""
+    def has_answer(self) -> None:
+        """The policy has answered, or failed to."""
 
 
 def run_episode(
@@ -98,11 +98,9 @@ class _Drive:
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
-    _view: View | None = field(default=None, init=False)
 
     def run(self, view: View) -> tuple[EvalEnd, str]:
         """Returns how the episode ended."""
-        self._view = view
         try:
             self._begin(view)
             while view.end is None:
@@ -143,7 +141,6 @@ class _Drive:
             view = self.simulator.step(twist)
             if view.end is not None:
                 break
-        self._view = view
         return view
 
     def _observation(self, view: View) -> Observation:
@@ -160,7 +157,7 @@ class _Drive:
     @contextmanager
     def _asking(self, view: View) -> Iterator[None]:
         """Around a call of the policy: watched, timed, and every exception of it turned into its failure."""
-        self.watch.asks()
+        self.watch.asks(self.simulator, view)
         begun = time.monotonic()
         try:
             yield
@@ -170,7 +167,7 @@ class _Drive:
             raise PolicyFailure(PolicyFault.RAISED, describe_error(error)) from error
         finally:
             self.act_s += time.monotonic() - begun
-            self.watch.has_answer(self.simulator, view)
+            self.watch.has_answer()
 
 
 def describe_error(error: BaseException) -> str:

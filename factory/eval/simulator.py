@@ -30,9 +30,13 @@ from workers.stage import LoadedScene, Stage
 from workers.termination import Termination
 from workers.world import World
 
-__all__ = ["Simulator", "View"]
+__all__ = ["NoFirmStand", "Simulator", "View"]
 
 Floats = NDArray[np.float64]
+
+
+class NoFirmStand(WorldError):
+    """The robot does not stand firm at the start of a spec."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,8 @@ class Simulator:
             place: its scene, loaded.
 
         Raises:
-            WorldError: the robot does not stand firm there, or the scene has no such target.
+            NoFirmStand: the robot does not stand firm there.
+            WorldError: the scene has no such target.
         """
         self.close()
         self.spec, self.place = spec, place
@@ -100,7 +105,7 @@ class Simulator:
         start = Pose.planar(x, y, yaw, z=place.scene.info.floor_height_m)
         if not is_spawn_firm(self._world, start, self._job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
-            raise WorldError(
+            raise NoFirmStand(
                 f"{spec.spec_id}: the robot does not stand firm in {spec.scene} at {where}; make new specs"
             )
         self._stage.renderer.load(place.scene, self.settings.camera)

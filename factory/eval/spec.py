@@ -5,7 +5,6 @@ The same set gives the same numbers with the same policy and software.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 from typing import Annotated, Literal
 
@@ -120,7 +119,7 @@ class SpecSet(Model):
             raise ValueError(f"specs stand twice: {', '.join(twice[:5])}")
         return self
 
-    @functools.cached_property
+    @property
     def digest(self) -> str:
         """SHA-256 of what decides the numbers: settings and specs."""
         return hashlib.sha256(canonical_json(self, exclude={"source", "run"}).encode()).hexdigest()

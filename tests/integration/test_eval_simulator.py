@@ -13,20 +13,14 @@ from factory.eval.simulator import Simulator
 from factory.eval.spec import SpecSet
 from schemas.errors import UsageError, WorldError
 from schemas.terms import EndReason, Split
-from tests.builders.evaluation import archive_drives
 from workers.experts import make_expert
 from workers.slew import Twist
 from workers.stage import LoadedScene, Stage
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return Dataset(archive_drives(tmp_path_factory.mktemp("drives") / "dataset"))
-
-
-@pytest.fixture(scope="module")
-def specs(dataset: Dataset) -> SpecSet:
-    return specs_of_dataset(dataset, [Split.TRAIN_ID, Split.TEST_ID])
+def specs(drives: Dataset) -> SpecSet:
+    return specs_of_dataset(drives, [Split.TRAIN_ID, Split.TEST_ID])
 
 
 @pytest.fixture(scope="module")
@@ -36,15 +30,15 @@ def stage() -> Iterator[Stage]:
 
 
 @pytest.fixture(scope="module")
-def place(dataset: Dataset, specs: SpecSet) -> LoadedScene:
-    return Places(dataset.root).load("office", specs.specs[0].scene_sha256)
+def place(drives: Dataset, specs: SpecSet) -> LoadedScene:
+    return Places(drives.root).load("office", specs.specs[0].scene_sha256)
 
 
 def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
-    dataset: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
 ) -> None:
     for spec in specs.specs:
-        episode = dataset[spec.spec_id]
+        episode = drives[spec.spec_id]
         with Simulator(stage, specs.settings) as simulator:
             view = simulator.reset(spec, place)
             for v, w in episode.actions:
@@ -57,7 +51,7 @@ def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
 
 
 def test_an_expert_in_the_loop_drives_what_it_drove_for_the_archive(
-    dataset: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
 ) -> None:
     spec = specs.specs[1]
     with Simulator(stage, specs.settings) as simulator:
@@ -66,12 +60,12 @@ def test_an_expert_in_the_loop_drives_what_it_drove_for_the_archive(
         assert expert.begin(view.pose, place.grid, simulator.target) is not None
         while view.end is None:
             view = simulator.step(expert.act(simulator.observe()))
-        np.testing.assert_array_equal(simulator.arrays().poses, dataset[spec.spec_id].poses)
+        np.testing.assert_array_equal(simulator.arrays().poses, drives[spec.spec_id].poses)
 
 
-def test_specs_hold_the_start_as_it_was_drawn_and_what_is_in_view(dataset: Dataset, specs: SpecSet) -> None:
+def test_specs_hold_the_start_as_it_was_drawn_and_what_is_in_view(drives: Dataset, specs: SpecSet) -> None:
     for spec in specs.specs:
-        meta = dataset[spec.spec_id].meta
+        meta = drives[spec.spec_id].meta
         assert spec.spawn_source == "job"
         assert spec.spawn_pose == pytest.approx(meta.rollout.spawn_pose, abs=5e-3)
         assert spec.is_target_in_view
@@ -80,9 +74,9 @@ def test_specs_hold_the_start_as_it_was_drawn_and_what_is_in_view(dataset: Datas
 
 
 def test_an_episode_of_another_version_starts_at_its_first_frame(
-    dataset: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
 ) -> None:
-    x, y, yaw = dataset["ep_000001"].meta.rollout.spawn_pose
+    x, y, yaw = drives["ep_000001"].meta.rollout.spawn_pose
     spec = specs.specs[0].model_copy(update={"spawn_pose": (x, y, yaw), "spawn_source": "frame"})
     with Simulator(stage, specs.settings) as simulator:
         pose = simulator.reset(spec, place).pose
@@ -121,6 +115,6 @@ def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: Stage, 
         simulator.reset(spec, place)
 
 
-def test_a_split_without_episodes_is_named(dataset: Dataset) -> None:
+def test_a_split_without_episodes_is_named(drives: Dataset) -> None:
     with pytest.raises(UsageError, match=r"no episodes in val_id; splits with episodes: test_id, train_id"):
-        specs_of_dataset(dataset, [Split.TEST_ID, Split.VAL_ID])
+        specs_of_dataset(drives, [Split.TEST_ID, Split.VAL_ID])

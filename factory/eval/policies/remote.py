@@ -6,6 +6,7 @@ One question at a time; what the server sends is bounded and never unpickled.
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from factory.eval.policies.outside import Outside
@@ -15,7 +16,7 @@ from schemas.errors import UsageError
 
 __all__ = ["RemotePolicy"]
 
-_OPEN_S = 5.0
+_OPEN_S, _CLOSE_S = 5.0, 0.5
 _RETRY_S = 0.5
 
 
@@ -30,6 +31,7 @@ class RemotePolicy:
         self._address = address
         self._outside = outside
         self._connection: Any = None
+        self._held = ExitStack()
         self._has_answered = False
         self._connect(outside.reconnect_s)
 
@@ -57,9 +59,9 @@ class RemotePolicy:
 
     def close(self) -> None:
         """Closes the connection; closing twice is harmless."""
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            connection.close()
+        self._connection = None
+        with suppress(Exception):  # whatever state the other side left it in
+            self._held.close()
 
     def _ask(self, data: bytes) -> Any:
         from websockets.exceptions import ConnectionClosed
@@ -97,21 +99,27 @@ class RemotePolicy:
 
     def _open(self) -> Any:
         connect, closed, bad = _client()
-        try:
-            connection = connect(
-                self._address, compression=None, max_size=MAX_ANSWER_BYTES, open_timeout=_OPEN_S, ping_interval=None
-            )
-        except bad as error:
-            raise UsageError(f"policy server {self._address}: {error}; write ws://HOST:PORT") from error
-        except closed as error:
-            raise OSError(str(error)) from error
-        try:
-            self.metadata = unpack(connection.recv(timeout=self._outside.load_timeout_s))
-        except (WireError, TypeError) as error:
-            connection.close()
-            raise UsageError(f"{self._address} is no policy server of openpi's kind: its greeting {error}") from error
-        except closed as error:
-            raise OSError(str(error)) from error
+        with ExitStack() as held:
+            try:
+                connection = held.enter_context(
+                    connect(
+                        self._address,
+                        compression=None,
+                        max_size=MAX_ANSWER_BYTES,
+                        open_timeout=_OPEN_S,
+                        close_timeout=_CLOSE_S,
+                        ping_interval=None,
+                    )
+                )
+                self.metadata = unpack(connection.recv(timeout=self._outside.load_timeout_s))
+            except bad as error:
+                raise UsageError(f"policy server {self._address}: {error}; write ws://HOST:PORT") from error
+            except (WireError, TypeError) as error:
+                what = f"{self._address} is no policy server of openpi's kind"
+                raise UsageError(f"{what}: its greeting {error}") from error
+            except closed as error:
+                raise OSError(str(error)) from error
+            self._held = held.pop_all()
         return connection
 
 

@@ -1,0 +1,36 @@
+"""`factory eval compare`: two policies over the same episodes, pair by pair."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from factory.cli.eval_tables import print_comparison
+from factory.cli.output import json_option, print_json
+from factory.eval.compare import compare
+from factory.eval.result import Variant
+from factory.eval.store import read_policy_folder
+
+__all__ = ["command"]
+
+_RESULTS = click.Path(path_type=Path)
+
+
+@click.command("compare")
+@click.argument("first", metavar="A", type=_RESULTS)
+@click.argument("second", metavar="B", type=_RESULTS)
+@click.option("--variant", type=click.Choice([str(v) for v in Variant]), default="original", show_default=True)
+@json_option
+def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
+    """Compare B with A over the episodes both drove.
+
+    Each is OUT/policies/NAME of `factory eval -o OUT`, or OUT where it holds one policy.
+    """
+    (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
+    found = compare(ones, others, Variant(variant))
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_comparison(found)
+    return 0

@@ -1,0 +1,95 @@
+"""`factory eval specs`: write the evaluation episodes of a dataset to a file, or freshly drawn ones."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import click
+from rich.progress import Progress
+
+from factory.cli.eval_options import SplitList, splits_of
+from factory.cli.options import dataset_argument
+from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.dataset import Dataset
+from factory.eval.from_dataset import specs_of_dataset
+from factory.eval.spec import SpecSet
+from factory.eval.spec_file import write_specs
+from factory.eval.unfiltered import unfiltered_specs
+from factory.logs import configure_logs
+from schemas.terms import Split
+from workers.stage import Stage
+
+__all__ = ["command"]
+
+
+@click.command("specs")
+@dataset_argument
+@click.option("--split", "splits", type=SplitList(), help="S[,S...] or `all`; default: the test splits.")
+@click.option("--unfiltered", is_flag=True, help="Draw start states anew, whether or not an expert would arrive.")
+@click.option("--episodes", type=click.IntRange(1), metavar="N", help="How many; default: all, or 100 drawn anew.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of --unfiltered.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="A JSON file.")
+@json_option
+def command(
+    root: Path,
+    splits: tuple[Split, ...] | None,
+    unfiltered: bool,
+    episodes: int | None,
+    seed: int,
+    out: Path,
+    as_json: bool,
+) -> int:
+    """Write evaluation episodes of the dataset DIR as data: the same file gives the same numbers."""
+    configure_logs()
+    dataset = Dataset(root)
+    chosen = splits_of(dataset, splits)
+    with Progress(console=stderr, transient=True) as bar:
+        task = bar.add_task("reading starts", total=None)
+
+        def tell(done: int, of: int) -> None:
+            bar.update(task, completed=done, total=of)
+
+        if unfiltered:
+            with Stage() as stage:
+                found = unfiltered_specs(dataset, chosen, episodes or 100, seed, stage, tell)
+        else:
+            found = specs_of_dataset(dataset, chosen, tell).only(None, episodes)
+    write_specs(found, out)
+    if as_json:
+        print_json(_summary(found, out))
+    else:
+        _print(found, out)
+    return 0
+
+
+def _summary(found: SpecSet, out: Path) -> dict[str, object]:
+    return {
+        "file": str(out),
+        "digest": found.digest,
+        "source": found.source,
+        "episodes": len(found.specs),
+        "splits": dict(Counter(str(spec.split) for spec in found.specs)),
+        "tiers": dict(Counter(str(spec.tier) for spec in found.specs)),
+        "scenes": dict(Counter(spec.scene for spec in found.specs)),
+        "starts": dict(Counter(spec.spawn_source for spec in found.specs)),
+        "target_in_view": sum(spec.is_target_in_view for spec in found.specs),
+        "two_or_more_categories_in_view": sum(len(spec.categories_in_view) > 1 for spec in found.specs),
+        "without_way": sum(spec.geodesic_m is None for spec in found.specs),
+    }
+
+
+def _print(found: SpecSet, out: Path) -> None:
+    summary = _summary(found, out)
+    rows = [
+        (split, sum(spec.split == split for spec in found.specs))
+        for split in Split
+        if any(spec.split == split for spec in found.specs)
+    ]
+    print_table("", ("split", "episodes"), rows)
+    click.echo(f"{len(found.specs)} episodes: {found.source}")
+    click.echo(
+        f"target in view at the start: {summary['target_in_view']}; two or more categories in view: "
+        f"{summary['two_or_more_categories_in_view']}; no way along the floor: {summary['without_way']}"
+    )
+    click.echo(f"written to {out}, digest {found.digest[:16]}")

@@ -1,0 +1,82 @@
+"""Builds specs and results of evaluation episodes with nothing but what a test names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from factory.eval.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.spec import EvalSettings, EvalSpec, SpecSet
+from schemas.language import instruction
+from schemas.terms import Split, Tier
+
+__all__ = ["result_of", "spec_of", "specs_of"]
+
+
+def spec_of(number: int = 1, **changes: Any) -> EvalSpec:
+    """Returns the spec of a near episode in the office."""
+    category = changes.get("category", "chair")
+    values: dict[str, Any] = {
+        "spec_id": f"ep_{number:06d}",
+        "scene": "office",
+        "scene_sha256": "b" * 64,
+        "target_id": f"{category}_001",
+        "category": category,
+        "colour": "unknown",
+        "template_id": "train_01",
+        "instruction": instruction("train_01", category, "unknown"),
+        "split": Split.TEST_ID,
+        "tier": Tier.NEAR,
+        "seed": number,
+        "spawn_pose": (0.0, 0.0, 0.0),
+        "spawn_source": "job",
+        "spawn_dist_m": 3.0,
+        "geodesic_m": 2.0,
+        "categories_in_view": (category,),
+        "is_target_in_view": True,
+        "source_episode": f"ep_{number:06d}",
+    }
+    return EvalSpec(**values | changes)
+
+
+def specs_of(*specs: EvalSpec) -> SpecSet:
+    """Returns a set of specs."""
+    return SpecSet(source="a test", run="test-00000000", settings=EvalSettings(), specs=specs)
+
+
+def result_of(number: int = 1, *, success: bool = True, **changes: Any) -> EpisodeResult:
+    """Returns the result of an episode that went well, or timed out."""
+    values: dict[str, Any] = {
+        "spec_id": f"ep_{number:06d}",
+        "spec_digest": f"{number:064x}",
+        "policy": "expert",
+        "variant": Variant.ORIGINAL,
+        "instruction": "Go to the chair.",
+        "split": Split.TEST_ID,
+        "scene": "office",
+        "tier": Tier.NEAR,
+        "category": "chair",
+        "target_id": "chair_001",
+        "template_id": "train_01",
+        "categories_in_view": 1,
+        "end": EvalEnd.SUCCESS if success else EvalEnd.TIMEOUT,
+        "detail": "",
+        "success": success,
+        "any_instance": success,
+        "num_steps": 100,
+        "spawn_dist_m": 3.0,
+        "trajectory_length_m": 2.0,
+        "final_ne_m": 1.0 if success else 3.0,
+        "min_ne_m": 1.0 if success else 3.0,
+        "geodesic_m": 2.0,
+        "spl": 1.0 if success else 0.0,
+        "soft_spl": 1.0 if success else 0.0,
+        "progress_final": 2 / 3 if success else 0.0,
+        "progress_max": 2 / 3 if success else 0.0,
+        "progress_normalised": 1.0 if success else 0.0,
+        "contact_steps": 0,
+        "clipped_actions": 0,
+        "act_ms": 1.0,
+        "seconds": 2.0,
+        "track": ((0.0, 0.0, 0.0),),
+    }
+    return EpisodeResult(**values | changes)

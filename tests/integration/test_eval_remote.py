@@ -1,0 +1,187 @@
+"""Policies behind a websocket: the wire, a late server, one that errs, hangs up, or is no policy server at all."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.sync.server import ServerConnection, serve
+
+from factory.eval.policies import Outside, make_policy
+from factory.eval.policies.remote import RemotePolicy
+from factory.eval.policies.wire import WireError, pack, unpack
+from factory.eval.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
+from schemas.errors import UsageError
+
+INFO = EpisodeInfo("ep_000001", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
+VIEW = Observation(
+    rgb=np.arange(4 * 4 * 3, dtype=np.uint8).reshape(4, 4, 3),
+    depth=np.full((4, 4), 1.5, np.float32),
+    instruction="Go to the chair.",
+    step=0,
+)
+QUICK = Outside(act_timeout_s=0.5, load_timeout_s=2.0, reconnect_s=0.3)
+Answer = Callable[[ServerConnection, dict[str, Any]], None]
+
+
+@contextmanager
+def server(answer: Answer, greeting: bytes | str = pack({"name": "test"})) -> Iterator[str]:
+    """Serves on loopback; `answer` is given the connection and each observation."""
+
+    def handle(connection: ServerConnection) -> None:
+        connection.send(greeting)
+        for message in connection:
+            answer(connection, unpack(message))
+
+    with serve(handle, "127.0.0.1", 0, compression=None, max_size=None) as running:
+        thread = threading.Thread(target=running.serve_forever)
+        thread.start()
+        try:
+            yield f"ws://127.0.0.1:{running.socket.getsockname()[1]}"
+        finally:
+            running.shutdown()
+            thread.join()
+
+
+def begin(address: str, outside: Outside = QUICK) -> RemotePolicy:
+    policy = make_policy(address, outside)
+    assert isinstance(policy, RemotePolicy)
+    policy.reset("Go to the chair.", INFO)
+    return policy
+
+
+def test_a_server_is_shown_the_observation_and_its_answer_comes_back() -> None:
+    seen: list[dict[str, Any]] = []
+
+    def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
+        seen.append(observation)
+        connection.send(pack({"actions": np.array([[0.5, 0.1], [0.4, 0.0]], np.float32)}))
+
+    with server(answer) as address:
+        policy = begin(address)
+        actions = policy.act(VIEW)["actions"]
+        policy.close()
+    np.testing.assert_allclose(actions, [[0.5, 0.1], [0.4, 0.0]])
+    assert {key: seen[0][key] for key in ("prompt", "step", "episode", "seed")} == {
+        "prompt": "Go to the chair.",
+        "step": 0,
+        "episode": "ep_000001",
+        "seed": 7,
+    }
+    np.testing.assert_array_equal(seen[0]["rgb"], VIEW["rgb"])
+    np.testing.assert_array_equal(seen[0]["depth"], VIEW["depth"])
+    assert policy.metadata == {"name": "test"}
+
+
+def test_an_error_of_the_server_is_the_policys_failure_with_its_last_words() -> None:
+    with server(lambda connection, _: connection.send("Traceback ...\nValueError: no key rgb")) as address:
+        policy = begin(address)
+        with pytest.raises(PolicyFailure, match="ValueError: no key rgb") as caught:
+            policy.act(VIEW)
+        policy.close()
+    assert caught.value.fault is PolicyFault.RAISED
+
+
+def test_rubbish_is_an_invalid_answer() -> None:
+    with server(lambda connection, _: connection.send(b"\xc1")) as address:
+        policy = begin(address)
+        with pytest.raises(PolicyFailure, match="no msgpack message") as caught:
+            policy.act(VIEW)
+        policy.close()
+    assert caught.value.fault is PolicyFault.INVALID
+
+
+def test_a_late_answer_is_a_hang_and_never_taken_for_the_next_one() -> None:
+    calls: list[int] = []
+
+    def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
+        calls.append(observation["step"])
+        if len(calls) == 2:
+            time.sleep(0.8)
+        connection.send(pack({"actions": np.array([0.1 * len(calls), 0.0])}))
+
+    with server(answer) as address:
+        policy = begin(address)
+        policy.act(VIEW)
+        with pytest.raises(PolicyFailure, match=r"within 0.5 s") as caught:
+            policy.act(VIEW)
+        policy.reset("Go to the chair.", INFO)
+        assert policy.act(VIEW)["actions"][0] == pytest.approx(0.3)
+        policy.close()
+    assert caught.value.fault is PolicyFault.HUNG
+
+
+def test_a_connection_that_is_closed_is_opened_again_for_the_next_episode() -> None:
+    calls: list[int] = []
+
+    def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
+        calls.append(1)
+        if len(calls) == 1:
+            connection.close()
+        else:
+            connection.send(pack({"actions": np.zeros(2)}))
+
+    with server(answer) as address:
+        policy = begin(address)
+        with pytest.raises(PolicyFailure, match="closed the connection") as caught:
+            policy.act(VIEW)
+        policy.reset("Go to the chair.", INFO)
+        assert policy.act(VIEW)["actions"].tolist() == [0.0, 0.0]
+        policy.close()
+    assert caught.value.fault is PolicyFault.LOST
+
+
+def test_a_server_that_is_gone_is_nobodys_failure() -> None:
+    with server(lambda connection, _: connection.close()) as address:
+        policy = begin(address)
+        with pytest.raises(PolicyFailure):
+            policy.act(VIEW)
+    with pytest.raises(ServerAway, match=r"no policy server at ws://127.0.0.1:\d+ for 0.3 s"):
+        policy.reset("Go to the chair.", INFO)
+    with pytest.raises(ServerAway):
+        begin(address)
+
+
+def test_what_is_no_policy_server_is_said_at_once() -> None:
+    with server(lambda _c, _o: None, greeting="hello") as address, pytest.raises(UsageError, match="openpi's kind"):
+        begin(address)
+    with pytest.raises(UsageError, match="write ws://HOST:PORT"):
+        begin("ws:nonsense")
+
+
+@pytest.mark.parametrize("value", [np.float32(0.25), np.arange(6, dtype=np.int16).reshape(2, 3), {"a": [1, "b", None]}])
+def test_what_is_packed_comes_back(value: Any) -> None:
+    found = unpack(pack(value))
+    np.testing.assert_equal(found, value)
+    assert getattr(found, "dtype", None) == getattr(value, "dtype", None)
+
+
+def test_arrays_are_packed_as_openpi_packs_them() -> None:
+    import msgpack
+
+    raw = msgpack.unpackb(pack(np.array([1.0, 2.0], "<f4")))
+    assert raw == {b"__ndarray__": True, b"data": b"\x00\x00\x80?\x00\x00\x00@", b"dtype": "<f4", b"shape": [2]}
+
+
+@pytest.mark.parametrize(
+    "fake",
+    [
+        {b"__ndarray__": True, b"data": b"1234", b"dtype": "<f4", b"shape": [1 << 40]},
+        {b"__ndarray__": True, b"data": b"1234", b"dtype": "|O", b"shape": [1]},
+        {b"__ndarray__": True, b"data": b"1234", b"dtype": "rubbish", b"shape": [1]},
+        {b"__ndarray__": True, b"data": b"1234", b"dtype": "<f4", b"shape": [-1]},
+        {b"__npgeneric__": True, b"data": b"1234", b"dtype": "|O8"},
+    ],
+)
+def test_an_array_that_contradicts_itself_is_refused_before_it_is_made(fake: dict[bytes, Any]) -> None:
+    import msgpack
+
+    with pytest.raises(WireError, match="holds an array"):
+        unpack(msgpack.packb(fake))
+    with pytest.raises(WireError):
+        pack(np.array([object()]))

@@ -1,0 +1,196 @@
+"""Campaigns over real driving processes: what bad policies cost, that nothing is driven twice, that numbers repeat."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from factory.dataset import Dataset
+from factory.eval.ablation import donors
+from factory.eval.from_dataset import Places, specs_of_dataset
+from factory.eval.message import Setup
+from factory.eval.publish import publish
+from factory.eval.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.rollout import thin_track
+from factory.eval.run import Campaign, run_campaign
+from factory.eval.simulator import Simulator
+from factory.eval.spec import SpecSet
+from factory.eval.store import Manifest, Store
+from schemas.errors import UsageError, WorldError
+from schemas.terms import Split
+from workers.slew import Twist
+from workers.stage import Stage
+
+MINE = "tests.builders.policies"
+
+
+@pytest.fixture(scope="module")
+def specs(drives: Dataset) -> SpecSet:
+    return specs_of_dataset(drives, [Split.TRAIN_ID, Split.TEST_ID])
+
+
+def short(specs: SpecSet, steps: int = 30) -> SpecSet:
+    task = specs.settings.task.model_copy(update={"max_steps": steps})
+    return specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
+
+
+def campaign_of(
+    drives: Dataset, specs: SpecSet, *policies: str, variants: Sequence[Variant] = (Variant.ORIGINAL,), **setup: Any
+) -> Campaign:
+    limits = Setup(settings=specs.settings, root=drives.root, **({"act_timeout_s": 1.0} | setup))
+    return Campaign(specs, drives.root, policies, tuple(variants), limits, processes=2)
+
+
+def open_store(root: Path, campaign: Campaign) -> Store:
+    manifest = Manifest(run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=1.0)
+    return Store(root, campaign.specs, manifest)
+
+
+def drive(root: Path, campaign: Campaign) -> dict[str, list[EpisodeResult]]:
+    with open_store(root, campaign) as store:
+        assert run_campaign(campaign, store, threading.Event(), lambda _pace: None)
+        return {name: store.results(name) for name in campaign.policies}
+
+
+def without_clocks(rows: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
+    return [row.model_dump(exclude={"act_ms", "seconds"}) for row in rows]
+
+
+def test_experts_and_replay_do_what_the_archive_has(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    found = drive(tmp_path, campaign_of(drives, specs.only(frozenset({Split.TEST_ID})), "expert", "replay"))
+    for rows in found.values():
+        assert [row.end for row in rows] == [EvalEnd.SUCCESS] * 2
+        for row in rows:
+            archived = drives[row.spec_id].summary
+            assert row.num_steps == archived.num_steps
+            assert row.final_ne_m == pytest.approx(archived.final_ne_m, abs=1e-5)
+            assert row.trajectory_length_m == pytest.approx(archived.trajectory_length_m, abs=1e-4)
+            assert row.spl is not None
+            assert row.spl > 0.9
+
+
+def test_playback_carries_out_another_episodes_actions_and_stop_none(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    campaign = campaign_of(drives, short(specs, 40), "playback", "stop")
+    found = drive(tmp_path, campaign)
+    others, places = donors(campaign.specs), Places(drives.root)
+    with Stage() as stage, Simulator(stage, campaign.specs.settings) as simulator:
+        for spec, row in zip(campaign.specs.specs, found["playback"], strict=True):
+            simulator.reset(spec, places.load(spec.scene, spec.scene_sha256))
+            for v, w in drives[others[spec.spec_id]].actions[:40]:
+                simulator.step(Twist(float(v), float(w)))
+            assert row.track == thin_track(simulator.track, 60)
+    assert [row.trajectory_length_m < 0.01 for row in found["stop"]] == [True] * 3
+
+
+def test_a_policy_that_fails_as_a_program_fails_its_episodes_and_nothing_else(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    campaign = campaign_of(
+        drives, short(specs, 12), *(f"{MINE}:{name}" for name in ("Raises", "Dies", "Hangs", "Tokens"))
+    )
+    found = drive(tmp_path, campaign)
+    ends = {name.partition(":")[2]: [row.end for row in rows] for name, rows in found.items()}
+    assert ends == {
+        "Raises": [EvalEnd.POLICY_RAISED] * 3,
+        "Dies": [EvalEnd.POLICY_DIED] * 3,
+        "Hangs": [EvalEnd.POLICY_HUNG] * 3,
+        "Tokens": [EvalEnd.TIMEOUT] * 3,
+    }
+    raised, hung = found[f"{MINE}:Raises"][0], found[f"{MINE}:Hangs"][0]
+    assert "KeyError: 'depth_front' (policies.py:" in raised.detail
+    assert (raised.num_steps, hung.num_steps) == (3, 5)
+    assert "within 1 s" in hung.detail
+    assert 0.0 < hung.trajectory_length_m < 0.05
+    assert hung.final_ne_m < hung.spawn_dist_m
+    assert "exit status 7" in found[f"{MINE}:Dies"][0].detail
+
+
+def test_answers_that_are_no_action_are_named_for_what_they_were(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    campaign = campaign_of(drives, short(specs), f"{MINE}:Truant")
+    with open_store(tmp_path, campaign) as store:
+        one = Campaign(campaign.specs, campaign.root, campaign.policies, campaign.variants, campaign.setup, 1)
+        assert run_campaign(one, store, threading.Event(), lambda _pace: None)
+        rows = store.results(f"{MINE}:Truant")
+    assert [row.end for row in rows] == [EvalEnd.POLICY_INVALID] * 3
+    details = [row.detail for row in rows]
+    assert "nan" in details[0]
+    assert "found (3,)" in details[1]
+    assert "found str" in details[2]
+
+
+def test_a_model_is_shown_camera_and_words_only_and_other_words_reach_it(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    campaign = campaign_of(drives, short(specs, 10), f"{MINE}:Listens", "stop", variants=tuple(Variant))
+    found = drive(tmp_path, campaign)
+    rows = found[f"{MINE}:Listens"]
+    assert len(rows) == 12
+    assert {row.end for row in rows} == {EvalEnd.TIMEOUT}, rows[0].detail
+    yaw_change = {row.variant: abs(row.track[-1][2] - row.track[0][2]) for row in rows}
+    assert yaw_change[Variant.EMPTY] > 0.01 > yaw_change[Variant.WRONG]
+    assert {row.instruction for row in rows if row.variant is Variant.EMPTY} == {""}
+    assert len(found["stop"]) == 3  # it hears nothing, and is not asked again
+    with open_store(tmp_path, campaign) as store:
+        evaluation = publish(campaign, store, videos=0)
+    listens, stop = evaluation.policies
+    assert evaluation.complete
+    assert [row.variant for row in listens.ablation if row.by == "all"] == ["shuffled", "wrong", "empty"]
+    assert (listens.knows, stop.knows) == ("camera and instruction", "nothing")
+    assert not stop.reads_instruction
+
+
+def test_a_stopped_campaign_goes_on_where_it_was_and_gives_the_same_numbers(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    campaign = campaign_of(drives, short(specs, 15), "random")
+    stop = threading.Event()
+    with open_store(tmp_path / "torn", campaign) as store:
+        assert not run_campaign(campaign, store, stop, lambda pace: stop.set() if pace.done else None)
+        done = [row.spec_id for row in store.results("random")]
+        assert 1 <= len(done) < 3
+        before = store.results("random")
+    told: list[int] = []
+    with open_store(tmp_path / "torn", campaign) as store:
+        assert run_campaign(campaign, store, threading.Event(), lambda pace: told.append(pace.done))
+        after = store.results("random")
+    assert told[0] == len(done)
+    assert told[-1] == 3
+    assert [row for row in after if row.spec_id in done] == before  # clocks and all: not driven again
+    calm = drive(tmp_path / "calm", campaign)["random"]
+    assert without_clocks(calm) == without_clocks(after)
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (f"{MINE}:Absent", r"has no attribute 'Absent'"),
+        ("tests.builders.absent:X", "No module named"),
+        (f"{MINE}:NoMethods", "no method reset and no act"),
+        (f"{MINE}:RefusesToBeMade", r"FileNotFoundError: weights.pt \(.*policies.py:"),
+    ],
+)
+def test_a_policy_that_cannot_be_made_stops_the_campaign_with_the_reason(
+    drives: Dataset, specs: SpecSet, tmp_path: Path, policy: str, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        drive(tmp_path, campaign_of(drives, short(specs), policy))
+
+
+def test_a_dataset_without_its_scene_is_refused(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    other = specs.specs[0].model_copy(update={"scene_sha256": "f" * 64})
+    with pytest.raises(WorldError, match="no package of office with SHA-256 ffff"):
+        drive(tmp_path, campaign_of(drives, specs.model_copy(update={"specs": (other,)}), "stop"))
+
+
+def test_specs_that_do_not_fit_their_scene_are_refused(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
+    other = specs.specs[0].model_copy(update={"target_id": "chair_404"})
+    with pytest.raises(WorldError, match="no target chair_404"):
+        drive(tmp_path, campaign_of(drives, specs.model_copy(update={"specs": (other,)}), "stop"))
