@@ -21,7 +21,7 @@ __all__ = ["Comparison", "compare"]
 
 _ALIKE = 0.05
 """Relative difference up to which lengths and steps need no reason."""
-_ALIKE_NE_M = 0.005
+_ALIKE_NE_M, _ALIKE_SPREAD_M = 0.005, 0.001
 _ALIKE_SHARE = 0.02
 
 
@@ -120,13 +120,13 @@ def _length(material: Material, exhibit: str, row: RolloutRow, facts: Facts | No
 def _errors(material: Material) -> Iterator[Comparison]:
     said = paper.NAVIGATION_ERROR
     row = next(row for row in material.statistics.navigation_error if row.group == ALL)
-    for what, ours, published, digits in (
-        ("NE mean", row.mean, said.ne_mean_m, 3),
-        ("NE standard deviation", row.std, said.ne_std_m, 4),
+    for what, ours, published, digits, alike in (
+        ("NE mean", row.mean, said.ne_mean_m, 3, _ALIKE_NE_M),
+        ("NE standard deviation", row.std, said.ne_std_m, 4, _ALIKE_SPREAD_M),
     ):
         if published is None:
             continue
-        differ = ours is not None and abs(ours - published) > _ALIKE_NE_M
+        differ = ours is not None and abs(ours - published) > alike
         yield Comparison(
             exhibit="errors",
             what=what,

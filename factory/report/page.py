@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
@@ -29,6 +30,7 @@ _JPEG_QUALITY = 84
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 _TIMES = 2.0
 """Ratio from which on per cent are hard to read."""
+_UNIT = re.compile(r"(\d) (?=(?:m|mm|m²|%|pp|Hz)\b|%)")
 _ROWS_SHOWN = 8
 """Longer tables are folded."""
 
@@ -143,7 +145,7 @@ def _section(place: int, exhibit: Exhibit, material: Material, comparisons: Sequ
     else:
         figure = "".join(_inline(panel.svg, panel.alt) for panel in exhibit.panels)
     kind = "wide" if exhibit.wide or not (beside or tables) else "paired"
-    caption = f"<figcaption><b>Figure {place}.</b> {escape(exhibit.caption)}</figcaption>"
+    caption = f"<figcaption><b>Figure {place}.</b> {_prose(exhibit.caption)}</figcaption>"
     return (
         f'<section id="{exhibit.name}" class="{kind}"><h2>{escape(exhibit.title)} '
         f'<span class="source">{escape(exhibit.source)}</span></h2><div class="body">'
@@ -193,8 +195,13 @@ def _comparison(row: Comparison) -> str:
         f'<th scope="row">{escape(row.what)}</th><td>{_spell(row, row.ours)}</td>'
         f'<td class="paper" title="{escape(row.source)}">{published}</td><td>{_difference(row)}</td>'
     )
-    why = f'<tr class="why"><td colspan="4">{escape(row.reason)}</td></tr>' if row.reason else ""
+    why = f'<tr class="why"><td colspan="4">{_prose(row.reason)}</td></tr>' if row.reason else ""
     return f"<tr{' class=off' if row.reason else ''}>{cells}</tr>{why}"
+
+
+def _prose(text: str) -> str:
+    """Returns text whose numbers stay on one line with their units."""
+    return _UNIT.sub("\\1\u00a0", escape(text))
 
 
 def _spell(row: Comparison, value: float | None) -> str:
@@ -253,9 +260,9 @@ def _method(material: Material) -> str:
         "measured along the floor to the success circle.",
         "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances: where a reason needs one, it is "
         "TL + NE, which holds for straight drives. A difference needs a reason from 5 % in lengths and steps, 5 mm in "
-        "NE and 2 percentage points in shares on.",
+        "NE (1 mm in its spread) and 2 percentage points in shares on.",
         f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Made with {software}.",
         "The same dataset gives the same page, byte for byte, with the same software.",
     )
-    items = "".join(f"<p>{escape(line)}</p>" for line in lines)
+    items = "".join(f"<p>{_prose(line)}</p>" for line in lines)
     return f'<section id="method"><h2>Method</h2>{items}</section>'

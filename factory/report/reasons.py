@@ -95,7 +95,11 @@ def say_error(statistics: Statistics) -> str:
 
 def say_planned(statistics: Statistics, planned: float, published_n: int | None) -> str:
     """Shares are those of the plan, once it is filled."""
-    state = "filled exactly" if statistics.complete else f"{statistics.episodes} of {statistics.planned} made so far"
+    if not statistics.complete:
+        state = f"{statistics.episodes} of {statistics.planned} made so far"
+    else:
+        exact = all(cell.planned == cell.archived for cell in statistics.cells)
+        state = "filled exactly" if exact else "which the cells here do not meet"
     counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
     return f"The plan asks for {_percent(planned)}, {state}{counted}."
 

@@ -22,7 +22,8 @@ def test_a_report_is_written_and_read_again(factory, calm, tmp_path):
 def test_damage_is_told_by_the_exit_code_and_a_full_folder_is_refused(factory, calm, tmp_path):
     damaged = tmp_path / "damaged"
     shutil.copytree(calm, damaged)
-    (damaged / "episodes" / "ep_000001.zip").write_bytes(b"no bundle")
+    bundle = damaged / "episodes" / "ep_000001.zip"
+    bundle.write_bytes(bytes(bundle.stat().st_size))
     done = factory("report", damaged, "-o", tmp_path / "out", expect=1)
     assert "report.html: 5 of 5 episodes" in done.stdout
     assert "damage: episodes/ep_000001.zip: left out of tracks" in done.stderr

@@ -49,7 +49,8 @@ def _paint(axes: Axes, material: Material) -> None:
     said = [(100 * row.paper.share, place) for place, row in enumerate(rows) if row.paper and row.paper.share]
     mark_paper(axes, said)
     for place, row in enumerate(rows):
-        axes.text(left[place] + 0.5, place, str(row.n), va="center", fontsize=8, color=colour("muted"))
+        beyond = max(left[place], 100 * (row.paper.share or 0) + 0.5 if row.paper else 0)
+        axes.text(beyond + 0.5, place, str(row.n), va="center", fontsize=8, color=colour("muted"))
     axes.set_yticks(places, [name(row.group) + (" *" if row.kind == "held out" else "") for row in rows])
     axes.invert_yaxis()
     axes.margins(y=0.02)

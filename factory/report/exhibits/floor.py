@@ -51,7 +51,7 @@ def draw_targets(axes: Axes, floor: FloorMap | None, episodes: list[EpisodeSumma
     if episodes:
         named = np.unique([(row.goal_x_m, row.goal_y_m) for row in episodes], axis=0)
         fill = {"color": colour("ink"), "edgecolor": colour("card"), "linewidth": 0.6}
-        mark(axes, named, s=20, marker="D", zorder=4, label=f"named target ({len(named)})", **fill)
+        mark(axes, named, s=20, marker="D", zorder=4, label=f"target ({len(named)})", **fill)
 
 
 def title_floor(axes: Axes, text: str) -> None:

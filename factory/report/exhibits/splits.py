@@ -50,7 +50,7 @@ def _paint(axes: Axes, material: Material) -> None:
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("share of the scene's episodes, %")
-    write_legend(axes, columns=3)
+    write_legend(axes, columns=2)
 
 
 def _rollouts(material: Material) -> Table:

@@ -61,9 +61,10 @@ def _bars(axes: Axes, rows: dict[str, RolloutRow], field: str, label: str, digit
     mark_paper(axes, np.column_stack([said, places]))
     top = max([value or 0 for value in values] + said)
     for place, value in enumerate(values):
-        axes.text(0.015 * top, place, number(value, digits), va="center", fontsize=8.5, zorder=5)
+        beyond = max(value or 0, said[place] or 0) + 0.03 * top
+        axes.text(beyond, place, number(value, digits), va="center", fontsize=8.5)
     axes.set_yticks(places, [f"{tier} ({rows[tier].n})" for tier in Tier])
-    axes.set_xlim(0, 1.08 * top)
+    axes.set_xlim(0, 1.16 * top)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.set_xlabel(label)

@@ -47,7 +47,7 @@ def _panel(material: Material, scene: str) -> Panel:
                 axes.plot(*track[0], marker="o", markersize=2.6, color=fill, zorder=3.5)
         title_floor(axes, f"{name(scene)} (N {len(episodes)})")
         if episodes:
-            write_legend(axes, columns=4)
+            write_legend(axes, columns=4, handlelength=0.9)
 
     alt = f"Map of {name(scene)} with {count(len(episodes), 'track')}"
     return draw_panel(f"tracks_{file_part(scene)}", alt, paint, floor_height_in(floor))
