@@ -35,6 +35,13 @@ class Pose:
         """Returns an upright pose at (x, y, z) metres that heads `yaw_rad` from the world's x axis."""
         return cls(x, y, z, math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
 
+    def levelled(self, limit_rad: float) -> Pose:
+        """Returns the upright pose of the same place and heading if this one leans by no more than `limit_rad`."""
+        if 2 * math.hypot(self.qx, self.qy) > limit_rad:
+            return self
+        scale = 1 / math.hypot(self.qw, self.qz)
+        return Pose(self.x, self.y, self.z, self.qw * scale, 0.0, 0.0, self.qz * scale)
+
     @property
     def yaw(self) -> float:
         """Heading in radians, (-pi, pi], counter-clockwise from the world's x axis."""

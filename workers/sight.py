@@ -5,6 +5,7 @@ Pure functions over the id and depth images; they never look at the simulation's
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,9 @@ from schemas.config import TaskConfig
 
 __all__ = ["Sighting", "is_obstacle_near", "see"]
 
+_BYTE_SUM_ROWS = 255
+"""Rows of ones that a column's sum of bytes can hold."""
+
 
 class Sighting(NamedTuple):
     """The target in the image."""
@@ -22,8 +26,9 @@ class Sighting(NamedTuple):
     """Size of the mask."""
     column: float
     """Mean column of the mask, pixels from the left edge; the image centre when nothing is seen."""
-    depth_m: float
-    """Median depth over the mask in metres; 0 when nothing is seen."""
+    measure_depth: Callable[[], float]
+    """Returns the median depth over the mask in metres, 0 when nothing is seen; only while the frame is at hand. Most
+    experts never ask, and the median costs more than all the rest."""
 
 
 def see(ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, min_pixels: int) -> Sighting:
@@ -39,9 +44,19 @@ def see(ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, m
     mask = ids == instance_id
     pixels = int(np.count_nonzero(mask))
     if pixels < min_pixels:
-        return Sighting(pixels, width / 2, 0.0)
-    column = float(np.dot(mask.sum(axis=0), np.arange(width) + 0.5)) / pixels
-    return Sighting(pixels, column, float(np.median(depth[mask])))
+        return Sighting(pixels, width / 2, lambda: 0.0)
+    columns = _pixels_by_column(mask)
+    column = float(np.dot(columns, np.arange(width) + 0.5)) / pixels
+    return Sighting(pixels, column, lambda: float(np.median(depth[mask])))
+
+
+def _pixels_by_column(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Returns (W,) the count of true pixels in each column; sums of bytes are ten times as fast as sums of integers."""
+    ones = mask.view(np.uint8)
+    counts = np.zeros(mask.shape[1], np.int64)
+    for top in range(0, len(ones), _BYTE_SUM_ROWS):
+        counts += ones[top : top + _BYTE_SUM_ROWS].sum(axis=0, dtype=np.uint8)
+    return counts
 
 
 def is_obstacle_near(depth: NDArray[np.float32], task: TaskConfig) -> bool:

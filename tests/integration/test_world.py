@@ -158,6 +158,17 @@ def test_robot_stands_on_a_floor_of_any_height() -> None:
         assert world.pose().z == pytest.approx(1.2, abs=1e-3)
 
 
+def test_a_steady_drive_is_level_to_the_bit_and_hard_braking_is_not(room: World) -> None:
+    room.place(-3.0, 0.0, 0.0)
+    drive(room, [Twist(0.7, 0.2)] * 60)
+    assert (room.pose().qx, room.pose().qy) == (0.0, 0.0)
+    leans = []
+    for _ in range(8):
+        drive(room, [STOP])
+        leans.append(2 * math.hypot(room.pose().qx, room.pose().qy))
+    assert 1e-3 < max(leans) < 0.1
+
+
 def test_two_fresh_worlds_do_the_same_bit_for_bit() -> None:
     assert trajectory_digest() == trajectory_digest()
 

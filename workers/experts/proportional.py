@@ -32,7 +32,7 @@ def depth_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m:
     """k_v * (median mask depth) while visible, else k_v * d; 0 inside the circle."""
     if seen.distance_m <= radius_m:
         return 0.0
-    return gains.speed_gain * (seen.sighting.depth_m if visible else seen.distance_m)
+    return gains.speed_gain * (seen.sighting.measure_depth() if visible else seen.distance_m)
 
 
 def literal_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
@@ -42,7 +42,7 @@ def literal_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_
     centroid, so that this law only times out (DESIGN 3.1).
     """
     if visible:
-        return gains.speed_gain * (seen.sighting.depth_m - radius_m)
+        return gains.speed_gain * (seen.sighting.measure_depth() - radius_m)
     return gains.speed_gain * seen.distance_m
 
 

@@ -18,7 +18,7 @@ from workers.grid import Grid
 from workers.pose import Pose
 from workers.sight import Sighting
 
-UNSEEN = Sighting(0, 320.0, 0.0)
+UNSEEN = Sighting(0, 320.0, lambda: 0.0)
 
 
 def make_job(expert: ExpertName = ExpertName.PROPORTIONAL) -> Job:
@@ -44,7 +44,7 @@ def test_the_robot_is_told_to_stand_inside_the_success_circle():
 
 def test_yaw_follows_the_mask_when_visible_and_the_bearing_when_not():
     expert = make_expert(make_job())
-    right = Sighting(100, 480.0, 3.0)
+    right = Sighting(100, 480.0, lambda: 3.0)
     assert expert.act(seen(bearing=1.0, sighting=right)).w_rps == pytest.approx(-0.7)
     assert expert.act(seen(bearing=0.5)).w_rps == pytest.approx(0.7)
     assert expert.act(seen(bearing=math.pi)).w_rps == 1.5
@@ -56,13 +56,13 @@ def test_speed_is_capped_but_not_zero_near_an_obstacle():
 
 def test_the_literal_law_stops_when_the_surface_is_one_radius_away():
     expert = make_expert(make_job(ExpertName.PAPER_LITERAL))
-    assert expert.act(seen(distance=1.3, sighting=Sighting(500, 320.0, 1.0))).v_mps == 0.0
-    assert expert.act(seen(distance=3.3, sighting=Sighting(500, 320.0, 2.0))).v_mps == pytest.approx(0.7)
+    assert expert.act(seen(distance=1.3, sighting=Sighting(500, 320.0, lambda: 1.0))).v_mps == 0.0
+    assert expert.act(seen(distance=3.3, sighting=Sighting(500, 320.0, lambda: 2.0))).v_mps == pytest.approx(0.7)
 
 
 def test_the_depth_law_uses_the_mask_depth_while_visible():
     expert = make_expert(make_job(ExpertName.DEPTH))
-    assert expert.act(seen(distance=1.3, sighting=Sighting(500, 320.0, 1.0))).v_mps == pytest.approx(0.7)
+    assert expert.act(seen(distance=1.3, sighting=Sighting(500, 320.0, lambda: 1.0))).v_mps == pytest.approx(0.7)
     assert expert.act(seen(distance=1.3)).v_mps == pytest.approx(0.91)
 
 
