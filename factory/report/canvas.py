@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factory.report.palette import colour
-from schemas.errors import WorldError
+from schemas.errors import UsageError
 
 try:
     import matplotlib as mpl
@@ -27,7 +27,7 @@ try:
     from matplotlib.path import Path as Outline
     from matplotlib.ticker import MaxNLocator
 except ImportError as error:
-    raise WorldError(
+    raise UsageError(
         "the report is drawn by matplotlib, which is not installed; install it with "
         "`pip install 'minivla-factory[report]'`"
     ) from error

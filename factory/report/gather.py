@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from factory.catalog import find_package
 from factory.episode import Episode
 from factory.report.floor_map import map_of
 from factory.report.material import Drives, FloorMap, Material, Sample
-from factory.report.sampling import choose_samples
+from factory.report.sampling import choose_samples, spread_evenly
 from factory.stats import compute_statistics
 from factory.stats.rows import Rows, read_rows
 from schemas.errors import ArchiveCorrupt, InvalidBundle
@@ -49,18 +49,13 @@ def gather(root: Path, on_progress: Progress = lambda _done, _all: None, samples
     drives = Drives()
     if (root / EPISODES).is_dir():
         shown = {row.episode_id for row in choose_samples(rows.episodes, samples)}
-        chosen = [row for row in rows.episodes if row.episode_id in shown | _spread(rows.episodes)]
+        opened = shown | {row.episode_id for row in spread_evenly(rows.episodes, _MOST_DRIVES)}
+        chosen = [row for row in rows.episodes if row.episode_id in opened]
         for done, row in enumerate(chosen, 1):
             _read_drive(root, row, row.episode_id in shown, drives, rows)
             on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows)
     return Material(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
-
-
-def _spread(episodes: Sequence[EpisodeSummary]) -> set[str]:
-    """Returns the ids of all episodes, or of as many as are read, evenly spread."""
-    places = np.linspace(0, len(episodes) - 1, min(len(episodes), _MOST_DRIVES)).round().astype(int)
-    return {episodes[place].episode_id for place in places}
 
 
 def _read_drive(root: Path, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from factory.report.comparison import compare
+from factory.report.compare import compare
 from factory.report.drawers import DRAWERS
 from factory.report.exhibit import Drawer, Exhibit
 from factory.report.folder import FIGURES, PAGE_FILE, Summary, require_usable, write_files

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import io
-import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
@@ -15,10 +14,11 @@ from importlib import resources
 from PIL import Image
 
 from factory.report.comparison import Comparison
-from factory.report.exhibit import Exhibit, Table
+from factory.report.exhibit import Exhibit
 from factory.report.exhibits.samples import outlined
 from factory.report.exhibits.words import DASH, name, number, percent
 from factory.report.material import Material, Sample
+from factory.report.page_tables import prose, write_comparisons, write_table
 from factory.report.palette import css_variables, with_variables
 from factory.stats import paper
 from factory.stats.model import Statistics
@@ -28,11 +28,6 @@ __all__ = ["write_page"]
 _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-_TIMES = 2.0
-"""Ratio from which on per cent are hard to read."""
-_UNIT = re.compile(r"(\d) (?=(?:m|mm|m²|%|pp|Hz)\b|%)")
-_ROWS_SHOWN = 8
-"""Longer tables are folded."""
 
 
 def write_page(material: Material, exhibits: Sequence[Exhibit], comparisons: Sequence[Comparison]) -> str:
@@ -138,14 +133,14 @@ def _with_unit(value: float | None, digits: int, unit: str) -> str:
 
 
 def _section(place: int, exhibit: Exhibit, material: Material, comparisons: Sequence[Comparison]) -> str:
-    beside = _comparisons([row for row in comparisons if row.exhibit == exhibit.name])
-    tables = "".join(_table(table) for table in exhibit.tables)
+    beside = write_comparisons([row for row in comparisons if row.exhibit == exhibit.name])
+    tables = "".join(write_table(table) for table in exhibit.tables)
     if exhibit.name == "samples":
         figure = _samples(material.drives.samples)
     else:
         figure = "".join(_inline(panel.svg, panel.alt) for panel in exhibit.panels)
     kind = "wide" if exhibit.wide or not (beside or tables) else "paired"
-    caption = f"<figcaption><b>Figure {place}.</b> {_prose(exhibit.caption)}</figcaption>"
+    caption = f"<figcaption><b>Figure {place}.</b> {prose(exhibit.caption)}</figcaption>"
     return (
         f'<section id="{exhibit.name}" class="{kind}"><h2>{escape(exhibit.title)} '
         f'<span class="source">{escape(exhibit.source)}</span></h2><div class="body">'
@@ -177,77 +172,6 @@ def _jpeg(sample: Sample) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
-def _comparisons(rows: Sequence[Comparison]) -> str:
-    if not rows:
-        return ""
-    body = "".join(_comparison(row) for row in rows)
-    return (
-        '<div class="table compare"><table><caption>Beside the paper</caption><thead><tr><th>measure</th><th>here</th>'
-        f"<th>paper</th><th>difference</th></tr></thead><tbody>{body}</tbody></table></div>"
-    )
-
-
-def _comparison(row: Comparison) -> str:
-    published = _spell(row, row.published)
-    if row.published_high is not None:
-        published = f"{number(100 * row.published, 0)}–{number(100 * row.published_high, 0)} %"
-    cells = (
-        f'<th scope="row">{escape(row.what)}</th><td>{_spell(row, row.ours)}</td>'
-        f'<td class="paper" title="{escape(row.source)}">{published}</td><td>{_difference(row)}</td>'
-    )
-    why = f'<tr class="why"><td colspan="4">{_prose(row.reason)}</td></tr>' if row.reason else ""
-    return f"<tr{' class=off' if row.reason else ''}>{cells}</tr>{why}"
-
-
-def _prose(text: str) -> str:
-    """Returns text whose numbers stay on one line with their units."""
-    return _UNIT.sub("\\1\u00a0", escape(text))
-
-
-def _spell(row: Comparison, value: float | None) -> str:
-    if row.unit == "share":
-        return percent(value, row.digits)
-    unit = f" {row.unit}" if row.unit == "m" and value is not None else ""
-    return number(value, row.digits) + unit
-
-
-def _difference(row: Comparison) -> str:
-    difference = row.difference
-    if difference is None:
-        return DASH
-    if row.unit == "share":
-        return "inside" if row.published_high is not None and difference == 0 else f"{_signed(100 * difference, 1)} pp"
-    if row.unit in {"m", "steps"} and row.ratio is not None:
-        ratio = f"{_signed(100 * (row.ratio - 1), 1)} %" if row.ratio < _TIMES else f"{number(row.ratio, 1)} times"
-        return f"{_signed(difference, row.digits)} ({ratio})"
-    return _signed(difference, row.digits)
-
-
-def _signed(value: float, digits: int) -> str:
-    text = f"{value:+.{digits}f}"
-    return ("±" + text[1:] if float(text) == 0 else text).replace("-", "−")
-
-
-def _table(table: Table) -> str:
-    numeric = [_is_numeric([row[place] for row in table.rows]) for place in range(len(table.columns))]
-    head = "".join(_cell("th", text, right) for text, right in zip(table.columns, numeric, strict=True))
-    body = "".join(
-        "<tr>" + "".join(_cell("td", text, right) for text, right in zip(row, numeric, strict=True)) + "</tr>"
-        for row in table.rows
-    )
-    whole = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-    is_open = " open" if len(table.rows) <= _ROWS_SHOWN else ""
-    return f"<details{is_open}><summary>{escape(table.title)}</summary>{whole}</details>"
-
-
-def _cell(tag: str, text: str, right: bool) -> str:
-    return f"<{tag}{' class=n' if right else ''}>{escape(text)}</{tag}>"
-
-
-def _is_numeric(cells: Sequence[str]) -> bool:
-    return all(cell[:1].isdigit() or cell[:1] in {DASH, "−", "<", "("} for cell in cells)
-
-
 def _method(material: Material) -> str:
     meta = material.meta
     software = ", ".join(f"{package} {version}" for package, version in sorted(meta.software.items()))
@@ -264,5 +188,5 @@ def _method(material: Material) -> str:
         f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Made with {software}.",
         "The same dataset gives the same page, byte for byte, with the same software.",
     )
-    items = "".join(f"<p>{_prose(line)}</p>" for line in lines)
+    items = "".join(f"<p>{prose(line)}</p>" for line in lines)
     return f'<section id="method"><h2>Method</h2>{items}</section>'

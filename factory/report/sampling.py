@@ -1,4 +1,4 @@
-"""Chooses the episodes whose frames a report shows: as many scenes and categories as there is room for. Pure."""
+"""Chooses the episodes that a report opens: for frames as many scenes and categories as there is room for. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import zip_longest
 
 from coordinator.summary import EpisodeSummary
 
-__all__ = ["choose_samples"]
+__all__ = ["choose_samples", "spread_evenly"]
 
 
 def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
@@ -20,6 +20,13 @@ def choose_samples(episodes: Sequence[EpisodeSummary], count: int) -> list[Episo
     queues = [_in_turn([row for row in episodes if row.scene == scene]) for scene in scenes]
     mixed = [row for turn in zip_longest(*queues) for row in turn if row is not None]
     return sorted(mixed[:count], key=lambda row: (list(scenes).index(row.scene), row.index))
+
+
+def spread_evenly(episodes: Sequence[EpisodeSummary], count: int) -> list[EpisodeSummary]:
+    """Returns all episodes, or `count` of them evenly spread from the first to the last."""
+    if len(episodes) <= count:
+        return list(episodes)
+    return [episodes[place * (len(episodes) - 1) // max(count - 1, 1)] for place in range(count)]
 
 
 def _in_turn(episodes: Sequence[EpisodeSummary]) -> list[EpisodeSummary]:

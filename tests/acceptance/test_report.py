@@ -42,6 +42,6 @@ def test_without_matplotlib_the_remedy_is_named(calm, tmp_path):
         text=True,
         check=False,
     )
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "pip install 'minivla-factory[report]'" in done.stderr
     assert not (tmp_path / "out").exists()

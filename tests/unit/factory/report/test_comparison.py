@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from factory.report.comparison import Comparison, compare
+from factory.report.compare import compare
+from factory.report.comparison import Comparison
 from factory.report.facts import facts_of
 from factory.report.material import Drives, Material
 from factory.stats import compute_statistics

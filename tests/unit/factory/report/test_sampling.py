@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factory.report.sampling import choose_samples
+from factory.report.sampling import choose_samples, spread_evenly
 from tests.builders.statistics import episode_row
 
 
@@ -24,3 +24,9 @@ def test_the_episode_that_saw_its_target_longest_is_taken() -> None:
 def test_fewer_episodes_than_asked_are_all_shown() -> None:
     assert len(choose_samples([episode_row(1), episode_row(2)], 8)) == 2
     assert choose_samples([], 8) == []
+
+
+def test_many_episodes_are_opened_evenly_from_first_to_last() -> None:
+    rows = [episode_row(n) for n in range(1, 102)]
+    assert [row.index for row in spread_evenly(rows, 5)] == [1, 26, 51, 76, 101]
+    assert spread_evenly(rows, 101) == rows
