@@ -5,8 +5,10 @@ Never unpickles; never accepts a dtype or shape that the caller did not ask for.
 
 from __future__ import annotations
 
+import functools
 import io
 import math
+import threading
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,10 +25,37 @@ _MAX_WINDOW_BYTES = 128 << 20
 _MAGIC = b"\x93NUMPY\x01\x00"
 
 
+class _Codecs(threading.local):
+    """Contexts of zstandard, kept because making one costs as much as an image; none may be used by two threads."""
+
+    def __init__(self) -> None:
+        self._compressors: dict[int, zstandard.ZstdCompressor] = {}
+        self._decompressor: zstandard.ZstdDecompressor | None = None
+
+    def compressor(self, level: int) -> zstandard.ZstdCompressor:
+        if level not in self._compressors:
+            self._compressors[level] = zstandard.ZstdCompressor(level, write_checksum=True, write_content_size=True)
+        return self._compressors[level]
+
+    def decompressor(self) -> zstandard.ZstdDecompressor:
+        if self._decompressor is None:
+            self._decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+        return self._decompressor
+
+
+_codecs = _Codecs()
+
+
 def encode_npy(array: NDArray[np.generic]) -> bytes:
     """Returns the array as `.npy` 1.0 in C order; equal arrays give equal bytes."""
+    return b"".join((_header(array.dtype, array.shape), np.ascontiguousarray(array).data.cast("B")))
+
+
+@functools.lru_cache(maxsize=64)
+def _header(dtype: np.dtype[np.generic], shape: tuple[int, ...]) -> bytes:
     buffer = io.BytesIO()
-    npy_format.write_array(buffer, np.ascontiguousarray(array), version=(1, 0), allow_pickle=False)
+    facts = {"descr": npy_format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    npy_format.write_array_header_1_0(buffer, facts)
     return buffer.getvalue()
 
 
@@ -70,8 +99,7 @@ def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[i
 
 def encode_npy_zst(array: NDArray[np.generic], level: int = 1) -> bytes:
     """Returns `.npy` inside one zstandard frame that states its size and carries a checksum."""
-    compressor = zstandard.ZstdCompressor(level, write_checksum=True, write_content_size=True)
-    return compressor.compress(encode_npy(array))
+    return _codecs.compressor(level).compress(encode_npy(array))
 
 
 def decode_npy_zst(
@@ -89,8 +117,7 @@ def decode_npy_zst(
         stated = zstandard.get_frame_parameters(data).content_size
         if stated > max_bytes:  # an unknown size reads as 2**64 - 1
             raise InvalidBundle("array refused", [f"{name}: the zstd frame states {stated} bytes, limit {max_bytes}"])
-        decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
-        raw = decompressor.decompress(data, allow_extra_data=False)
+        raw = _codecs.decompressor().decompress(data, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise InvalidBundle("array refused", [f"{name}: damaged zstd frame ({error})"]) from error
     return decode_npy(name, raw, dtype, shape)

@@ -71,12 +71,29 @@ def test_too_many_members_are_refused() -> None:
 
 
 def test_member_that_stands_twice_is_refused() -> None:
-    buffer = io.BytesIO()
-    with ContainerWriter(buffer) as out:
+    data = pack({"a": b"1", "b": b"2"})
+    assert "'a' stands twice" in refused(data.replace(b"b", b"a"))
+
+
+def test_writing_a_name_twice_is_refused() -> None:
+    with ContainerWriter(io.BytesIO()) as out:
         out.add("a", b"1")
-        with pytest.warns(UserWarning, match="Duplicate name"):
+        with pytest.raises(ValueError, match="'a' stands in the container already"):
             out.add("a", b"2")
-    assert "'a' stands twice" in refused(buffer.getvalue())
+
+
+@given(st.dictionaries(st.text("ab/\u00e9\u4e2d", min_size=1, max_size=12), st.binary(max_size=50), max_size=8))
+def test_bytes_are_those_of_the_standard_library(members: dict[str, bytes]) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as out:
+        for name, data in members.items():
+            info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            info.create_system, info.external_attr = 3, 0o100644 << 16
+            out.writestr(info, data)
+    packed = pack(members)
+    assert packed == buffer.getvalue()
+    reader = ContainerReader(io.BytesIO(packed), LIMITS)
+    assert {name: reader.read(name) for name in reader.names} == members
 
 
 def test_forged_size_of_a_stored_member_is_refused() -> None:
