@@ -20,6 +20,7 @@ EXPORTERS: Mapping[str, str] = MappingProxyType(
     {
         "paper": "factory.export.paper:PaperExporter",
         "lerobot": "factory.export.lerobot.v30:LeRobotExporter",
+        "lerobot-v2.1": "factory.export.lerobot.v21:LeRobotV21Exporter",
         "webdataset": "factory.export.webdataset:WebdatasetExporter",
         "mcap": "factory.export.mcap:McapExporter",
         "gnm": "factory.export.gnm:GnmExporter",
