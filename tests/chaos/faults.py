@@ -1,0 +1,51 @@
+"""The mishaps of a campaign: one line each, so that a new one is a line here."""
+
+from __future__ import annotations
+
+import random
+import signal
+from collections.abc import Callable, Mapping
+
+from tests.chaos.party import LEASE_S, Party
+
+__all__ = ["FAULTS", "possible"]
+
+Fault = Callable[[Party, int, random.Random], None]
+
+
+def _fill_disk(party: Party, _number: int, _rng: random.Random) -> None:
+    if party.disk is not None:
+        party.note_full_disk()
+        party.disk.fill()
+
+
+def _slow_disk(party: Party, _number: int, rng: random.Random) -> None:
+    if party.disk is not None:
+        party.disk.slow(rng.randint(20, 300))
+
+
+FAULTS: Mapping[str, Fault] = {
+    "kill -9 supervisor": lambda party, n, _rng: party.kill_worker(n, signal.SIGKILL),
+    "kill -9 simulation": lambda party, n, rng: party.harm_simulation(n, signal.SIGKILL, rng),
+    "kill -9 coordinator": lambda party, _n, rng: party.kill_coordinator(rng.uniform(0.0, 0.5)),
+    "SIGTERM supervisor": lambda party, n, _rng: party.kill_worker(n, signal.SIGTERM),
+    "SIGSTOP supervisor beyond the lease": lambda party, n, rng: party.freeze(
+        party.workers[n], rng.uniform(1.1, 2.0) * LEASE_S
+    ),
+    "SIGSTOP supervisor for a moment": lambda party, n, rng: party.freeze(party.workers[n], rng.uniform(0.1, 1.0)),
+    "SIGSTOP coordinator": lambda party, _n, rng: party.freeze(party.coordinator, rng.uniform(0.2, 1.5) * LEASE_S),
+    "replies lost": lambda party, n, rng: party.wires.mute(n, rng.uniform(0.1, 1.5)),
+    "host cut off and healed": lambda party, n, rng: party.wires.cut(n, rng.uniform(0.05, 1.5) * LEASE_S),
+    "link reset": lambda party, n, _rng: party.wires.cut(n, 0.0),
+    "full disk": _fill_disk,
+    "slow disk": _slow_disk,
+}
+"""Name -> what to do to a party's n-th worker, or to its coordinator."""
+
+
+def possible(party: Party) -> list[str]:
+    """Returns the faults that can be had on this machine with this party."""
+    missing = {"full disk", "slow disk"} if party.disk is None else set(party.disk.missing)
+    if not party.cast.has_small_disk:
+        missing.add("full disk")
+    return [name for name in FAULTS if name not in missing]

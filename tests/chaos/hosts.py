@@ -1,0 +1,112 @@
+"""Hosts as network namespaces with addresses of their own, joined by a bridge; needs root and `ip`, and says so."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import subprocess
+from types import TracebackType
+from typing import Self
+
+__all__ = ["Hosts", "why_not"]
+
+
+def why_not() -> str:
+    """Returns why namespaces cannot be had here; empty when they can."""
+    if shutil.which("ip") is None:
+        return "needs ip (Debian: iproute2)"
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    probe = f"probe{secrets.token_hex(3)}"
+    made = subprocess.run(["ip", "netns", "add", probe], capture_output=True, text=True)
+    if made.returncode != 0:
+        return f"network namespaces are not to be had: {made.stderr.strip()}"
+    subprocess.run(["ip", "netns", "del", probe], check=True)
+    return ""
+
+
+class Hosts:
+    """A few hosts on one network, the first at 10.231.x.1; a context manager.
+
+    Args:
+        count: how many.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._tag = secrets.token_hex(3)
+        self._bridge = f"b{self._tag}"
+        self._made: list[list[str]] = []
+        net = f"10.231.{secrets.randbelow(250) + 1}"
+        self.addresses = [f"{net}.{number + 1}" for number in range(count)]
+        try:
+            self._make(["ip", "link", "add", self._bridge, "type", "bridge"], ["ip", "link", "del", self._bridge])
+            self._ip("link", "set", self._bridge, "up")
+            for number in range(count):
+                self._add(number)
+        except BaseException:
+            self.close()
+            raise
+
+    def inside(self, number: int) -> list[str]:
+        """Returns what to put before a command line that shall run on a host."""
+        return ["ip", "netns", "exec", self._space(number)]
+
+    def cut(self, number: int) -> None:
+        """Takes a host off the network: packets vanish, nobody is told."""
+        self._ip("link", "set", self._cable(number), "down")
+
+    def heal(self, number: int) -> None:
+        """Puts a host back on the network."""
+        self._ip("link", "set", self._cable(number), "up")
+
+    def worsen(self, number: int, rate: str, latency: str) -> str:
+        """Lets a host's packets queue and drop behind a narrow link; returns why that cannot be, or nothing."""
+        shape = ["tbf", "rate", rate, "burst", "16kbit", "latency", latency]
+        for where in ([], self.inside(number)):
+            device = self._cable(number) if not where else "eth0"
+            done = subprocess.run(
+                [*where, "tc", "qdisc", "replace", "dev", device, "root", *shape], capture_output=True, text=True
+            )
+            if done.returncode != 0:
+                return f"tc cannot shape here: {done.stderr.strip()}"
+        return ""
+
+    def close(self) -> None:
+        """Removes everything."""
+        for command in reversed(self._made):
+            subprocess.run(command, capture_output=True)
+        self._made = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _add(self, number: int) -> None:
+        space, cable = self._space(number), self._cable(number)
+        self._make(["ip", "netns", "add", space], ["ip", "netns", "del", space])
+        self._make(
+            ["ip", "link", "add", cable, "type", "veth", "peer", "name", "eth0", "netns", space],
+            ["ip", "link", "del", cable],
+        )
+        self._ip("link", "set", cable, "master", self._bridge, "up")
+        self._ip("-n", space, "address", "add", f"{self.addresses[number]}/24", "dev", "eth0")
+        self._ip("-n", space, "link", "set", "eth0", "up")
+        self._ip("-n", space, "link", "set", "lo", "up")
+
+    def _space(self, number: int) -> str:
+        return f"h{number}-{self._tag}"
+
+    def _cable(self, number: int) -> str:
+        return f"v{number}{self._tag}"
+
+    def _make(self, command: list[str], undo: list[str]) -> None:
+        subprocess.run(command, check=True, capture_output=True)
+        self._made.append(undo)
+
+    def _ip(self, *words: str) -> None:
+        subprocess.run(["ip", *words], check=True, capture_output=True)

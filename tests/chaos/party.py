@@ -1,0 +1,224 @@
+"""A coordinator and its workers as processes, behind wires and on a disk that can be harmed, and started again."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from tests.builders.fake_coordinator import free_endpoint
+from tests.chaos.disk import Disk
+from tests.chaos.wire import Wires
+
+__all__ = ["Cast", "Party", "fake_cast", "real_cast"]
+
+LEASE_S = 2.0
+_LEAVES_WITHIN_S = 20.0
+
+
+@dataclass(frozen=True)
+class Cast:
+    """How the parts are started."""
+
+    episodes: int
+    coordinator: Callable[[Path, str], list[str]]
+    """(root, endpoint) -> command line; the dataset lies in `root/out`."""
+    worker: Callable[[Path, str], list[str]]
+    """(folder of the host, endpoint) -> command line."""
+    has_small_disk: bool
+    """Whether the coordinator works on a disk of a few megabytes."""
+
+
+def fake_cast(episodes: int, longest_s: float) -> Cast:
+    """Returns the real coordinator and supervisors around a simulation without physics: the protocol is on trial."""
+    simulation = [sys.executable, "-m", "tests.builders.small_simulation", str(longest_s)]
+    return Cast(
+        episodes,
+        lambda root, endpoint: _module("tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S),
+        lambda folder, endpoint: [*_module("tests.builders.worker", endpoint, folder, 2), *simulation],
+        has_small_disk=True,
+    )
+
+
+def real_cast(plan: Path, episodes: int) -> Cast:
+    """Returns the installed command line with physics and renderer, everything as users have it."""
+    return Cast(
+        episodes,
+        lambda root, endpoint: _module(
+            *("factory", "coordinator", "start", plan, "--out", root / "out", "--listen", endpoint),
+            *("--lease", 3 * LEASE_S, "--stay"),
+        ),
+        lambda folder, endpoint: _module(
+            *("factory", "worker", "--connect", endpoint, "--cores", 1, "--spool", folder / "spool", "--wait", 600)
+        ),
+        has_small_disk=False,
+    )
+
+
+def _module(name: str, *words: object) -> list[str]:
+    return [sys.executable, "-m", name, *map(str, words)]
+
+
+class Party:
+    """Everybody who works for one run; a context manager whose exit leaves nobody behind.
+
+    Args:
+        root: where to work.
+        cast: how to start them.
+        workers: how many hosts.
+        disk: the coordinator's; `None` for an ordinary folder.
+    """
+
+    def __init__(self, root: Path, cast: Cast, workers: int, disk: Disk | None = None) -> None:
+        self.root, self.cast, self.disk = root, cast, disk
+        self.log = root / "log"
+        self.place = disk.path if disk is not None and cast.has_small_disk else root
+        self.violations: list[str] = []
+        self.restarts: Counter[str] = Counter()
+        self._endpoint = free_endpoint()
+        self._thaw: dict[int, float] = {}
+        self._stack = ExitStack()
+        self.wires = self._stack.enter_context(Wires(self._endpoint, workers))
+        self._stack.callback(self._kill_all)
+        self.coordinator = self._start_coordinator()
+        self.workers = [self._start_worker(number) for number in range(workers)]
+
+    @property
+    def out(self) -> Path:
+        """The dataset."""
+        return self.place / "out"
+
+    def archived(self) -> dict[int, str]:
+        """Returns the content digest of every archived episode."""
+        return dict(self.query("select idx, content_digest from episodes"))
+
+    def leased(self) -> int:
+        """Returns how many jobs are in work."""
+        return sum(count for (count,) in self.query("select count(*) from jobs where state = 'leased'"))
+
+    def outcomes(self) -> Counter[str]:
+        """Returns the attempts by outcome."""
+        return Counter(dict(self.query("select outcome, count(*) from attempts group by outcome")))
+
+    def query(self, sql: str) -> list[tuple]:  # type: ignore[type-arg]
+        """Asks the ledger; nothing while there is none yet."""
+        path = self.out / "ledger.db"
+        if not path.exists():
+            return []
+        try:
+            with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30)) as ledger:
+                return ledger.execute(sql).fetchall()
+        except sqlite3.OperationalError:  # the coordinator is about to make the tables, or its disk is full
+            return []
+
+    def kill_worker(self, number: int, how: signal.Signals) -> None:
+        """Ends a supervisor and starts another in its place, as an init system would."""
+        victim = self.workers[number]
+        victim.send_signal(how)
+        victim.send_signal(signal.SIGCONT)
+        self._await(victim, f"worker {number}")
+        self._thaw.pop(victim.pid, None)
+        self.workers[number] = self._start_worker(number)
+
+    def harm_simulation(self, number: int, how: signal.Signals, rng: random.Random) -> None:
+        """Signals one of a supervisor's simulations."""
+        victims = _children(self.workers[number].pid)
+        if victims:
+            os.kill(rng.choice(victims), how)
+
+    def freeze(self, process: subprocess.Popen[bytes], seconds: float) -> None:
+        """Stops a process; `tend` lets it go on after that time."""
+        if process.poll() is None:
+            process.send_signal(signal.SIGSTOP)
+            self._thaw[process.pid] = time.monotonic() + seconds
+
+    def kill_coordinator(self, pause_s: float) -> None:
+        """Kills the coordinator and starts it again after a while."""
+        self.coordinator.kill()
+        self.coordinator.wait()
+        self._thaw.pop(self.coordinator.pid, None)
+        time.sleep(pause_s)
+        self.coordinator = self._start_coordinator()
+
+    def tend(self, *, everybody: bool = False) -> None:
+        """Thaws who was frozen long enough, and starts again who has left with a failure, as an init system would."""
+        for process in (*self.workers, self.coordinator):
+            if everybody or self._thaw.get(process.pid, float("inf")) < time.monotonic():
+                self._thaw.pop(process.pid, None)
+                if process.poll() is None:
+                    process.send_signal(signal.SIGCONT)
+        for number, worker in enumerate(self.workers):
+            if worker.poll() not in {None, 0}:
+                self.restarts["worker"] += 1
+                self.workers[number] = self._start_worker(number)
+        if self.coordinator.poll() is not None:
+            if self.disk is None or not self._was_full:
+                self.violations.append(f"the coordinator ended by itself with {self.coordinator.poll()}")
+            self.restarts["coordinator, disk full"] += 1
+            self.coordinator = self._start_coordinator()
+
+    _was_full = False
+
+    def note_full_disk(self) -> None:
+        """From now on the coordinator may give up and be started again: a ledger cannot be opened on a full disk."""
+        self._was_full = True
+
+    def end(self) -> None:
+        """Asks everybody to leave; who does not is a violation."""
+        self.tend(everybody=True)
+        for process in (*self.workers, self.coordinator):
+            process.send_signal(signal.SIGTERM)
+        for process in (*self.workers, self.coordinator):
+            self._await(process, "at the end")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def _await(self, process: subprocess.Popen[bytes], who: str) -> None:
+        try:
+            process.wait(_LEAVES_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self.violations.append(f"deaf to signals for {_LEAVES_WITHIN_S:g} s ({who}): {process.args!r}")
+            process.kill()
+            process.wait()
+
+    def _kill_all(self) -> None:
+        for process in (*getattr(self, "workers", ()), *([self.coordinator] if hasattr(self, "coordinator") else ())):
+            process.kill()
+            process.wait()
+
+    def _start_coordinator(self) -> subprocess.Popen[bytes]:
+        extra = self.disk.environment if self.disk is not None else {}
+        return self._spawn(self.cast.coordinator(self.place, self._endpoint), extra)
+
+    def _start_worker(self, number: int) -> subprocess.Popen[bytes]:
+        return self._spawn(self.cast.worker(self.root / f"host-{number}", self.wires.endpoints[number]), {})
+
+    def _spawn(self, command: Sequence[str], extra: dict[str, str]) -> subprocess.Popen[bytes]:
+        with self.log.open("ab") as log:
+            return subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=os.environ | extra)
+
+
+def _children(pid: int) -> list[int]:
+    """Returns the processes that any thread of a process has started."""
+    try:
+        lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+    return [int(child) for text in lists for child in text.split()]

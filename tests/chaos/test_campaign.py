@@ -1,0 +1,61 @@
+"""A short campaign in every test run; the long one is `make chaos`. Simulations are fake: the protocol is on trial."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.chaos.campaign import Tally, digest_of, play_round, violations_of
+from tests.chaos.party import Party, fake_cast
+
+EPISODES = 10
+FAULTS = 16
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Party]:
+    """The digest one undisturbed worker makes, and the party when everybody has left."""
+    root = tmp_path_factory.mktemp("calm")
+    with Party(root, fake_cast(EPISODES, 0.0), 1) as party:
+        deadline = time.monotonic() + 240
+        while len(party.archived()) < EPISODES:
+            assert time.monotonic() < deadline, party.log.read_text()[-4000:]
+            time.sleep(0.05)
+        party.end()
+    assert party.violations == []
+    return digest_of(party), party
+
+
+@pytest.mark.slow
+def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_path):
+    tally = Tally()
+    digest = play_round(fake_cast(EPISODES, 3.0), tmp_path / "wild", 2, 7, FAULTS, tally, (0.05, 0.3))
+    assert tally.violations == []
+    assert digest == calm[0]
+    assert tally.faults.total() >= FAULTS // 2
+    assert tally.outcomes["success"] == tally.episodes == EPISODES
+
+
+def test_a_campaign_would_notice_what_is_torn_missing_too_many_or_forgotten(calm):
+    party = calm[1]
+    assert list(violations_of(party)) == []
+    first: Path = party.out / "episodes" / "ep_000001.zip"
+    whole = first.read_bytes()
+    try:
+        first.write_bytes(whole[:-1] + b"x")
+        assert "episode 1 is torn" in list(violations_of(party))
+        first.unlink()
+        assert any(text.startswith("files") for text in violations_of(party))
+        first.write_bytes(whole)
+        stray = first.with_name("ep_000099.zip")
+        stray.write_bytes(whole)
+        assert any("quarantine episodes/ep_000099.zip" in text for text in violations_of(party))
+        stray.unlink()
+        part = party.out / ".staging" / "x.part"
+        part.touch()
+        assert "part files are left" in list(violations_of(party))
+        part.unlink()
+    finally:
+        first.write_bytes(whole)

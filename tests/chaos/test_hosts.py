@@ -1,0 +1,89 @@
+"""Hosts in network namespaces of their own: one is cut off and healed, one stands behind a bad link."""
+
+from __future__ import annotations
+
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import pytest
+
+from tests.chaos.hosts import Hosts, why_not
+
+EPISODES = 6
+LEASE_S = 2.0
+REASON = why_not()
+pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
+
+
+class Site:
+    """A coordinator on host 0 and a worker on each other host."""
+
+    def __init__(self, root: Path, hosts: Hosts, stack: ExitStack) -> None:
+        self.root, self.log = root, root / "log"
+        endpoint = f"tcp/{hosts.addresses[0]}:7447"
+        hub = ("tests.builders.room_coordinator", root, EPISODES, endpoint, LEASE_S)
+        self.processes = [self._start(hosts.inside(0), *hub)]
+        stack.callback(self._kill)
+        simulation = (sys.executable, "-m", "tests.builders.small_simulation", 6.0)
+        for number in range(1, len(hosts.addresses)):
+            worker = ("tests.builders.worker", endpoint, root / f"host-{number}", 1, *simulation)
+            self.processes.append(self._start(hosts.inside(number), *worker))
+
+    def ask(self, sql: str) -> int:
+        path = self.root / "out" / "ledger.db"
+        if not path.exists():
+            return 0
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30)) as ledger:
+            try:
+                return int(ledger.execute(sql).fetchone()[0])
+            except sqlite3.OperationalError:
+                return 0
+
+    def wait(self, condition: Callable[[], bool], within_s: float = 90) -> None:
+        deadline = time.monotonic() + within_s
+        while not condition():
+            assert time.monotonic() < deadline, self.log.read_text()[-4000:]
+            time.sleep(0.1)
+
+    def archived(self) -> int:
+        return self.ask("select count(*) from episodes")
+
+    def _start(self, inside: list[str], module: str, *words: object) -> subprocess.Popen[bytes]:
+        with self.log.open("ab") as log:
+            return subprocess.Popen([*inside, sys.executable, "-m", module, *map(str, words)], stdout=log, stderr=log)
+
+    def _kill(self) -> None:
+        for process in self.processes:
+            process.kill()
+            process.wait()
+
+
+def test_a_host_that_is_cut_off_loses_its_jobs_to_the_others_and_comes_back(tmp_path):
+    with ExitStack() as stack:
+        hosts = stack.enter_context(Hosts(3))
+        site = Site(tmp_path, hosts, stack)
+        site.wait(lambda: site.ask("select count(distinct sid) from jobs where state = 'leased'") == 2)
+        hosts.cut(1)
+        site.wait(lambda: site.ask("select count(*) from attempts where outcome = 'expired'") >= 1)
+        hosts.heal(1)
+        site.wait(lambda: site.archived() == EPISODES)
+        assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
+        files = sorted(path.name for path in (tmp_path / "out" / "episodes").iterdir())
+        assert files == [f"ep_{index:06d}.zip" for index in range(1, EPISODES + 1)]
+        assert all(process.poll() in {None, 0} for process in site.processes)
+
+
+def test_a_host_behind_a_narrow_lossy_link_brings_its_episodes_too(tmp_path):
+    with ExitStack() as stack:
+        hosts = stack.enter_context(Hosts(2))
+        trouble = hosts.worsen(1, "16mbit", "30ms")
+        if trouble:
+            pytest.skip(trouble)
+        site = Site(tmp_path, hosts, stack)
+        site.wait(lambda: site.archived() == EPISODES, 180)
+        assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
