@@ -48,7 +48,7 @@ _codecs = _Codecs()
 
 def encode_npy(array: NDArray[np.generic]) -> bytes:
     """Returns the array as `.npy` 1.0 in C order; equal arrays give equal bytes."""
-    return b"".join((_header(array.dtype, array.shape), np.ascontiguousarray(array).data.cast("B")))
+    return b"".join((_header(array.dtype, array.shape), np.ascontiguousarray(array).data))
 
 
 @functools.lru_cache(maxsize=64)
