@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from factory.scenes.author.geometry import Mesh, block, lathe
+from factory.scenes.author.geometry import Mesh, block, lathe, quad
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 from factory.scenes.author.placement import Plan, Rectangle
 
@@ -77,6 +77,13 @@ class _Strip(NamedTuple):
         if self.is_along_x:
             return block((a0, c0, z[0]), (a1, c1, z[1]))
         return block((c0, a0, z[0]), (c1, a1, z[1]))
+
+    def plate(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> Mesh:
+        """A flat rectangle before the face towards lower (side -1) or higher (+1) coordinates, seen from outside."""
+        left, right = along if (side < 0) == self.is_along_x else along[::-1]
+        c = self.at + side * (WALL_THICKNESS_M / 2 + proud)
+        corners = [(left, z[0]), (right, z[0]), (right, z[1]), (left, z[1])]
+        return quad([(a, c, height) if self.is_along_x else (c, a, height) for a, height in corners])
 
     def zone(self, along: tuple[float, float], across: tuple[float, float]) -> Rectangle:
         a0, a1 = along
@@ -159,10 +166,10 @@ def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) ->
     count = round((end - start) / SOCKET_PITCH_M) if trim.has_sockets else 0
     for number in range(count):
         middle = start + (number + 0.5) * (end - start) / count
-        pieces.append(Piece(PLATE, strip.box((middle - 0.08, middle + 0.08), proud(0.014), (0.26, 0.34))))
+        pieces.append(Piece(PLATE, strip.plate((middle - 0.08, middle + 0.08), side, 0.005, (0.26, 0.34))))
         for shift in (-0.038, 0.038):
             hole = (middle + shift - 0.022, middle + shift + 0.022)
-            pieces.append(Piece(LAMP_RIM, strip.box(hole, proud(0.016), (0.278, 0.322))))
+            pieces.append(Piece(LAMP_RIM, strip.plate(hole, side, 0.007, (0.278, 0.322))))
     return pieces
 
 
@@ -171,11 +178,9 @@ def _switches(strip: _Strip, right: float, trims: Trims) -> list[Piece]:
     pieces: list[Piece] = []
     for trim, side in zip(trims, (-1.0, 1.0), strict=True):
         if trim is not None:
-            half = WALL_THICKNESS_M / 2
-            plate, rocker = (sorted((side * half, side * (half + thick))) for thick in (0.012, 0.018))
             a = right + 0.2
-            pieces.append(Piece(PLATE, strip.box((a - 0.04, a + 0.04), (plate[0], plate[1]), (1.02, 1.10))))
-            pieces.append(Piece(LAMP_RIM, strip.box((a - 0.018, a + 0.018), (rocker[0], rocker[1]), (1.03, 1.09))))
+            pieces.append(Piece(PLATE, strip.plate((a - 0.04, a + 0.04), side, 0.005, (1.02, 1.10))))
+            pieces.append(Piece(LAMP_RIM, strip.plate((a - 0.018, a + 0.018), side, 0.007, (1.03, 1.09))))
     return pieces
 
 
@@ -213,15 +218,20 @@ def ceiling(plan: Plan, area: Rectangle, height: float, material: Material, lamp
 def _ceiling_fittings(plan: Plan, area: Rectangle, height: float) -> None:
     """An air outlet with slats and a smoke detector, off the room's middle."""
     x, y = area.x0 + 0.27 * area.width, area.y0 + 0.38 * area.depth
-    slats = [block((x - 0.25, y - 0.24 + row * 0.08, height - 0.016), (x + 0.25, y - 0.19 + row * 0.08, height))
+    slats = [_hung((x - 0.25, y - 0.24 + row * 0.08), (x + 0.25, y - 0.19 + row * 0.08), height - 0.014)
              for row in range(6)]  # fmt: skip
-    detector = lathe([(0.03, height - 0.05), (0.055, height - 0.03), (0.055, height)], area.centre, 10)
+    detector = lathe([(0.04, height - 0.045), (0.055, height)], area.centre, 8)
     plan.build(
         "SM_Vent",
-        Piece(PLATE, block((x - 0.3, y - 0.3, height - 0.012), (x + 0.3, y + 0.3, height))),
+        Piece(PLATE, _hung((x - 0.3, y - 0.3), (x + 0.3, y + 0.3), height - 0.01)),
         *(Piece(SKIRTING, slat) for slat in slats),
         Piece(PLATE, detector),
     )
+
+
+def _hung(low: tuple[float, float], high: tuple[float, float], z: float) -> Mesh:
+    """A level rectangle that is seen from below."""
+    return quad([(low[0], high[1], z), (high[0], high[1], z), (high[0], low[1], z), (low[0], low[1], z)])
 
 
 def ceiling_slab(plan: Plan, area: Rectangle, height: float, material: Material) -> None:
