@@ -59,17 +59,24 @@ def gather(root: Path, on_progress: Progress = lambda _done, _all: None, samples
 
 
 def _read_drive(root: Path, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:
-    try:
-        with Episode(root / file_name_of(row.episode_id), row) as episode:
+    name = file_name_of(row.episode_id)
+    with Episode(root / name, row) as episode:
+        try:
             tokens, track = episode.tokens, _thin(episode.poses[:, :2])
-            sample = _best_frame(episode) if is_sample else None
+        except ArchiveCorrupt as error:
+            rows.blame(name, f"left out of tracks, actions and frames: {_said(error, root)}")
+            return
+        np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
+        drives.tracks[row.episode_id] = track
+        if is_sample:
+            _read_sample(episode, name, drives, rows, root)
+
+
+def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: Path) -> None:
+    try:
+        drives.samples.append(_best_frame(episode))
     except ArchiveCorrupt as error:
-        rows.blame(file_name_of(row.episode_id), f"left out of tracks, actions and frames: {_said(error, root)}")
-        return
-    np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
-    drives.tracks[row.episode_id] = track
-    if sample is not None:
-        drives.samples.append(sample)
+        rows.blame(name, f"left out of the sample frames: {_said(error, root)}")
 
 
 def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
