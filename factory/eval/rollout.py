@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 import traceback
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from factory.eval import measure
 from factory.eval.action import read_actions
+from factory.eval.odometry import odometry, yaws_of
 from factory.eval.policy import (
     EpisodeInfo,
     Insider,
@@ -151,7 +151,7 @@ class _Drive:
             step=self.simulator.steps,
         )
         if self.question.with_pose:
-            seen["pose"] = _odometry(self.simulator.track)
+            seen["pose"] = odometry(self.simulator.track)
         return seen
 
     @contextmanager
@@ -177,25 +177,11 @@ def describe_error(error: BaseException) -> str:
     return (traceback.format_exception_only(error)[-1].strip() + place)[:500]
 
 
-def _odometry(track: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The last pose in the frame of the first: x, y in metres and yaw in radians."""
-    yaws = _yaws(track[[0, -1]])
-    dx, dy = track[-1, :2] - track[0, :2]
-    cos, sin = math.cos(yaws[0]), math.sin(yaws[0])
-    turn = math.remainder(float(yaws[1] - yaws[0]), 2 * math.pi)
-    return np.array((cos * dx + sin * dy, cos * dy - sin * dx, turn))
-
-
-def _yaws(track: NDArray[np.float64]) -> NDArray[np.float64]:
-    w, x, y, z = track[:, 3:].T
-    return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-
-
 def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float, float, float], ...]:
     """Returns x, y, yaw of a (frames, 7) track ten times a second, and of its last frame."""
     every = max(1, round(control_hz / _TRACK_HZ))
     rows = [*range(0, len(track) - 1, every), len(track) - 1]
-    yaws = _yaws(track[rows])
+    yaws = yaws_of(track[rows])
     return tuple(
         (round(float(x), 3), round(float(y), 3), round(float(yaw), 3))
         for (x, y), yaw in zip(track[rows, :2], yaws, strict=True)

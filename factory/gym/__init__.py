@@ -1,0 +1,25 @@
+"""The Gymnasium environment `MiniVLANav-v0`, registered by importing this package. Imports no simulation by itself.
+
+>>> import factory.gym, gymnasium  # doctest: +SKIP
+>>> env = gymnasium.make("MiniVLANav-v0", data="dataset", split="train_id")  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+try:
+    import gymnasium
+except ImportError as error:
+    raise ImportError("factory.gym needs gymnasium: pip install 'minivla-factory[eval]'") from error
+
+__all__ = ["ENV_ID", "register_envs"]
+
+ENV_ID = "MiniVLANav-v0"
+
+
+def register_envs() -> None:
+    """Registers the environment; doing so twice is harmless."""
+    if ENV_ID not in gymnasium.registry:
+        gymnasium.register(ENV_ID, entry_point="factory.gym.env:MiniVLANavEnv")
+
+
+register_envs()

@@ -1,0 +1,229 @@
+"""The task as a Gymnasium environment: episodes of a dataset's specs, one action a control period.
+
+Same physics, camera, slew limit and ends as collection and `factory eval`; stands on their simulator.
+"""
+
+from __future__ import annotations
+
+import math
+import string
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from factory.dataset import Dataset
+from factory.eval import measure
+from factory.eval.from_dataset import Places, specs_of_dataset
+from factory.eval.odometry import odometry
+from factory.eval.simulator import Simulator, View
+from factory.eval.spec import EvalSpec, SpecSet
+from factory.eval.spec_file import read_specs
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.errors import UsageError
+from schemas.terms import EndReason, RendererKind, Split
+from schemas.tokens import GRID_POINTS, actions_of
+from workers.slew import Twist
+from workers.stage import Stage
+
+__all__ = ["MiniVLANavEnv"]
+
+MAX_INSTRUCTION = 256
+_CHARSET = "".join(sorted(set(string.printable)))
+_FAR_AWAY_M = 10_000.0
+_SUCCESS_REWARD = 10.0
+
+Observation = dict[str, Any]
+Info = dict[str, Any]
+
+
+class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
+    """Drive to the named object and stop within the success radius.
+
+    Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) metres, 0 where nothing was hit; `instruction`;
+    and with `with_pose` also `pose`, x, y in metres and yaw in radians in the frame of the start.
+
+    Actions: `(v, w)` in m/s and rad/s; with `actions="scaled"` the same over their limits, in [0, 1] x [-1, 1], as
+    learning libraries like them; with `actions="tokens"` two tokens 0..6. Reward: the metres come nearer to the target,
+    and 10 for success. Terminated by success and collision, truncated by the limit of steps.
+
+    `AsyncVectorEnv` needs `shared_memory=False`: Gymnasium 1.4 never reads texts from its shared memory again.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012 - the way of Gymnasium
+
+    def __init__(
+        self,
+        data: str | Path,
+        split: str = "train_id",
+        specs: str | Path | SpecSet | None = None,
+        actions: Literal["continuous", "scaled", "tokens"] = "continuous",
+        with_pose: bool = False,
+        size: int = FRAME_SIZE_PX,
+        renderer: RendererKind = "auto",
+        render_mode: str | None = None,
+    ) -> None:
+        """Opens a renderer; scenes are loaded as episodes want them.
+
+        Args:
+            data: a dataset directory, for its scenes and, without `specs`, its episodes.
+            split: one or several of its splits, `a,b`.
+            specs: a file of `factory eval specs`, or the set itself, in the place of `split`.
+            actions: `continuous`, `scaled` or `tokens`.
+            with_pose: whether observations have the pose.
+            size: pixels of a side of the images; a divisor of 640, by taking every n-th pixel.
+            renderer: `auto`, `gl` or `tiny`.
+            render_mode: `rgb_array` or `None`.
+
+        Raises:
+            UsageError: there is no such kind of actions, size or split.
+            WorldError: the dataset cannot be read.
+        """
+        if actions not in {"continuous", "scaled", "tokens"}:
+            raise UsageError(f"actions {actions!r}: choose continuous, scaled or tokens")
+        if size < 1 or FRAME_SIZE_PX % size:
+            raise UsageError(f"size {size}: choose a divisor of {FRAME_SIZE_PX}, such as 320, 160 or 128")
+        if render_mode not in {None, "rgb_array"}:
+            raise UsageError(f"render_mode {render_mode!r}: choose rgb_array or None")
+        self.render_mode = render_mode
+        self.specs = _specs(Path(data), split, specs)
+        self._by_id = {spec.spec_id: spec for spec in self.specs.specs}
+        self._actions, self._with_pose, self._stride = actions, with_pose, FRAME_SIZE_PX // size
+        self._places = Places(Path(data))
+        self._stage = Stage(renderer)
+        self._simulator = Simulator(self._stage, self.specs.settings)
+        self._view: View | None = None
+        self.observation_space = self._make_observation_space(size)
+        self.action_space = self._make_action_space()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+        """Begins an episode: drawn by the environment's generator, or `options={"episode": ID}`.
+
+        Raises:
+            UsageError: there is no such episode.
+        """
+        super().reset(seed=seed)
+        spec = self._choose((options or {}).get("episode"))
+        place = self._places.load(spec.scene, spec.scene_sha256)
+        self._view = self._simulator.reset(spec, place)
+        return self._observe(self._view), self._inform(self._view)
+
+    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, Info]:
+        """Carries one action out, within the robot's range and slew limit.
+
+        Raises:
+            ValueError: the action has another shape, or is not finite.
+        """
+        before = self._view
+        if before is None:
+            raise RuntimeError("step() before reset()")
+        view = self._simulator.step(self._twist(action))
+        self._view = view
+        is_success = view.end is EndReason.SUCCESS
+        reward = before.distance_m - view.distance_m + _SUCCESS_REWARD * is_success
+        terminated = view.end in {EndReason.SUCCESS, EndReason.COLLISION}
+        truncated = view.end is EndReason.TIMEOUT
+        return self._observe(view), float(reward), terminated, truncated, self._inform(view)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Returns what the camera sees, (640, 640, 3), in the render mode `rgb_array`."""
+        if self.render_mode is None or self._view is None:
+            return None
+        return self._view.frame.rgb
+
+    def close(self) -> None:
+        """Frees world and renderer; closing twice is harmless."""
+        self._simulator.close()
+        self._stage.renderer.close()
+        self._view = None
+
+    @property
+    def spec_of_episode(self) -> EvalSpec:
+        """The running episode, goal and all: for evaluation, not for a policy."""
+        return self._simulator.spec
+
+    def _make_observation_space(self, size: int) -> spaces.Dict:
+        members: dict[str, spaces.Space[Any]] = {
+            "rgb": spaces.Box(0, 255, (size, size, 3), np.uint8),
+            "depth": spaces.Box(0.0, self.specs.settings.camera.far_m, (size, size), np.float32),
+            "instruction": spaces.Text(MAX_INSTRUCTION, min_length=0, charset=_CHARSET),
+        }
+        if self._with_pose:
+            reach = np.array((_FAR_AWAY_M, _FAR_AWAY_M, math.pi))
+            members["pose"] = spaces.Box(-reach, reach, dtype=np.float64)
+        return spaces.Dict(members)
+
+    def _make_action_space(self) -> spaces.MultiDiscrete[np.int64] | spaces.Box:
+        if self._actions == "tokens":
+            return spaces.MultiDiscrete([GRID_POINTS, GRID_POINTS])
+        v_mps, w_rps = self._limits if self._actions == "continuous" else (1.0, 1.0)
+        return spaces.Box(np.array((0.0, -w_rps), np.float32), np.array((v_mps, w_rps), np.float32), dtype=np.float32)
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        robot = self.specs.settings.robot
+        return robot.max_speed_mps, robot.max_yaw_rate_rps
+
+    def _choose(self, episode: str | None) -> EvalSpec:
+        if episode is None:
+            return self.specs.specs[int(self.np_random.integers(len(self.specs.specs)))]
+        if episode not in self._by_id:
+            raise UsageError(f"no episode {episode!r} among these {len(self._by_id)}")
+        return self._by_id[episode]
+
+    def _twist(self, action: NDArray[Any]) -> Twist:
+        numbers = np.asarray(action)
+        if numbers.shape != (2,) or not np.isfinite(numbers.astype(np.float64)).all():
+            raise ValueError(f"expected an action of two finite numbers, found {action!r}")
+        if self._actions == "tokens":
+            if not self.action_space.contains(numbers.astype(np.int64)):
+                raise ValueError(f"expected two tokens 0 to {GRID_POINTS - 1}, found {action!r}")
+            numbers = actions_of(numbers.astype(np.int16)[None])[0]
+        elif self._actions == "scaled":
+            numbers = numbers * np.array(self._limits)
+        return Twist(float(numbers[0]), float(numbers[1]))
+
+    def _observe(self, view: View) -> Observation:
+        frame, every = view.frame, self._stride
+        observation: Observation = {
+            "rgb": np.ascontiguousarray(frame.rgb[every // 2 :: every, every // 2 :: every]),
+            "depth": np.ascontiguousarray(frame.depth[every // 2 :: every, every // 2 :: every]),
+            "instruction": self._simulator.spec.instruction,
+        }
+        if self._with_pose:
+            observation["pose"] = odometry(self._simulator.track)
+        return observation
+
+    def _inform(self, view: View) -> Info:
+        spec, is_success = self._simulator.spec, view.end is EndReason.SUCCESS
+        info: Info = {
+            "episode_id": spec.spec_id,
+            "instruction": spec.instruction,
+            "success": is_success,
+            "is_success": is_success,
+            "end_reason": "" if view.end is None else str(view.end),
+            "distance_m": view.distance_m,
+            "spawn_dist_m": spec.spawn_dist_m,
+            "is_touching": view.is_touching,
+        }
+        if view.end is not None:
+            driven_m = measure.path_length_m(self._simulator.track)
+            info["trajectory_length_m"] = driven_m
+            if spec.geodesic_m is not None:
+                info["spl"] = measure.spl(is_success, spec.geodesic_m, driven_m)
+        return info
+
+
+def _specs(root: Path, split: str, specs: str | Path | SpecSet | None) -> SpecSet:
+    if isinstance(specs, SpecSet):
+        return specs
+    if specs is not None:
+        return read_specs(Path(specs))
+    names = [name.strip() for name in split.split(",")]
+    unknown = [name for name in names if name not in set(Split)]
+    if unknown:
+        raise UsageError(f"no split {', '.join(unknown)}; there are {', '.join(Split)}")
+    return specs_of_dataset(Dataset(root), [Split(name) for name in names])

@@ -1,0 +1,149 @@
+"""The Gymnasium environment: its contract, what it ends with, and many of it at a time."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import factory.gym
+from factory.dataset import Dataset
+from factory.eval.from_dataset import specs_of_dataset
+from factory.eval.spec import SpecSet
+from factory.gym.env import MiniVLANavEnv
+from schemas.errors import UsageError
+from schemas.terms import Split
+
+SMALL = 64
+
+
+def make(drives: Dataset, **changes: Any) -> gymnasium.Env[Any, Any]:
+    return gymnasium.make(factory.gym.ENV_ID, data=drives.root, size=SMALL, **changes)
+
+
+@pytest.fixture(scope="module")
+def specs(drives: Dataset) -> SpecSet:
+    return specs_of_dataset(drives, [Split.TEST_ID])
+
+
+@pytest.fixture
+def env(drives: Dataset, specs: SpecSet) -> Iterator[MiniVLANavEnv]:
+    opened = MiniVLANavEnv(drives.root, specs=specs, size=SMALL)
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize("changes", [{"actions": "scaled", "with_pose": True}, {"actions": "tokens"}])
+def test_gymnasiums_own_checker_has_nothing_to_say(drives: Dataset, specs: SpecSet, changes: dict[str, Any]) -> None:
+    opened = make(drives, specs=specs, render_mode="rgb_array", **changes)
+    try:
+        check_env(opened.unwrapped, skip_render_check=True)
+        opened.reset(seed=1)
+        assert np.asarray(opened.render()).shape == (640, 640, 3)
+    finally:
+        opened.close()
+
+
+def test_of_physical_ranges_the_checker_only_says_that_scaled_ones_are_usual(drives: Dataset, specs: SpecSet) -> None:
+    opened = make(drives, specs=specs)
+    with pytest.warns(UserWarning, match="symmetric and normalized") as said:
+        check_env(opened.unwrapped, skip_render_check=True)
+    opened.close()
+    assert len(said) == 1
+
+
+def test_scaled_actions_are_shares_of_the_limits(drives: Dataset, specs: SpecSet) -> None:
+    tracks = []
+    for actions, action in (("continuous", [0.5, 0.75]), ("scaled", [0.5, 0.5])):
+        opened = MiniVLANavEnv(drives.root, specs=specs, actions=actions, with_pose=True, size=SMALL)  # type: ignore[arg-type]
+        opened.reset(seed=0)
+        tracks.append([opened.step(np.array(action))[0]["pose"].tolist() for _ in range(10)])
+        opened.close()
+    assert tracks[0] == tracks[1]
+
+
+def test_recorded_actions_end_in_success_with_all_there_is_to_know(drives: Dataset, env: MiniVLANavEnv) -> None:
+    _, info = env.reset(options={"episode": "ep_000003"})
+    rewards = 0.0
+    for action in drives["ep_000003"].actions:
+        _, reward, terminated, truncated, info = env.step(action)
+        rewards += reward
+    assert (terminated, truncated) == (True, False)
+    archived = drives["ep_000003"].summary
+    assert (info["success"], info["end_reason"], info["episode_id"]) == (True, "success", "ep_000003")
+    assert info["distance_m"] == pytest.approx(archived.final_ne_m, abs=1e-5)
+    assert info["trajectory_length_m"] == pytest.approx(archived.trajectory_length_m, abs=1e-4)
+    assert rewards == pytest.approx(archived.spawn_dist_m - archived.final_ne_m + 10.0, abs=1e-3)
+    assert 0.9 < info["spl"] <= 1.0
+
+
+def test_the_limit_of_steps_truncates(drives: Dataset, specs: SpecSet) -> None:
+    task = specs.settings.task.model_copy(update={"max_steps": 3})
+    short = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
+    opened = MiniVLANavEnv(drives.root, specs=short, actions="tokens", size=SMALL)
+    opened.reset(seed=0)
+    ends = [opened.step(np.array([0, 3]))[2:4] for _ in range(3)]
+    opened.close()
+    assert ends == [(False, False), (False, False), (False, True)]
+
+
+def test_seeds_choose_the_episode_and_names_do(env: MiniVLANavEnv) -> None:
+    drawn = [env.reset(seed=seed)[1]["episode_id"] for seed in (1, 1, 2, 3, 4, 5)]
+    assert drawn[0] == drawn[1]
+    assert set(drawn) == {"ep_000002", "ep_000003"}
+    with pytest.raises(UsageError, match="no episode 'ep_000001' among these 2"):
+        env.reset(options={"episode": "ep_000001"})
+
+
+def test_the_pose_begins_at_the_origin_and_moves_forward(drives: Dataset, specs: SpecSet) -> None:
+    opened = MiniVLANavEnv(drives.root, specs=specs, with_pose=True, size=SMALL)
+    observation, _ = opened.reset(seed=0)
+    np.testing.assert_allclose(observation["pose"], 0.0, atol=1e-9)
+    for _ in range(20):
+        observation, *_ = opened.step(np.array([1.0, 0.0], np.float32))
+    opened.close()
+    assert observation["pose"][0] > 0.05
+    assert abs(observation["pose"][1]) < 0.02
+
+
+@pytest.mark.parametrize("action", [np.array([np.nan, 0.0]), np.zeros(3), np.array(0.0)])
+def test_what_is_no_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) -> None:
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="two finite numbers"):
+        env.step(action)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"size": 100}, "divisor of 640"), ({"actions": "joints"}, "tokens"), ({"split": "test"}, "no split test")],
+)
+def test_wrong_settings_are_named(drives: Dataset, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        MiniVLANavEnv(drives.root, **changes)
+
+
+def open_one(root: Any, specs: SpecSet) -> gymnasium.Env[Any, Any]:
+    return MiniVLANavEnv(root, specs=specs, size=SMALL)
+
+
+def test_environments_run_side_by_side_in_spawned_processes(drives: Dataset, specs: SpecSet) -> None:
+    makers = [functools.partial(open_one, drives.root, specs)] * 2
+    vector = gymnasium.vector.AsyncVectorEnv(makers, context="spawn", shared_memory=False)
+    try:
+        first, info = vector.reset(seed=[1, 2])
+        assert first["rgb"].shape == (2, SMALL, SMALL, 3)
+        assert [words.startswith("Go to the") for words in first["instruction"]] == [True, True]
+        for _ in range(3):
+            after, rewards, terminated, truncated, info = vector.step(np.array([[1.0, 0.0]] * 2, np.float32))
+        assert rewards.shape == (2,)
+        assert not terminated.any()
+        assert not truncated.any()
+        assert info["distance_m"].shape == (2,)
+        assert (after["rgb"] != first["rgb"]).any()
+    finally:
+        vector.close()
