@@ -1,0 +1,30 @@
+"""A dataset in the formats people train from: one file or folder a format, behind one base class and a registry.
+
+Reads datasets through `factory.dataset`; never simulates, never changes the dataset.
+"""
+
+from __future__ import annotations
+
+from factory.export.base import Exporter, Facts, Finish, Options, Piece, Requirement
+from factory.export.estimate import Estimate, estimate_export
+from factory.export.registry import EXPORTERS, find_exporter
+from factory.export.report import ExportReport, Skip
+from factory.export.run import ExportOrder, Progress, run_export
+
+__all__ = [
+    "EXPORTERS",
+    "Estimate",
+    "ExportOrder",
+    "ExportReport",
+    "Exporter",
+    "Facts",
+    "Finish",
+    "Options",
+    "Piece",
+    "Progress",
+    "Requirement",
+    "Skip",
+    "estimate_export",
+    "find_exporter",
+    "run_export",
+]

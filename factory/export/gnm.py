@@ -5,6 +5,7 @@ Layout and keys are those of robodhruv/visualnav-transformer; instruction, depth
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -87,7 +88,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         place = folder / DATASET_NAME / episode.episode_id
         place.mkdir(parents=True)
         for number, t in enumerate(steps):
-            Image.fromarray(episode.rgb(t)).save(place / f"{number}.jpg", quality=options.jpeg_quality)
+            (place / f"{number}.jpg").write_bytes(_jpeg(episode.rgb(t), options.jpeg_quality))
         poses = episode.poses[:: steps.step]
         position = poses[:, :2].astype(np.float64)
         yaw = yaw_of(poses)
@@ -108,6 +109,13 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
         frames = sorted(piece.facts.frames for piece in export.pieces)
         text = _CARD.format(name=DATASET_NAME, fps=fps, median=frames[len(frames) // 2])
         export.out.write_text(CARD_FILE, export_card(export.dataset.meta, len(export.pieces), text, tags=("gnm",)))
+
+
+def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+    """Returns a JPEG; Pillow itself does not notice when a full disk takes only part of a file."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "JPEG", quality=quality)
+    return buffer.getvalue()
 
 
 def _length(position: NDArray[np.float64]) -> float:

@@ -1,0 +1,234 @@
+"""Every registered exporter on a small dataset: whole, the same again, resumed, refused, damaged, on a full disk."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from factory.dataset import Dataset
+from factory.export import EXPORTERS, ExportOrder, Progress, estimate_export, find_exporter, run_export
+from factory.export.manifest import MANIFEST_FILE, read_manifest
+from factory.export.output import WORK_FOLDER
+from schemas.errors import UsageError, WorldError
+from tests.builders.dataset import make_dataset
+
+EPISODES = 3
+every_format = pytest.mark.parametrize("name", list(EXPORTERS))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset that no test changes."""
+    root = tmp_path_factory.mktemp("exported") / "data"
+    make_dataset(root, EPISODES)
+    return root
+
+
+@pytest.fixture(scope="module")
+def calm(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Exports that nobody disturbed."""
+    place = tmp_path_factory.mktemp("calm")
+    return {name: _exported(dataset, place / name, name) for name in EXPORTERS}
+
+
+def order(root: Path, out: Path, name: str) -> ExportOrder:
+    return ExportOrder(root=root, out=out, format=name, options=find_exporter(name).options())
+
+
+def _exported(root: Path, out: Path, name: str) -> Path:
+    assert run_export(order(root, out, name)).complete
+    return out
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    """Returns every file of an export but those that serve its making."""
+    files = (path for path in root.rglob("*") if path.is_file())
+    inside = ((path.relative_to(root), path) for path in files)
+    return {str(name): path.read_bytes() for name, path in inside if name.parts[0] != WORK_FOLDER}
+
+
+@every_format
+def test_export_says_what_it_is_and_leaves_no_traces_of_its_making(calm: dict[str, Path], name: str) -> None:
+    manifest = read_manifest(calm[name])
+    assert manifest is not None
+    assert (manifest.format, manifest.complete, manifest.episodes) == (name, True, EPISODES)
+    assert not (calm[name] / WORK_FOLDER).exists()
+    assert len(contents(calm[name])) > 1
+
+
+@every_format
+def test_equal_exports_have_equal_bytes(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+    again = contents(_exported(dataset, tmp_path / "again", name))
+    assert again == contents(calm[name])
+
+
+@every_format
+def test_complete_export_is_not_done_again(dataset: Path, calm: dict[str, Path], name: str) -> None:
+    before = {path: path.stat().st_mtime_ns for path in calm[name].rglob("*")}
+    report = run_export(order(dataset, calm[name], name))
+    assert (report.complete, report.episodes, report.resumed) == (True, EPISODES, EPISODES)
+    assert {path: path.stat().st_mtime_ns for path in calm[name].rglob("*") if path in before} == before
+
+
+@every_format
+def test_interrupted_export_goes_on(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+    stop = threading.Event()
+
+    def stop_after_one(progress: Progress) -> None:
+        if progress.done:
+            stop.set()
+
+    report = run_export(order(dataset, tmp_path / "out", name), stop_after_one, stop)
+    assert (report.complete, report.finished, report.episodes) == (False, False, 1)
+    report = run_export(order(dataset, tmp_path / "out", name))
+    assert (report.complete, report.resumed) == (True, 1)
+    assert contents(tmp_path / "out") == contents(calm[name])
+
+
+_HARD_TIMES = """
+import os, resource, signal, sys
+from pathlib import Path
+from factory.export import ExportOrder, find_exporter, run_export
+from schemas.errors import WorldError
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+root, out, name = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+order = ExportOrder(root=root, out=out, format=name, options=find_exporter(name).options())
+hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+try:
+    run_export(order, lambda progress: resource.setrlimit(resource.RLIMIT_FSIZE, (600, hard)))
+except WorldError as error:
+    print(error, flush=True)
+resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+print(sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and ".export" not in p.parts), flush=True)
+print(sum(1 for p in (out / ".export").rglob("*") if ".part" in p.name or "staging" in p.parts and p.is_file()))
+sys.stdout.flush()
+run_export(order, lambda progress: os._exit(9) if progress.done else None)
+"""
+
+
+@every_format
+def test_full_disk_and_kill_leave_only_whole_files(
+    dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str
+) -> None:
+    """A limit on the size of files stands in for a full disk: both end in an OSError within a write."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", _HARD_TIMES, str(dataset), str(out), name]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 9, done.stderr
+    message, files, leftovers = done.stdout.splitlines()
+    assert "cannot write" in message
+    assert "File too large" in message
+    assert leftovers == "0"
+    assert set(eval(files)) <= set(contents(calm[name]))
+    assert {file: data for file, data in contents(out).items() if file != MANIFEST_FILE}.items() <= (
+        contents(calm[name]).items()
+    )
+    assert run_export(order(dataset, out, name)).complete
+    assert contents(out) == contents(calm[name])
+
+
+@every_format
+def test_damaged_and_missing_episodes_are_skipped_and_named(
+    dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str
+) -> None:
+    shutil.copytree(dataset, tmp_path / "data")
+    damaged, missing = (tmp_path / f"data/episodes/ep_00000{number}.zip" for number in (1, 3))
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[:-10])
+    missing.rename(tmp_path / "away.zip")
+    out = tmp_path / "out"
+    report = run_export(order(tmp_path / "data", out, name))
+    assert [(skip.episode_id, report.episodes, report.finished) for skip in report.skipped] == [
+        ("ep_000001", 1, True),
+        ("ep_000003", 1, True),
+    ]
+    assert "is damaged" in report.skipped[0].reason
+    assert "is missing" in report.skipped[1].reason
+    assert not report.complete
+    damaged.write_bytes(whole)
+    (tmp_path / "away.zip").rename(missing)
+    report = run_export(order(tmp_path / "data", out, name))
+    assert (report.complete, report.resumed, report.skipped) == (True, 1, ())
+    assert contents(out) == contents(calm[name])
+
+
+@every_format
+def test_nothing_is_written_where_nothing_can_be_read(dataset: Path, tmp_path: Path, name: str) -> None:
+    shutil.copytree(dataset, tmp_path / "data")
+    for path in (tmp_path / "data/episodes").iterdir():
+        path.write_bytes(b"PK rubbish")
+    with pytest.raises(WorldError, match=r"none of 3 episodes could be exported: ep_000001: .*is damaged"):
+        run_export(order(tmp_path / "data", tmp_path / "out", name))
+    assert list(contents(tmp_path / "out")) == [MANIFEST_FILE]
+
+
+@every_format
+def test_export_of_another_dataset_is_refused(
+    calm: dict[str, Path], tmp_path_factory: pytest.TempPathFactory, name: str
+) -> None:
+    other = tmp_path_factory.mktemp("other") / "data"
+    make_dataset(other, 1)
+    before = contents(calm[name])
+    with pytest.raises(WorldError, match=r"holds another export: dataset test-.*; delete it, or choose another --out"):
+        run_export(order(other, calm[name], name))
+    assert contents(calm[name]) == before
+
+
+@every_format
+def test_other_episodes_of_the_dataset_are_refused(dataset: Path, calm: dict[str, Path], name: str) -> None:
+    wanted = order(dataset, calm[name], name)
+    with pytest.raises(WorldError, match="holds another export: episodes 3 of all splits"):
+        run_export(ExportOrder(dataset, calm[name], name, wanted.options, episodes=("ep_000002",)))
+
+
+@every_format
+def test_another_format_is_refused(dataset: Path, calm: dict[str, Path], name: str) -> None:
+    other = next(other for other in EXPORTERS if other != name)
+    with pytest.raises(WorldError, match=f"format {name}, asked for {other}"):
+        run_export(order(dataset, calm[name], other))
+
+
+@every_format
+def test_dry_run_tells_size_and_writes_nothing(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+    estimate = estimate_export(order(dataset, tmp_path / "out", name))
+    assert not (tmp_path / "out").exists()
+    size = sum(map(len, contents(calm[name]).values()))
+    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # what is written once counts for every episode
+    assert estimate.episodes == EPISODES
+    assert estimate.frames == read_manifest(calm[name]).frames  # type: ignore[union-attr]
+    assert estimate.fits
+    assert estimate.seconds > 0
+
+
+@every_format
+def test_missing_package_is_named_with_its_extra(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    required = find_exporter(name).requires
+    for module, extra in required:
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(WorldError, match=rf"needs the package {module}: pip install 'minivla-factory\[{extra}\]'"):
+            run_export(order(dataset, tmp_path / "out", name))
+    assert not (tmp_path / "out").exists()
+
+
+@every_format
+def test_export_into_the_dataset_is_refused(dataset: Path, name: str) -> None:
+    for out in (dataset, dataset / "out", dataset.parent):
+        with pytest.raises(UsageError, match="may not lie in each other"):
+            run_export(order(dataset, out, name))
+    assert len(Dataset(dataset)) == EPISODES
+
+
+@every_format
+def test_folder_with_other_things_is_refused(dataset: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(WorldError, match="holds no export"):
+        run_export(order(dataset, tmp_path, name))
+    assert contents(tmp_path) == {"thesis.txt": b"years of work"}
