@@ -1,0 +1,47 @@
+#!/bin/bash
+# Workers of a cluster as a Slurm array; a coordinator runs elsewhere, e.g. on the login node or by systemd.
+#   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
+#
+# A task that is preempted or reaches its time limit gives its jobs back and queues itself again; the run is finished
+# when a worker leaves by itself, and then the task ends for good.
+#SBATCH --job-name=minivla
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=4
+#SBATCH --mem-per-cpu=1G
+#SBATCH --time=04:00:00
+#SBATCH --requeue
+#SBATCH --open-mode=append
+#SBATCH --signal=B:TERM@120
+set -u
+
+endpoint=${1:?usage: sbatch --array=1-N workers.sh ENDPOINT TLS_DIR}
+tls=${2:?usage: sbatch --array=1-N workers.sh ENDPOINT TLS_DIR}
+cores=${SLURM_CPUS_PER_TASK:-1}
+scratch=${SLURM_TMPDIR:-${TMPDIR:-/tmp}}
+# bundles wait on the node's own disk; scenes are kept beside them and fetched once a node
+export MINIVLA_CACHE="${scratch}/minivla-${USER:-factory}"
+
+told_to_stop=
+worker=
+# shellcheck disable=SC2317  # called by the trap
+stop() {
+    told_to_stop=yes
+    if [ -n "${worker}" ]; then kill -TERM "${worker}" 2>/dev/null; fi
+}
+trap stop TERM INT
+
+factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --wait 600 &
+worker=$!
+status=0
+# a signal interrupts the wait; go on until the worker itself is gone
+while kill -0 "${worker}" 2>/dev/null; do
+    wait "${worker}"
+    status=$?
+done
+
+if [ -n "${told_to_stop}" ] && [ -n "${SLURM_JOB_ID:-}" ]; then
+    echo "told to stop before the run was finished: queueing again"
+    scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
+    exit $?
+fi
+exit "${status}"

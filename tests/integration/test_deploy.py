@@ -1,0 +1,221 @@
+"""The deployment files: every command line in them is one that `factory` takes, every metric one that is served."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+import yaml
+
+from coordinator.http import HttpAddress, StatusServer
+from coordinator.plan_file import load_plan
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from factory.cli.main import cli
+from tests.builders.ledger import room_catalog, room_plan
+from tests.integration.test_status_pages import ask
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+MANIFESTS = sorted((DEPLOY / "kubernetes").rglob("*.yaml"))
+UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
+SCRIPTS = sorted(DEPLOY.rglob("*.sh"))
+
+
+def documents(path: Path) -> list[dict[str, Any]]:
+    return [document for document in yaml.safe_load_all(path.read_text()) if document]
+
+
+def containers() -> Iterator[dict[str, Any]]:
+    for path in MANIFESTS:
+        for document in documents(path):
+            template = document.get("spec", {}).get("template") if isinstance(document.get("spec"), dict) else None
+            yield from template["spec"]["containers"] if template else ()
+
+
+def command_lines() -> list[tuple[str, list[str]]]:
+    found = [("kubernetes", container["args"]) for container in containers()]
+    compose = documents(DEPLOY / "compose.yaml")[0]
+    found += [(f"compose {name}", _filled(service["command"])) for name, service in compose["services"].items()]
+    for unit in UNITS:
+        (line,) = re.findall(r"^ExecStart=\S*/factory (.*)$", unit.read_text(), re.MULTILINE)
+        found.append((unit.name, shlex.split(line.replace("${CORES}", "8").replace("${HUB}", "hub:7447"))))
+    (line,) = re.findall(r"^factory (.*) &$", (DEPLOY / "slurm" / "workers.sh").read_text(), re.MULTILINE)
+    found.append(("slurm", shlex.split(line.replace("${cores}", "8"))))
+    readme = (DEPLOY / "README.md").read_text()
+    for line in re.findall(r"^(?:\w+:\s+)?factory (.*?)\s*(?:#.*)?$", readme, re.MULTILINE):
+        found.append((f"README: {line}", shlex.split(line)))
+    return found
+
+
+def _filled(words: Sequence[str]) -> list[str]:
+    """Fills in the defaults of `${NAME:-default}`."""
+    return [re.sub(r"\$\{\w+:-(\w+)\}", r"\1", str(word)) for word in words]
+
+
+@pytest.mark.parametrize(("where", "words"), [pytest.param(*line, id=line[0][:60]) for line in command_lines()])
+def test_every_command_line_is_understood(where, words):
+    command: click.Command = cli
+    context = click.Context(cli)
+    rest = list(words)
+    while isinstance(command, click.Group):
+        name = rest.pop(0)
+        found = command.get_command(context, name)
+        assert found is not None, f"{where}: no verb {name}"
+        command = found
+    command.make_context(command.name, rest)  # parses every option and argument, runs nothing
+
+
+def test_every_manifest_is_taken_by_kustomize():
+    named = {
+        resource
+        for path in MANIFESTS
+        if path.name == "kustomization.yaml"
+        for resource in documents(path)[0]["resources"]
+    }
+    assert named - {"../base"} == {path.name for path in MANIFESTS if path.name != "kustomization.yaml"}
+    assert load_plan(str(DEPLOY / "kubernetes" / "base" / "plan.toml")).episodes == 700
+
+
+@pytest.mark.parametrize("place", ["base", "workers-as-job"])
+def test_kustomize_renders_what_it_is_given(place):
+    if shutil.which("kubectl") is None:
+        pytest.skip("needs kubectl")
+    done = subprocess.run(["kubectl", "kustomize", str(DEPLOY / "kubernetes" / place)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    rendered = list(yaml.safe_load_all(done.stdout))
+    kinds = sorted(document["kind"] for document in rendered)
+    job = ["Job"] if place == "workers-as-job" else []
+    assert kinds == sorted(
+        ["ConfigMap", "Deployment", "Namespace", "NetworkPolicy", "NetworkPolicy", "Service", "StatefulSet", *job]
+    )
+    assert {document["metadata"].get("namespace", "minivla") for document in rendered} == {"minivla"}
+
+
+def test_containers_run_without_any_privilege():
+    compose = documents(DEPLOY / "compose.yaml")[0]
+    for container in containers():
+        assert container["securityContext"] == {
+            "allowPrivilegeEscalation": False,
+            "readOnlyRootFilesystem": True,
+            "capabilities": {"drop": ["ALL"]},
+        }
+    for service in compose["services"].values():
+        assert (service["read_only"], service["cap_drop"]) == (True, ["ALL"])
+    assert re.search(r"^USER (\d+)", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
+
+
+def test_every_mount_has_its_volume():
+    for path in MANIFESTS:
+        for document in documents(path):
+            template = document.get("spec", {}).get("template") if document["kind"] != "Kustomization" else None
+            if template:
+                claims = {claim["metadata"]["name"] for claim in document["spec"].get("volumeClaimTemplates", ())}
+                volumes = {volume["name"] for volume in template["spec"]["volumes"]} | claims
+                mounts = {mount["name"] for c in template["spec"]["containers"] for mount in c["volumeMounts"]}
+                assert mounts == volumes
+
+
+def test_every_watched_metric_is_served(tmp_path):
+    settings = CoordinatorSettings(reserve_bytes=0)
+    endpoint = ("tcp/127.0.0.1:0",)
+    with (
+        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), endpoint, settings=settings) as running,
+        StatusServer(HttpAddress("127.0.0.1", 0), running.vitals) as server,
+    ):
+        page = ask(server, "/metrics")[1]
+    served = set(re.findall(r"^# TYPE (\w+) ", page, re.MULTILINE))
+    served |= {f"{name}{end}" for name in served for end in ("_sum", "_count")}
+    board = json.loads((DEPLOY / "observe" / "grafana.json").read_text())
+    expressions = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+    alerts = documents(DEPLOY / "observe" / "alerts.yml")[0]
+    expressions += [rule["expr"] for group in alerts["groups"] for rule in group["rules"]]
+    watched = {name for text in expressions for name in re.findall(r"\b(?:minivla|process)_\w+", text)}
+    missing = {name for name in watched if name not in served and not name.endswith(("_per_hour", "eta_seconds"))}
+    assert not missing
+    panels = board["panels"]
+    assert len({panel["id"] for panel in panels}) == len(panels)
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
+def test_systemd_takes_the_units(unit, tmp_path):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("needs systemd-analyze")
+    text = unit.read_text().replace("/opt/minivla/bin/factory", shutil.which("true") or "/bin/true")
+    place = tmp_path / unit.name.replace("@", "@paper")
+    place.write_text(re.sub(r"^(User|Group|EnvironmentFile)=.*$", "", text, flags=re.MULTILINE))
+    done = subprocess.run(["systemd-analyze", "verify", "--man=no", str(place)], capture_output=True, text=True)
+    complaints = [line for line in done.stderr.splitlines() if unit.stem.split("@")[0] in line]
+    assert complaints == []
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_shell_scripts_are_sound(script):
+    shell = "bash" if "bash" in script.read_text().splitlines()[0] else "sh"
+    assert subprocess.run([shell, "-n", str(script)]).returncode == 0
+    if shutil.which("shellcheck") is None:
+        pytest.skip("needs shellcheck; its syntax is checked")
+    done = subprocess.run(["shellcheck", str(script)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+class Cluster:
+    """Slurm as a stub: `scontrol` writes down what it is told, `factory` is a worker that leaves when told."""
+
+    def __init__(self, folder: Path, worker: str) -> None:
+        self.told = folder / "told"
+        self.bin = folder / "bin"
+        self.bin.mkdir()
+        self._tool("scontrol", f'echo "$@" >> {self.told}')
+        self._tool("factory", worker)
+        self.environment = {
+            "PATH": f"{self.bin}:{os.environ['PATH']}",
+            "SLURM_JOB_ID": "17",
+            "SLURM_ARRAY_JOB_ID": "15",
+            "SLURM_ARRAY_TASK_ID": "2",
+            "SLURM_CPUS_PER_TASK": "4",
+            "USER": "me",
+            "TMPDIR": str(folder),
+        }
+
+    def task(self) -> subprocess.Popen[str]:
+        command = ["bash", str(DEPLOY / "slurm" / "workers.sh"), "tls/hub:7447", "/pki"]
+        return subprocess.Popen(command, env=self.environment, stdout=subprocess.PIPE, text=True)
+
+    def _tool(self, name: str, body: str) -> None:
+        path = self.bin / name
+        path.write_text(f"#!/bin/bash\n{body}\n")
+        path.chmod(0o755)
+
+
+def test_a_slurm_task_that_is_told_to_stop_lets_its_worker_leave_and_queues_again(tmp_path):
+    left = tmp_path / "left"
+    body = f"trap 'sleep 0.5; touch {left}; exit 0' TERM; echo up; while :; do sleep 0.05; done"
+    cluster = Cluster(tmp_path, body)
+    with cluster.task() as task:
+        assert task.stdout is not None
+        assert task.stdout.readline() == "up\n"
+        task.send_signal(signal.SIGTERM)
+        assert task.wait(20) == 0
+    assert left.exists(), "the worker was given its time"
+    assert cluster.told.read_text() == "requeue 15_2\n"
+
+
+@pytest.mark.parametrize("status", [0, 1])
+def test_a_slurm_task_ends_as_its_worker_does(tmp_path, status):
+    cluster = Cluster(tmp_path, f'echo "$MINIVLA_CACHE $@"; exit {status}')
+    with cluster.task() as task:
+        out, _ = task.communicate(timeout=20)
+    assert task.returncode == status
+    assert out == f"{tmp_path}/minivla-me worker --connect tls/hub:7447 --tls /pki --cores 4 --wait 600\n"
+    assert not cluster.told.exists()
