@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from factory.scenes.collider import solid_triangles, weld
 from factory.scenes.floor import find_floor_height
-from factory.scenes.geometry import lay_out_geometry
+from factory.scenes.geometry import Geometry, lay_out_geometry
 from factory.scenes.honour import honour_candidates, honour_targets, recoloured
 from factory.scenes.importer import Extraction, Part, extract_stage
 from factory.scenes.importer.assets import read_asset
@@ -110,6 +110,7 @@ def compile_stage(
     grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
     terrain = Terrain(grid, grid.connected_floor(), SpawnConfig())
     survey = _survey(path.name, terrain, shown, floor_m, notes)
+    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes)
     info = SceneInfo(
         name=name,
         source=source,
@@ -125,7 +126,7 @@ def compile_stage(
         free_area_m2=_area(terrain),
         notes=_shortened(notes),
     )
-    return _assemble(info, shown, weld(solid), terrain, survey)
+    return _assemble(info, shown.book, geometry, weld(solid), terrain, survey)
 
 
 def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tuple[Part, ...]:
@@ -246,16 +247,16 @@ def _shortened(notes: Sequence[str]) -> tuple[str, ...]:
 
 def _assemble(
     info: SceneInfo,
-    shown: _Shown,
+    book: TextureBook,
+    geometry: Geometry,
     collider: tuple[NDArray[np.float32], NDArray[np.int32]],
     terrain: Terrain,
     survey: _Survey,
 ) -> CompiledScene:
-    geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, info.floor_height_m)
     return CompiledScene(
         info=info,
         **{field.name: getattr(geometry, field.name) for field in fields(geometry)},
-        textures=shown.book.layers,
+        textures=book.layers,
         collider_vertices=collider[0],
         collider_triangles=collider[1],
         occupancy=terrain.grid.occupancy,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.importer import Part
-from factory.scenes.light import bake_light
+from factory.scenes.light import LightMap, TooManyPieces, bake_light
 from factory.scenes.shade import corner_colours, glow_brightness, glows_by_name, reflectance, texture_layer
 from factory.scenes.textures import TextureBook
 
@@ -36,7 +36,12 @@ class Geometry:
 
 
 def lay_out_geometry(
-    parts: Sequence[Part], owners: Sequence[str], ids: Mapping[str, int], book: TextureBook, floor_m: float
+    parts: Sequence[Part],
+    owners: Sequence[str],
+    ids: Mapping[str, int],
+    book: TextureBook,
+    floor_m: float,
+    notes: list[str],
 ) -> Geometry:
     """Groups parts by instance and texture, and bakes the light that falls on them.
 
@@ -46,6 +51,7 @@ def lay_out_geometry(
         ids: instance id of each object.
         book: the textures.
         floor_m: height of the floor.
+        notes: receives why there is no light, where there is none.
     """
     keys = [(ids[owner], texture_layer(part, book)) for part, owner in zip(parts, owners, strict=True)]
     order = sorted(range(len(parts)), key=lambda row: (keys[row], parts[row].path))
@@ -55,7 +61,7 @@ def lay_out_geometry(
     groups = np.repeat(np.arange(len(counts)), counts // 3)
     ordered = [parts[row] for row in order]
     grey = np.concatenate([reflectance(part, book) for part in ordered])
-    light = bake_light(triangles, groups, _brightness(ordered, book), floor_m, grey)
+    light = _lit(triangles, groups, _brightness(ordered, book), floor_m, grey, notes)
     return Geometry(
         positions=triangles.reshape(-1, 3).astype(np.float32),
         uvs=np.concatenate([_uvs(parts[row], keys[row][1]) for row in order]).astype(np.float32),
@@ -67,6 +73,22 @@ def lay_out_geometry(
         part_instance=np.array([key[0] for key, _ in runs], np.uint16),
         part_texture=np.array([key[1] for key, _ in runs], np.int16),
     )
+
+
+def _lit(
+    triangles: NDArray[np.float64],
+    groups: NDArray[np.int64],
+    brightness: NDArray[np.float64],
+    floor_m: float,
+    grey: NDArray[np.float64],
+    notes: list[str],
+) -> LightMap:
+    """Bakes the light, or leaves the scene without and says so where it has too many pieces."""
+    try:
+        return bake_light(triangles, groups, brightness, floor_m, grey)
+    except TooManyPieces as error:
+        notes.append(f"shown without baked light: {error}; decimate the densest meshes to have it")
+        return LightMap(np.zeros((0, 3, 2), np.float32), np.zeros((0, 0, 3), np.uint8))
 
 
 def _brightness(parts: Sequence[Part], book: TextureBook) -> NDArray[np.float64]:

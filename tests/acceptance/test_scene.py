@@ -68,3 +68,21 @@ def test_a_list_with_a_prim_that_is_not_there_is_refused_by_its_path(factory, tm
     factory("scene", "targets", package, "-o", edits)
     edits.write_text(edits.read_text().replace("SM_Chair_01", "SM_Throne_01"))
     assert "/World/SM_Throne_01" in factory("scene", "import", stage, "--targets", edits, expect=2).stderr
+
+
+def test_render_writes_map_views_and_sheets_and_names_them(factory, tmp_path):
+    _, package = room(factory, tmp_path)
+    out = tmp_path / "pictures"
+    result = factory.json(
+        "scene", "render", package, "-o", out, "--views", 1, "--robot-views", 1, "--colours", 1, "--renderer", "gl"
+    )
+    names = ["map.png", "eye_00.png", "robot_00.png", "categories.png", "colours.png"]
+    assert result == {"scene": "room", "pictures": [str(out / name) for name in names]}
+    for name in names:
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_render_into_what_is_no_folder_says_so(factory, tmp_path):
+    _, package = room(factory, tmp_path)
+    (tmp_path / "taken").write_text("a file")
+    assert "choose another --out" in factory("scene", "render", package, "-o", tmp_path / "taken", expect=1).stderr

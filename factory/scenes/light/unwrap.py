@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts
 
-__all__ = ["Unwrap", "unwrap"]
+__all__ = ["TooManyPieces", "Unwrap", "unwrap"]
 
 _TEXELS_PER_M = 12.0
 _FLOOR_GAIN, _CEILING_GAIN = 2.4, 0.4
@@ -25,6 +25,10 @@ _TINY = 0.75
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class TooManyPieces(ValueError):
+    """There are more flat pieces than texels."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,10 @@ def unwrap(
         place, height = _pack(size, width)
         if height <= max_height and size.prod(axis=1).sum() <= max(_BUDGET, 2 * len(size)):
             break
+        if size.max() == 1:
+            raise TooManyPieces(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
         if (size == floor).all():
-            raise ValueError(f"{len(size)} flat pieces do not fit {width} x {max_height} texels")
+            floor = np.ones_like(floor)  # round surfaces must be faceted then
         scale *= 0.9
     span = np.maximum(charts.extent, 1e-9)[charts.of_triangle][:, None]
     chart = charts.of_triangle

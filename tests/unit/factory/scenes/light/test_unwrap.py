@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from factory.scenes.light.charts import Charts, find_charts
-from factory.scenes.light.unwrap import Unwrap, unwrap
+from factory.scenes.light.unwrap import TooManyPieces, Unwrap, unwrap
 from tests.builders.scene import Box, box_room
 from tests.builders.solids import box_triangles
 
@@ -87,5 +87,16 @@ def test_a_map_that_is_too_small_gets_coarser_texels() -> None:
 
 
 def test_more_pieces_than_texels_are_refused() -> None:
-    with pytest.raises(ValueError, match="do not fit"):
+    with pytest.raises(TooManyPieces, match="do not fit"):
         unwrap(room_charts(), width=2, max_height=2)
+
+
+def test_pieces_that_need_two_texels_get_one_where_there_is_no_room() -> None:
+    charts = room_charts()
+    least = np.full((len(charts.area), 2), 2)
+    count = len(charts.area)
+    layout = unwrap(charts, least=least, width=64, max_height=-(-count // 64) + 1)
+    assert layout.shape[0] <= -(-count // 64) + 1
+    assert layout.size.min() == 1
+    assert covered(layout).max() == 1
+    assert (unwrap(charts, least=least).size >= 2).all()
