@@ -146,6 +146,7 @@ def _tiers(material: Material) -> Iterator[Comparison]:
             reason=reasons.say_steps(facts, said) if facts and differ else "",
         )
         if row.group != ALL and said.ne_mean_m is not None:
+            off = row.ne_mean_m is not None and abs(row.ne_mean_m - said.ne_mean_m) > _ALIKE_NE_M
             yield Comparison(
                 exhibit="tier_statistics",
                 what=f"NE mean, {row.group}",
@@ -154,6 +155,7 @@ def _tiers(material: Material) -> Iterator[Comparison]:
                 unit="m",
                 digits=3,
                 source=said.source,
+                reason=reasons.say_error(material.statistics) if off else "",
             )
 
 
