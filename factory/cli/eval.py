@@ -47,7 +47,7 @@ __all__ = ["command"]
 @click.option("--act-timeout", type=click.FloatRange(0.01), default=10.0, show_default=True, help="Seconds an answer.")
 @click.option("--load-timeout", type=click.FloatRange(0.1), default=300.0, show_default=True, help="Of the first one.")
 @click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose in the frame of the start.")
-@click.option("--videos", type=click.IntRange(0), default=24, show_default=True, help="Failures shown a policy.")
+@click.option("--videos", type=click.IntRange(0), default=12, show_default=True, help="Failures shown a policy.")
 @click.option("--tables", "all_tables", is_flag=True, help="Print by scene, tier, category and template too.")
 @click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
 @json_option
@@ -109,7 +109,11 @@ def command(
             kept = f"run the same command to go on; {out} holds what is done" if out else "give -o to keep what is done"
             click.echo(f"interrupted: {kept}", err=True)
             return 130
-        evaluation = publish(campaign, store, videos if out else 0)
+        with Progress(*_columns(), console=stderr, transient=True) as bar:
+            task = bar.add_task("drawing failures", total=None)
+            evaluation = publish(
+                campaign, store, videos if out else 0, lambda done, of: bar.update(task, completed=done, total=of)
+            )
         if as_json:
             print_json(evaluation.model_dump(mode="json"))
         else:

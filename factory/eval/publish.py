@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from factory.eval.from_dataset import Places
+from factory.eval.page import Failure, write_page
 from factory.eval.result import EpisodeResult, Variant
 from factory.eval.run import Campaign
 from factory.eval.score import Evaluation, score_policy
 from factory.eval.store import Store
+from factory.eval.video import choose_failures, draw_video
 from schemas.errors import WorldError
+from workers.stage import Stage
 
-__all__ = ["RESULTS_FILE", "TABLE_FILE", "evaluation_of", "publish"]
+__all__ = ["PAGE_FILE", "RESULTS_FILE", "TABLE_FILE", "evaluation_of", "publish"]
 
-RESULTS_FILE, TABLE_FILE = "results.json", "episodes.parquet"
+RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
+_VIDEOS = "videos"
+
+Tell = Callable[[int, int], None]
+"""Is told (videos drawn, videos in all)."""
 
 
-def publish(campaign: Campaign, store: Store, videos: int) -> Evaluation:
+def publish(campaign: Campaign, store: Store, videos: int, tell: Tell = lambda _done, _total: None) -> Evaluation:
     """Writes all results of an evaluation and returns them.
 
     Args:
         campaign: what was evaluated.
         store: with the finished episodes.
-        videos: how many failures of each policy the page shows; 0 writes no page.
+        videos: how many failures of each policy the page shows.
+        tell: told the progress of drawing them.
 
     Raises:
         WorldError: the directory cannot be written.
@@ -34,10 +43,38 @@ def publish(campaign: Campaign, store: Store, videos: int) -> Evaluation:
     try:
         _write(store.root / RESULTS_FILE, (evaluation.model_dump_json(indent=1) + "\n").encode())
         _write_table(store.root / TABLE_FILE, [row for name in campaign.policies for row in store.results(name)])
+        page = write_page(evaluation, _failures(campaign, store, videos, tell))
+        _write(store.root / PAGE_FILE, page.encode())
     except OSError as error:
         raise WorldError(f"cannot write to {store.root}: {error.strerror}; free space and run it again") from error
-    del videos
     return evaluation
+
+
+def _failures(campaign: Campaign, store: Store, videos: int, tell: Tell) -> dict[str, list[Failure]]:
+    """The videos of each policy; those of an earlier run are taken as they are."""
+    chosen = {
+        name: choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
+        for name in campaign.policies
+    }
+    total = sum(len(rows) for rows in chosen.values())
+    if total == 0:
+        return {}
+    shas = {spec.scene: spec.scene_sha256 for spec in campaign.specs.specs}
+    settings, places = campaign.specs.settings, Places(campaign.root)
+    found: dict[str, list[Failure]] = {name: [] for name in chosen}
+    with Stage(campaign.setup.renderer) as stage:
+        for name, rows in chosen.items():
+            folder = store.folder(name) / _VIDEOS
+            folder.mkdir(exist_ok=True)
+            for row in rows:
+                path = folder / f"{row.spec_id}.webp"
+                if not path.exists():
+                    scene = places.load(row.scene, shas[row.scene]).scene
+                    radius_m = settings.task.success_radius_m
+                    _write(path, draw_video(row, scene, radius_m, stage.renderer, settings.camera))
+                found[name].append((row, path.read_bytes()))
+                tell(sum(map(len, found.values())), total)
+    return found
 
 
 def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:

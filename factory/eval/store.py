@@ -96,7 +96,7 @@ class Store:
 
     def note(self, note: PolicyNote) -> None:
         """Writes down what a policy is."""
-        folder = self._folder(note.policy)
+        folder = self.folder(note.policy)
         _write(folder / _NOTE, note)
 
     def note_of(self, policy: str) -> PolicyNote | None:
@@ -106,10 +106,11 @@ class Store:
 
     def _log(self, policy: str) -> IO[bytes]:
         if policy not in self._logs:
-            self._logs[policy] = (self._folder(policy) / _LOG).open("ab")
+            self._logs[policy] = (self.folder(policy) / _LOG).open("ab")
         return self._logs[policy]
 
-    def _folder(self, policy: str) -> Path:
+    def folder(self, policy: str) -> Path:
+        """Returns the folder of a policy, made where it is missing."""
         folder = self.root / _POLICIES / folder_name(policy)
         folder.mkdir(parents=True, exist_ok=True)
         return folder

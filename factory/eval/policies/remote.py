@@ -33,7 +33,7 @@ class RemotePolicy:
         self._connection: Any = None
         self._held = ExitStack()
         self._has_answered = False
-        self._connect(outside.reconnect_s)
+        self._connect(min(outside.reconnect_s, outside.load_timeout_s))
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Notes what goes with every observation; the server hears of it with step 0."""

@@ -1,0 +1,42 @@
+"""A policy behind a websocket, the way openpi serves its models. Needs numpy, msgpack and websockets, nothing of ours.
+
+python policy_server.py 8000            then:  factory eval --data DIR --policy ws://127.0.0.1:8000
+"""
+
+import sys
+
+import msgpack
+import numpy as np
+from websockets.sync.server import serve
+
+
+def pack(value):
+    if isinstance(value, np.ndarray):
+        return {b"__ndarray__": True, b"data": value.tobytes(), b"dtype": value.dtype.str, b"shape": value.shape}
+    raise TypeError(type(value))
+
+
+def unpack(found):
+    if b"__ndarray__" in found:
+        return np.frombuffer(found[b"data"], np.dtype(found[b"dtype"])).reshape(found[b"shape"])
+    return found
+
+
+def infer(observation):
+    """Put the model here. `rgb`, `depth`, `prompt`; `step` is 0 when an episode begins."""
+    ahead = np.percentile(observation["depth"][200:400, 220:420], 5)
+    action = (0.5, 0.0) if ahead > 0.8 else (0.0, 0.8)
+    return {"actions": np.tile(np.float32(action), (6, 1))}  # a chunk: six steps of 1/60 s
+
+
+def handle(connection):
+    connection.send(msgpack.packb({"name": "example"}))
+    for message in connection:
+        observation = msgpack.unpackb(message, object_hook=unpack, strict_map_key=False)
+        connection.send(msgpack.packb(infer(observation), default=pack))
+
+
+if __name__ == "__main__":
+    with serve(handle, "127.0.0.1", int(sys.argv[1]), compression=None, max_size=None) as server:
+        print(f"serving ws://127.0.0.1:{server.socket.getsockname()[1]}", flush=True)  # noqa: T201
+        server.serve_forever()
