@@ -42,6 +42,7 @@ def main() -> None:
         root = Path(place) / "reference"
         write(root)
         json.dump(schema_of(root), sys.stdout, indent=1)
+        sys.stdout.write("\n")
 
 
 def write(root: Path) -> None:
@@ -73,14 +74,16 @@ def frame(t: int) -> dict[str, object]:
 def schema_of(root: Path) -> dict[str, object]:
     """Returns the keys and types of everything but the values."""
     info = json.loads((root / "meta/info.json").read_text())
+    stats = json.loads((root / "meta/stats.json").read_text())
+    described = json.loads(pq.read_schema(root / "data/chunk-000/file-000.parquet").metadata[b"huggingface"])
     return {
         "info": info,
         "data": types_of(root / "data/chunk-000/file-000.parquet"),
-        "data_features": json.loads(pq.read_schema(root / "data/chunk-000/file-000.parquet").metadata[b"huggingface"]),
+        "data_features": {"info": described["info"]},
         "episodes": types_of(root / "meta/episodes/chunk-000/file-000.parquet"),
         "tasks": types_of(root / "meta/tasks.parquet"),
         "tasks_pandas": json.loads(pq.read_schema(root / "meta/tasks.parquet").metadata[b"pandas"]),
-        "stats": json.loads((root / "meta/stats.json").read_text()),
+        "stats": {feature: sorted(values) for feature, values in stats.items()},
         "files": sorted(str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()),
     }
 

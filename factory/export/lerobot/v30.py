@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -28,16 +29,25 @@ from factory.export.lerobot.statistics import QUANTILES
 from factory.export.options import stride_of
 from factory.export.video import join_videos
 
-__all__ = ["LeRobotExporter", "episodes_schema", "tasks_table"]
+__all__ = ["FileLimits", "LeRobotExporter", "episodes_schema", "tasks_table", "write_dataset"]
 
 VERSION = "v3.0"
-_CHUNK_FILES = 1000
-_DATA_MIB, _VIDEO_MIB = 100, 200
-_EPISODES_A_FILE, _EPISODES_A_BATCH = 10_000, 200
+_EPISODES_A_BATCH = 200
 _FILE = "chunk-{:03d}/file-{:03d}"
 _SCALAR, _NESTED = pa.list_(pa.float64()), pa.list_(pa.list_(pa.list_(pa.float64())))
 Places = dict[int, tuple[int, int, float]]
 """Episode -> chunk, file, and seconds from the file's beginning."""
+
+
+class FileLimits(NamedTuple):
+    """How full files and folders become; LeRobot's own limits."""
+
+    chunk_files: int = 1000
+    """Files in a folder."""
+    data_mib: int = 100
+    video_mib: int = 200
+    episodes: int = 10_000
+    """Rows in a file of `meta/episodes`."""
 
 
 class LeRobotExporter(Exporter[LeRobotOptions, LeRobotFacts]):
@@ -60,22 +70,27 @@ class LeRobotExporter(Exporter[LeRobotOptions, LeRobotFacts]):
 
     def finish(self, export: Finish[LeRobotOptions, LeRobotFacts]) -> None:
         """Writes data, videos and `meta/`."""
-        task, options, out = export.dataset.meta.plan.task, export.options, export.out
-        far_m = export.dataset.meta.plan.camera.far_m
-        stride = stride_of(options.fps, task.control_hz)
-        fps = task.control_hz // stride
-        numbering = number_pieces(export.pieces, stride)
-        data = _write_data(export, numbering)
-        videos = {key: _write_videos(export, numbering, key, fps) for key in video_keys(options)}
-        stats = DatasetStats(far_m)
-        _write_episodes(export, numbering, data, videos, fps, far_m, stats)
-        out.write_text("meta/stats.json", json.dumps(stats.result(numbering, options), indent=4) + "\n")
-        with out.replacing("meta/tasks.parquet") as part:
-            pq.write_table(tasks_table(numbering.tasks), part, compression="snappy")
-        card = card_text(VERSION, options, fps, stride, numbering.splits)
-        configs = {"frames": "data/*/*.parquet", "episodes": "meta/episodes/*/*.parquet"}
-        out.write_text(CARD_FILE, export_card(export.dataset.meta, len(numbering), card, configs, ["LeRobot"]))
-        out.write_text("meta/info.json", _info(options, numbering, fps, far_m))
+        write_dataset(export, FileLimits())
+
+
+def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimits) -> None:
+    """Joins pieces to files within limits, and describes them in `meta/`."""
+    task, options, out = export.dataset.meta.plan.task, export.options, export.out
+    far_m = export.dataset.meta.plan.camera.far_m
+    stride = stride_of(options.fps, task.control_hz)
+    fps = task.control_hz // stride
+    numbering = number_pieces(export.pieces, stride)
+    data = _write_data(export, numbering, limits)
+    videos = {key: _write_videos(export, numbering, key, fps, limits) for key in video_keys(options)}
+    stats = DatasetStats(far_m)
+    _write_episodes(export, numbering, _Layout(fps, far_m, data, videos), stats, limits)
+    out.write_text("meta/stats.json", json.dumps(stats.result(numbering, options), indent=4) + "\n")
+    with out.replacing("meta/tasks.parquet") as part:
+        pq.write_table(tasks_table(numbering.tasks), part, compression="snappy")
+    card = card_text(VERSION, options, fps, stride, numbering.splits)
+    configs = {"frames": "data/*/*.parquet", "episodes": "meta/episodes/*/*.parquet"}
+    out.write_text(CARD_FILE, export_card(export.dataset.meta, len(numbering), card, configs, ["LeRobot"]))
+    out.write_text("meta/info.json", _info(options, numbering, fps, far_m, limits))
 
 
 def episodes_schema(options: LeRobotOptions, images: Sequence[str]) -> pa.Schema:
@@ -113,12 +128,12 @@ def tasks_table(tasks: Sequence[str]) -> pa.Table:
     return pa.table([list(range(len(tasks))), list(tasks)], schema=schema)
 
 
-def _write_data(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering) -> Places:
+def _write_data(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering, limits: FileLimits) -> Places:
     """Writes the data files, one row group an episode, and returns where each episode is."""
     places: Places = {}
     schema = data_schema(export.options)
-    for number, group in enumerate(_grouped(numbering, FRAMES_FILE, _DATA_MIB)):
-        chunk, file = divmod(number, _CHUNK_FILES)
+    for number, group in enumerate(_grouped(numbering, FRAMES_FILE, limits.data_mib)):
+        chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
         name = f"data/{_FILE.format(chunk, file)}.parquet"
         if export.out.has(name):
@@ -132,11 +147,13 @@ def _write_data(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numberi
     return places
 
 
-def _write_videos(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering, key: str, fps: int) -> Places:
+def _write_videos(
+    export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering, key: str, fps: int, limits: FileLimits
+) -> Places:
     """Writes the video files of a feature and returns where each episode is."""
     places: Places = {}
-    for number, group in enumerate(_grouped(numbering, FILES[key], _VIDEO_MIB)):
-        chunk, file = divmod(number, _CHUNK_FILES)
+    for number, group in enumerate(_grouped(numbering, FILES[key], limits.video_mib)):
+        chunk, file = divmod(number, limits.chunk_files)
         begun = group[0].first
         places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / fps) for numbered in group}
         name = f"videos/{key}/{_FILE.format(chunk, file)}.mp4"
@@ -146,43 +163,45 @@ def _write_videos(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbe
     return places
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """Where episodes lie, and in which measures."""
+
+    fps: int
+    far_m: float
+    data: Places
+    videos: dict[str, Places]
+
+
 def _write_episodes(
     export: Finish[LeRobotOptions, LeRobotFacts],
     numbering: Numbering,
-    data: Places,
-    videos: dict[str, Places],
-    fps: int,
-    far_m: float,
+    layout: _Layout,
     stats: DatasetStats,
+    limits: FileLimits,
 ) -> None:
     """Writes `meta/episodes`, and takes the statistics of every episode on the way."""
-    images = tuple(numbering.episodes[0].piece.facts.images)
-    schema = episodes_schema(export.options, images)
-    for file, begin in enumerate(range(0, len(numbering), _EPISODES_A_FILE)):
-        place = divmod(file, _CHUNK_FILES)
+    schema = episodes_schema(export.options, tuple(numbering.episodes[0].piece.facts.images))
+    for number, begin in enumerate(range(0, len(numbering), limits.episodes)):
+        place = divmod(number, limits.chunk_files)
+        some = numbering.episodes[begin : begin + limits.episodes]
         with (
             export.out.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
-            some = numbering.episodes[begin : begin + _EPISODES_A_FILE]
             for first in range(0, len(some), _EPISODES_A_BATCH):
                 rows = []
                 for numbered in some[first : first + _EPISODES_A_BATCH]:
-                    found = episode_stats(numbered, export.options, far_m)
+                    found = episode_stats(numbered, export.options, layout.far_m)
                     stats.merge(numbered, found)
-                    rows.append(_row(numbered, data, videos, fps, place, found))
+                    rows.append(_row(numbered, layout, place, found))
                 writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
 def _row(
-    numbered: Numbered,
-    data: Places,
-    videos: dict[str, Places],
-    fps: int,
-    place: tuple[int, int],
-    stats: dict[str, dict[str, Any]],
+    numbered: Numbered, layout: _Layout, place: tuple[int, int], stats: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    chunk, file, _ = data[numbered.episode_index]
+    chunk, file, _ = layout.data[numbered.episode_index]
     row: dict[str, Any] = {
         "episode_index": numbered.episode_index,
         "tasks": [numbered.task],
@@ -192,10 +211,11 @@ def _row(
         "dataset_from_index": numbered.first,
         "dataset_to_index": numbered.first + numbered.frames,
     }
-    for key, places in videos.items():
+    for key, places in layout.videos.items():
         chunk, file, begun_s = places[numbered.episode_index]
         row |= {f"videos/{key}/chunk_index": chunk, f"videos/{key}/file_index": file}
-        row |= {f"videos/{key}/from_timestamp": begun_s, f"videos/{key}/to_timestamp": begun_s + numbered.frames / fps}
+        ended_s = begun_s + numbered.frames / layout.fps
+        row |= {f"videos/{key}/from_timestamp": begun_s, f"videos/{key}/to_timestamp": ended_s}
     row |= {f"stats/{key}/{stat}": value for key, found in stats.items() for stat, value in found.items()}
     row |= {"meta/episodes/chunk_index": place[0], "meta/episodes/file_index": place[1]}
     return row | numbered.about()
@@ -215,7 +235,7 @@ def _grouped(numbering: Numbering, file: str, limit_mib: int) -> Iterator[list[N
     yield group
 
 
-def _info(options: LeRobotOptions, numbering: Numbering, fps: int, far_m: float) -> str:
+def _info(options: LeRobotOptions, numbering: Numbering, fps: int, far_m: float, limits: FileLimits) -> str:
     return info_of(
         options,
         fps,
@@ -224,9 +244,9 @@ def _info(options: LeRobotOptions, numbering: Numbering, fps: int, far_m: float)
         total_episodes=len(numbering),
         total_frames=numbering.frames,
         total_tasks=len(numbering.tasks),
-        chunks_size=_CHUNK_FILES,
-        data_files_size_in_mb=_DATA_MIB,
-        video_files_size_in_mb=_VIDEO_MIB,
+        chunks_size=limits.chunk_files,
+        data_files_size_in_mb=limits.data_mib,
+        video_files_size_in_mb=limits.video_mib,
         splits=numbering.splits,
         data_path="data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         video_path="videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
