@@ -1,7 +1,7 @@
 """PNG in the one shape that frames use: 8-bit RGB by filter Sub or 16-bit grey by none, one IDAT; lossless and fast.
 
-Not a general PNG reader: it decodes what `encode_png` wrote and refuses everything else, so that no image can
-claim a size the caller did not ask for. The files themselves open in any viewer.
+Not a general PNG reader: it decodes what `encode_png` writes, or wrote when ids were filtered too, and refuses all
+else, so that no image can claim a size the caller did not ask for. The files themselves open in any viewer.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _lines_of_colour(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Reads what `encode_png` wrote.
+    """Reads an image of one row filter throughout, None or Sub.
 
     Args:
         name: what to call the image in errors.
@@ -67,13 +67,15 @@ def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uin
     height, width = shape[:2]
     is_grey = len(shape) == 2
     body = _single_idat(name, data, _front(height, width, is_grey))
-    stride = width * (2 if is_grey else 3) + 1
-    lines = _inflate(name, body, height * stride).reshape(height, stride)
-    if not bool((lines[:, 0] == (_NONE if is_grey else _SUB)).all()):
-        raise InvalidBundle("image refused", [f"{name}: a row filter other than {'None' if is_grey else 'Sub'}"])
-    if is_grey:
-        return np.ascontiguousarray(lines[:, 1:]).view(">u2").astype(np.uint16)
-    return np.cumsum(lines[:, 1:].reshape(height, width, 3), axis=1, dtype=np.uint8)
+    depth = 2 if is_grey else 3  # bytes a pixel
+    lines = _inflate(name, body, height * (1 + depth * width)).reshape(height, 1 + depth * width)
+    pixels = lines[:, 1:].reshape(height, width, depth)
+    if bool((lines[:, 0] == _SUB).all()):
+        pixels = np.cumsum(pixels, axis=1, dtype=np.uint8)
+    elif bool(lines[:, 0].any()):
+        raise InvalidBundle("image refused", [f"{name}: a row filter other than None or Sub throughout"])
+    pixels = np.ascontiguousarray(pixels)
+    return pixels.view(">u2")[..., 0].astype(np.uint16) if is_grey else pixels
 
 
 def _front(height: int, width: int, is_grey: bool) -> bytes:

@@ -71,8 +71,17 @@ def test_fewer_pixels_than_stated_are_refused() -> None:
 
 
 def test_other_row_filter_is_refused() -> None:
-    other = bytes([(OUR_FILTER[0] + 1) % 5])
-    assert "a row filter other than" in refused(png(ROW * 4 + other + b"\x00" * 12))
+    for other in (b"\x00", b"\x02"):
+        assert "a row filter other than" in refused(png(ROW * 4 + other + b"\x00" * 12))
+
+
+def test_ids_filtered_by_sub_as_first_written_are_read() -> None:
+    ids = np.array([[1, 2, 300], [65535, 0, 7]], np.uint16)
+    wide = np.pad(ids, ((0, 0), (1, 0))).astype(">u2").view(np.uint8).reshape(2, 4, 2)
+    rows = b"".join(b"\x01" + row.tobytes() for row in np.diff(wide, axis=1).astype(np.uint8))
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 3, 2, 16, 0, 0, 0, 0))
+    data = b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    assert np.array_equal(decode_png("ids", data, ids.shape), ids)
 
 
 def test_foreign_chunk_is_refused() -> None:
