@@ -18,10 +18,11 @@ from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene
-from workers.camera import optical_pose, projection_matrix, view_matrix
+from workers.camera import OpticalPose, optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
 from workers.render import Frame
 from workers.render.cull import PartBounds, visible_parts
+from workers.render.occlude import Screens
 from workers.render.shaders import PLAIN, TEXTURED, VERTEX, ShaderPair
 from workers.render.shelf import SceneShelf
 
@@ -103,7 +104,7 @@ class GlRenderer:
             raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
         optical = optical_pose(pose, self._camera)
         clip = _TOP_ROW_FIRST @ projection_matrix(self._camera) @ view_matrix(optical)
-        parts = visible_parts(self._scene.bounds, clip, optical.eye)
+        parts = self._scene.parts_to_draw(clip, optical, self._camera)
         with self._context:
             self._target.use()
             self._target.clear()  # zero bits in all three targets, the integer one included
@@ -146,11 +147,11 @@ class _Program:
 
 
 class _GpuScene:
-    """A scene on the device: its vertices, its textures, its light map and the bounds of its parts."""
+    """A scene on the device: its vertices, textures and light map; and what tells which of its parts are in view."""
 
     def __init__(self, context: moderngl.Context, plain: _Program, textured: _Program, scene: CompiledScene) -> None:
         self._is_textured = scene.part_texture >= 0
-        self.bounds = PartBounds.of(scene)
+        self._bounds, self._screens = PartBounds.of(scene), Screens.of(scene)
         self._draws = np.zeros(len(scene.part_first), _DRAW)
         self._draws["count"], self._draws["first"] = scene.part_count, scene.part_first
         self._draws["instances"] = 1
@@ -159,6 +160,11 @@ class _GpuScene:
         self._plain, self._textured = plain.reading(self._vertices), textured.reading(self._vertices)
         self._textures = _upload_textures(context, scene.textures)
         self._light = _upload_light(context, scene.light_map)
+
+    def parts_to_draw(self, clip: NDArray[np.float64], optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
+        """Returns the parts that reach into the view and do not stand behind a wall, nearest first."""
+        parts = visible_parts(self._bounds, clip, optical.eye)
+        return parts[~self._screens.hidden(self._bounds, parts, optical, camera)]
 
     def draw(self, parts: NDArray[np.intp]) -> None:
         """Draws parts in the order given, the plain ones first: what they hide needs no texture looked up."""
