@@ -121,7 +121,10 @@ def corner_values(prim: Any, mesh: Mesh, name: str) -> Floats | None:
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         return None
-    values = np.array(primvar.ComputeFlattened(_TIME), np.float64)
+    flat = primvar.ComputeFlattened(_TIME)
+    if flat is None:  # its indices point past its values; USD warns
+        return None
+    values = np.array(flat, np.float64)
     corners = len(mesh.indices)
     kind = primvar.GetInterpolation()
     if kind == UsdGeom.Tokens.faceVarying:

@@ -201,3 +201,10 @@ def test_the_digest_follows_the_content_and_not_the_place(tmp_path: Path) -> Non
     one, two = (extract_stage(TEXT.write(tmp_path / place / "scene.usda", BOX)) for place in "ab")
     other = extract(tmp_path, BOX + TEXT.box("More", (0, 0, 0), (1, 1, 1)))
     assert one.sha256 == two.sha256 != other.sha256
+
+
+def test_a_primvar_whose_indices_miss_its_values_costs_the_colour_and_not_the_mesh(tmp_path: Path) -> None:
+    tint = """color3f[] primvars:displayColor = [(1, 0, 0)] (interpolation = "vertex")
+        int[] primvars:displayColor:indices = [0, 0, 7]"""
+    extraction = extract(tmp_path, TRIANGLE.format(name="Tinted", more=tint) + BOX)
+    assert {part.path for part in extraction.parts} == {"/World/Box", "/World/Tinted"}
