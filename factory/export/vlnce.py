@@ -73,8 +73,9 @@ class VlnceExporter(Exporter[Options, Facts]):
             pieces = [piece for piece in export.pieces if piece.split == split]
             _write_once(export.out, f"{split}/{split}.json.gz", _episodes_json(pieces, words, length))
             _write_once(export.out, f"{split}/{split}_gt.json.gz", _paths_json(pieces))
-        for name, sha256 in sorted(export.dataset.meta.scenes.items()):
-            _write_scene(export.out, export.dataset.root, name, sha256)
+        rows = export.dataset.metadata.take([piece.position for piece in export.pieces])
+        for row in rows.group_by(["scene", "scene_sha256"]).aggregate([]).sort_by("scene").to_pylist():
+            _write_scene(export.out, export.dataset.root, row["scene"], row["scene_sha256"])
         card = export_card(export.dataset.meta, len(export.pieces), _CARD.format(length=length), tags=("vln-ce",))
         export.out.write_text(CARD_FILE, card)
 
