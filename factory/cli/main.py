@@ -39,6 +39,7 @@ _COMMANDS: Mapping[str, str] = MappingProxyType(
         "bench": "factory.cli.bench",
         "scene": "factory.cli.scene",
         "eval": "factory.cli.eval",
+        "train": "factory.cli.train",
         "completion": "factory.cli.completion",
     }
 )

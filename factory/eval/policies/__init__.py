@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from factory.eval.policies.bc import BcPolicy
 from factory.eval.policies.experts import ExpertPolicy
 from factory.eval.policies.foreign import load_class
 from factory.eval.policies.outside import Outside
@@ -41,6 +42,7 @@ POLICIES: Mapping[str, Entry] = MappingProxyType(
         "stop": Entry(lambda _rest, _: StopPolicy(), "stop"),
         "replay": Entry(lambda _rest, outside: ReplayPolicy(outside), "replay", needs_recording=True),
         "playback": Entry(lambda _rest, outside: PlaybackPolicy(outside), "playback", needs_recording=True),
+        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", reads_instruction=True),
         "ws": Entry(lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True),
         "wss": Entry(lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True),
     }

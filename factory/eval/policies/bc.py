@@ -1,0 +1,98 @@
+"""A trained network at the wheel: looks every few steps, holds its twist meanwhile, stands once it is sure of it.
+
+Loads the checkpoint when it is made; reads nothing but the camera and the words.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.eval.policy import EpisodeInfo, Observation
+from factory.train import look
+from factory.train.checkpoint import read_checkpoint
+from factory.train.torch_door import load_torch
+from factory.train.words import encode
+from schemas.errors import UsageError
+from schemas.tokens import V_GRID_MPS, W_GRID_RPS
+
+__all__ = ["LOOKS_TO_STAND", "BcPolicy"]
+
+LOOKS_TO_STAND = 2
+"""Looks in a row that must say stop before the robot stands. It drives on meanwhile: a single wrong look on the way
+would leave a robot, whose view no longer changes, standing for good."""
+_STOP_CELL = 3
+
+
+class BcPolicy:
+    """Behaviour cloning as `factory train bc` makes it.
+
+    An answer is a chunk of as many steps as an action was held for in training, at the same steps a second.
+
+    Args:
+        name: a training's folder or its `policy.pt`.
+    """
+
+    def __init__(self, name: str) -> None:
+        if not name:
+            raise UsageError("write bc:OUT, with the folder of `factory train bc -o OUT`")
+        torch = self._torch = load_torch()
+        from factory.train.network import BcNetwork
+
+        torch.set_num_threads(1)  # a driving process has one core
+        checkpoint = read_checkpoint(Path(name))
+        self.meta = checkpoint.meta
+        self._network = BcNetwork(self.meta.options, len(self.meta.words))
+        try:
+            self._network.load_state_dict(checkpoint.tensors["model"])
+        except (KeyError, RuntimeError, AttributeError) as error:
+            first = (str(error).splitlines() or ["no reason given"])[0]
+            raise UsageError(
+                f"the weights of {name} do not fit its own description ({first}): train it again"
+            ) from error
+        self._network.eval()
+        self._scale = np.array((self.meta.max_speed_mps, self.meta.max_yaw_rate_rps), np.float32)
+
+    def reset(self, instruction: str, info: EpisodeInfo) -> None:
+        """Reads the instruction.
+
+        Raises:
+            UsageError: the camera or the clock is another one than it learned with.
+        """
+        mine, found = (self.meta.control_hz, self.meta.fov_deg), (info.control_hz, info.fov_deg)
+        if mine != found:
+            raise UsageError(
+                f"learned at {mine[0]} Hz with a camera of {mine[1]:g} degrees, asked to drive at {found[0]} Hz with "
+                f"{found[1]:g} degrees: train on episodes like those to be driven"
+            )
+        words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
+        self._words = self._torch.from_numpy(words[None])
+        self._stops = 0
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """Returns (hold, 2) twists."""
+        size = self.meta.options.size
+        picture = look.to_input(
+            look.shrink_rgb(observation["rgb"], size)[None], look.shrink_depth(observation["depth"], size)[None]
+        )
+        with self._torch.inference_mode():
+            answer = self._network(self._torch.from_numpy(picture), self._words)
+        twist, is_stop = self._decide(answer)
+        self._stops = self._stops + 1 if is_stop else 0
+        if self._stops >= LOOKS_TO_STAND:
+            twist = np.zeros(2, np.float32)
+        return np.tile(twist, (self.meta.options.hold, 1))
+
+    def _decide(self, answer: Any) -> tuple[NDArray[np.float32], bool]:
+        """Returns the twist to drive with, and whether the network says stop."""
+        if self.meta.options.head == "tokens":
+            cells = answer.cells[0].numpy().copy()
+            is_stop = int(cells.argmax()) == _STOP_CELL
+            cells[_STOP_CELL] = -np.inf
+            v, w = divmod(int(cells.argmax()), len(W_GRID_RPS))
+            return np.array((V_GRID_MPS[v], W_GRID_RPS[w]), np.float32), is_stop
+        twist: NDArray[np.float32] = answer.action[0].numpy() * self._scale
+        return twist, float(answer.stop[0]) > 0

@@ -1,0 +1,217 @@
+"""The shrunk frames of a split as memory-mapped arrays, so that no epoch decodes a PNG again. Made once, then read.
+
+A cache is made beside its place and renamed, so that one that is there is whole; its name is a digest of all it
+depends on: the episodes' content, the size, which frames, and the version of the shrinking.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from coordinator.disk import sync_directory, translated
+from factory.dataset import Dataset, Episode
+from factory.train import look
+from factory.train.labels import chosen_frames, label_episode, stop_frame
+from schemas.base import Model, Positive, Sha256
+from schemas.errors import UsageError, WorldError
+from schemas.plan import canonical_json
+
+__all__ = ["CACHE_FORMAT", "MASK_SHRINK", "CacheKey", "CachedEpisode", "FrameCache", "open_cache"]
+
+CACHE_FORMAT = 1
+MASK_SHRINK = 8
+"""How much smaller than the picture the map of the target is: the network's own second stage."""
+_INDEX = "index.json"
+Tell = Callable[[int, int], None]
+
+
+class CacheKey(Model):
+    """What decides the content of a cache."""
+
+    format: int = CACHE_FORMAT
+    look: int = look.LOOK_VERSION
+    dataset: Sha256
+    """Digest of the episodes it is of."""
+    size: int
+    hold: int
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return hashlib.sha256(canonical_json(self).encode()).hexdigest()[:32]
+
+
+class CachedEpisode(Model):
+    """One episode's part of the rows."""
+
+    episode_id: str
+    instruction: str
+    category: str
+    first: int
+    frames: int
+
+
+class _Index(Model):
+    key: CacheKey
+    episodes: tuple[CachedEpisode, ...]
+    control_hz: int
+    fov_deg: Positive
+    max_speed_mps: Positive
+    max_yaw_rate_rps: Positive
+
+
+@dataclass(frozen=True)
+class FrameCache:
+    """N frames of the episodes in order; the pictures are memory-mapped."""
+
+    index: _Index
+    rgb: NDArray[np.uint8]
+    """(N, S, S, 3)."""
+    depth: NDArray[np.uint16]
+    """(N, S, S) millimetres."""
+    mask: NDArray[np.uint8]
+    """(N, S/8, S/8) share of each cell that shows the target."""
+    actions: NDArray[np.float32]
+    """(N, 2) v in m/s and w in rad/s to hold."""
+    is_stop: NDArray[np.bool_]
+    """(N,) whether to stand."""
+    episode: NDArray[np.int32]
+    """(N,) place of the frame's episode in `index.episodes`."""
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Tell) -> FrameCache:
+    """Returns the frames of a dataset's episodes, from the cache or decoded now.
+
+    Args:
+        dataset: the episodes, filtered as wanted.
+        size: side of the pictures, pixels.
+        hold: steps between two looks.
+        root: folder of the caches.
+        tell: is told episodes done and to do while frames are decoded.
+
+    Raises:
+        UsageError: there are no episodes, or they were recorded at different rates or with different robots.
+        ArchiveCorrupt: an episode is damaged.
+        WorldError: the cache cannot be written.
+    """
+    if not len(dataset):
+        raise UsageError(f"{dataset.root} has no such episodes; `factory status` prints the splits and tiers it has")
+    key = CacheKey(dataset=dataset.digest, size=size, hold=hold)
+    folder = root / key.name
+    index = _read_index(folder)
+    if index is None or index.key != key:
+        _make(dataset, key, folder, tell)
+        index = _read_index(folder)
+    if index is None:
+        raise WorldError(f"the cache {folder} vanished while it was opened: run the command again")
+    return _open(folder, index)
+
+
+def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: Tell) -> None:
+    part = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}")
+    with translated("write the cache", folder):
+        part.mkdir(parents=True)
+        try:
+            _decode(dataset, key, part, tell)
+            if folder.exists():
+                shutil.rmtree(folder)
+            part.rename(folder)
+            sync_directory(folder.parent)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: Tell) -> None:
+    lengths = dataset.metadata["num_steps"].to_pylist()
+    chosen = [chosen_frames(steps, key.hold) for steps in lengths]
+    rows = sum(map(len, chosen))
+    side = key.size // MASK_SHRINK
+    create = np.lib.format.open_memmap
+    rgb = create(part / "rgb.npy", mode="w+", dtype=np.uint8, shape=(rows, key.size, key.size, 3))
+    depth = create(part / "depth.npy", mode="w+", dtype=np.uint16, shape=(rows, key.size, key.size))
+    mask = create(part / "mask.npy", mode="w+", dtype=np.uint8, shape=(rows, side, side))
+    actions, is_stop = np.zeros((rows, 2), np.float32), np.zeros(rows, np.bool_)
+    owner, episodes, first = np.zeros(rows, np.int32), [], 0
+    settings: set[tuple[int, float, float, float]] = set()
+    for number, (episode, frames) in enumerate(zip(dataset, chosen, strict=True)):
+        with episode:
+            here = slice(first, first + len(frames))
+            settings.add(_settings(episode))
+            actions[here], is_stop[here] = _labels(episode, frames, key.hold)
+            owner[here] = number
+            target = episode.meta.target_instance_id
+            for row, t in enumerate(frames.tolist(), first):
+                frame = episode.frame(t)
+                rgb[row] = look.shrink_rgb(frame.rgb, key.size)
+                depth[row] = look.shrink_depth(frame.depth, key.size)
+                mask[row] = look.shrink_mask(frame.ids, target, side)
+            episodes.append(_describe(episode, first, len(frames)))
+        first += len(frames)
+        tell(number + 1, len(lengths))
+    for array in (rgb, depth, mask):
+        array.flush()
+    np.savez(part / "labels.npz", actions=actions, is_stop=is_stop, episode=owner)
+    if len(settings) > 1:
+        raise UsageError(f"{dataset.root} mixes rates, cameras or robots: train on one scene at a time with --scene")
+    hz, fov, speed, yaw_rate = settings.pop()
+    index = _Index(
+        key=key,
+        episodes=tuple(episodes),
+        control_hz=hz,
+        fov_deg=fov,
+        max_speed_mps=speed,
+        max_yaw_rate_rps=yaw_rate,
+    )
+    (part / _INDEX).write_text(index.model_dump_json(), encoding="utf-8")
+
+
+def _settings(episode: Episode) -> tuple[int, float, float, float]:
+    job = episode.meta.job
+    return job.task.control_hz, job.camera.fov_deg, job.robot.max_speed_mps, job.robot.max_yaw_rate_rps
+
+
+def _labels(episode: Episode, frames: NDArray[np.int64], hold: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    job = episode.meta.job
+    stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
+    return label_episode(episode.actions, frames, stop, hold)
+
+
+def _describe(episode: Episode, first: int, frames: int) -> CachedEpisode:
+    return CachedEpisode(
+        episode_id=episode.episode_id,
+        instruction=episode.instruction,
+        category=episode.summary.target_category,
+        first=first,
+        frames=frames,
+    )
+
+
+def _read_index(folder: Path) -> _Index | None:
+    try:
+        return _Index.model_validate_json((folder / _INDEX).read_bytes())
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except ValidationError:
+        return None  # of another version: made anew
+
+
+def _open(folder: Path, index: _Index) -> FrameCache:
+    try:
+        rgb, depth, mask = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("rgb", "depth", "mask"))
+        with np.load(folder / "labels.npz") as labels:
+            actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
+    except (OSError, ValueError, KeyError) as error:
+        raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder, it is made anew") from error
+    return FrameCache(index, rgb, depth, mask, actions, is_stop, episode)

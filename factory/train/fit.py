@@ -1,0 +1,226 @@
+"""The training loop: epochs over a cache, measures on another, and all that a resumed training needs. Touches no path.
+
+Every random choice of an epoch comes from (seed, epoch), so that a training that was interrupted after an epoch and
+resumed ends with the same weights, bit for bit on one device with one number of threads.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from factory.train import look
+from factory.train.cache import FrameCache
+from factory.train.network import Answer, BcNetwork
+from factory.train.options import BcOptions
+from factory.train.report import EpochMeasures
+from factory.train.schedule import ema_decay, learning_rate
+from factory.train.vary import Batch, vary
+from factory.train.words import encode
+from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
+
+__all__ = ["BcTraining", "Limits"]
+
+_STOP_CELL = 3
+"""Cell of the grid with v = 0 and w = 0: token 0 and token 3."""
+_WARMUP_SHARE = 0.05
+_MOST_NORM = 1.0
+Tell = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What full scale means."""
+
+    max_speed_mps: float
+    max_yaw_rate_rps: float
+
+
+class BcTraining:
+    """Weights, their running mean, the optimiser, and how many epochs are done.
+
+    Args:
+        options: what is learned.
+        words: the vocabulary.
+        limits: of the robot.
+        device: where to compute.
+    """
+
+    def __init__(self, options: BcOptions, words: tuple[str, ...], limits: Limits, device: Any) -> None:
+        self._options, self._words, self._limits, self._device = options, words, limits, device
+        torch.manual_seed(options.seed)
+        self.model = BcNetwork(options, len(words)).to(device)
+        self.mean = copy.deepcopy(self.model).requires_grad_(False)
+        self._optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=options.peak_rate, weight_decay=options.weight_decay
+        )
+        self.epochs_done = 0
+        self._steps_done = 0
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers are learned."""
+        return sum(parameter.numel() for parameter in self.model.parameters())
+
+    def state(self) -> dict[str, Any]:
+        """Returns everything to go on from, in tensors and plain values."""
+        return {
+            "moving": self.model.state_dict(),
+            "model": self.mean.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "epochs_done": self.epochs_done,
+            "steps_done": self._steps_done,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Goes on from what `state` returned."""
+        self.model.load_state_dict(state["moving"])
+        self.mean.load_state_dict(state["model"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.epochs_done, self._steps_done = int(state["epochs_done"]), int(state["steps_done"])
+
+    def run_epoch(self, train: FrameCache, val: FrameCache | None, tell: Tell) -> EpochMeasures:
+        """Learns from every frame once and measures what was learned.
+
+        Args:
+            train: the frames to learn from.
+            val: the frames to measure on.
+            tell: is told batches done and to do, and the loss.
+        """
+        begun = time.monotonic()
+        rng = np.random.default_rng((self._options.seed, self.epochs_done))
+        order = rng.permutation(len(train))
+        said = self._sentences(train)
+        batches = max(1, len(order) // self._options.batch)
+        steps = batches * self._options.epochs
+        losses = 0.0
+        rate = 0.0
+        self.model.train()
+        for number, rows in enumerate(np.array_split(order, batches)):
+            rate = learning_rate(self._steps_done, steps, self._options.peak_rate, max(1, int(_WARMUP_SHARE * steps)))
+            batch = vary(_read(train, np.sort(rows)), rng)
+            losses += self._step(batch, said[train.episode[np.sort(rows)]], rate)
+            tell(number + 1, batches, losses / (number + 1))
+        self.epochs_done += 1
+        measured = {} if val is None else self._measure(val)
+        return EpochMeasures(
+            epoch=self.epochs_done,
+            train_loss=losses / batches,
+            **{name: measured.get(name) for name in _MEASURES},
+            rate=rate,
+            seconds=time.monotonic() - begun,
+        )
+
+    def _step(self, batch: Batch, said: NDArray[np.int64], rate: float) -> float:
+        for group in self._optimizer.param_groups:
+            group["lr"] = rate
+        answer = self.model(self._tensor(batch.pictures), self._tensor(said))
+        loss = self._imitation(answer, batch).mean()
+        if self._options.mask_weight:
+            loss = loss + self._options.mask_weight * _mask_loss(answer.mask, self._tensor(batch.mask))
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), _MOST_NORM)
+        self._optimizer.step()
+        keep = ema_decay(self._steps_done, self._options.ema)
+        with torch.no_grad():
+            for mean, moving in zip(self.mean.parameters(), self.model.parameters(), strict=True):
+                mean.lerp_(moving, 1 - keep)
+        self._steps_done += 1
+        return float(loss.detach())
+
+    def _imitation(self, answer: Answer, batch: Batch) -> Tensor:
+        """Returns the loss of each frame: (N,)."""
+        is_stop = self._tensor(batch.is_stop.astype(np.float32))
+        weight = 1 + (self._options.stop_weight - 1) * is_stop
+        if self._options.head == "tokens":
+            tokens = tokens_of(batch.actions).astype(np.int64)
+            cells = self._tensor(tokens[:, 0] * len(W_GRID_RPS) + tokens[:, 1])
+            return functional.cross_entropy(answer.cells, cells, reduction="none", label_smoothing=0.02) * weight
+        scale = np.array((self._limits.max_speed_mps, self._limits.max_yaw_rate_rps), np.float32)
+        wanted = self._tensor(batch.actions / scale)
+        twist = functional.smooth_l1_loss(answer.action, wanted, reduction="none", beta=0.1).sum(dim=1)
+        stop = functional.binary_cross_entropy_with_logits(answer.stop, is_stop, reduction="none")
+        return 5 * twist * (1 - is_stop) + stop * weight
+
+    @torch.no_grad()  # type: ignore[untyped-decorator]
+    def _measure(self, val: FrameCache) -> dict[str, float | None]:
+        self.mean.eval()
+        said = self._sentences(val)
+        losses, drives, stops, pointed = [], [], [], []
+        for rows in _blocks(len(val), self._options.batch):
+            batch = _read(val, rows)
+            answer = self.mean(self._tensor(batch.pictures), self._tensor(said[val.episode[rows]]))
+            losses.append(self._imitation(answer, batch).cpu().numpy())
+            action, stop = self._decide(answer)
+            drives.append(np.abs(action - batch.actions)[~batch.is_stop])
+            stops.append(np.stack([stop, batch.is_stop]))
+            pointed.append(_pointing(answer.mask.cpu().numpy(), batch.mask))
+        said_stop, is_stop = np.concatenate(stops, axis=1)
+        hits = int((said_stop & is_stop).sum())
+        found = np.concatenate(pointed)
+        v, w = np.concatenate(drives).mean(axis=0) if any(map(len, drives)) else (None, None)
+        return {
+            "val_loss": float(np.concatenate(losses).mean()),
+            "val_v_mps": None if v is None else float(v),
+            "val_w_rps": None if w is None else float(w),
+            "stop_precision": hits / int(said_stop.sum()) if said_stop.any() else None,
+            "stop_recall": hits / int(is_stop.sum()) if is_stop.any() else None,
+            "pointing": float(found.mean()) if len(found) else None,
+        }
+
+    def _decide(self, answer: Answer) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Returns the twists (N, 2) and whether each is a stop."""
+        if self._options.head == "tokens":
+            cells = answer.cells.argmax(dim=1).cpu().numpy()
+            v, w = np.divmod(cells, len(W_GRID_RPS))
+            return np.stack([V_GRID_MPS[v], W_GRID_RPS[w]], axis=1).astype(np.float32), cells == _STOP_CELL
+        scale = np.array((self._limits.max_speed_mps, self._limits.max_yaw_rate_rps), np.float32)
+        action: NDArray[np.float32] = answer.action.cpu().numpy() * scale
+        return action, (answer.stop > 0).cpu().numpy()
+
+    def _sentences(self, cache: FrameCache) -> NDArray[np.int64]:
+        """Returns the words of every episode: (E, W)."""
+        ablate = self._options.ablate_language
+        return np.stack([encode(episode.instruction, self._words, ablate) for episode in cache.index.episodes])
+
+    def _tensor(self, array: NDArray[Any]) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self._device)
+
+
+_MEASURES = ("val_loss", "val_v_mps", "val_w_rps", "stop_precision", "stop_recall", "pointing")
+
+
+def _read(cache: FrameCache, rows: NDArray[np.int64]) -> Batch:
+    pictures = look.to_input(np.asarray(cache.rgb[rows]), np.asarray(cache.depth[rows]))
+    mask = np.asarray(cache.mask[rows]).astype(np.float32) / np.float32(255)
+    return Batch(pictures, mask, cache.actions[rows], cache.is_stop[rows])
+
+
+def _blocks(rows: int, size: int) -> Iterator[NDArray[np.int64]]:
+    return (np.arange(first, min(first + size, rows)) for first in range(0, rows, size))
+
+
+def _mask_loss(logits: Tensor, wanted: Tensor) -> Tensor:
+    """Cross-entropy by cell; cells of the target count more, since they are few."""
+    weight = 1 + 4 * wanted
+    return (functional.binary_cross_entropy_with_logits(logits, wanted, reduction="none") * weight).mean()
+
+
+def _pointing(logits: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Returns for each frame that shows the target whether the likeliest cell does."""
+    n = len(logits)
+    best = logits.reshape(n, -1).argmax(axis=1)
+    cells = wanted.reshape(n, -1)
+    seen = cells.max(axis=1) > 0.05
+    hit: NDArray[np.bool_] = cells[np.arange(n), best][seen] > 0.05
+    return hit

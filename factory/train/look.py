@@ -1,0 +1,61 @@
+"""What the network sees of a frame: smaller colours and depths. Pure; the cache and the policy share it to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+__all__ = ["FAR_M", "LOOK_VERSION", "SIZES", "shrink_depth", "shrink_mask", "shrink_rgb", "to_input"]
+
+LOOK_VERSION = 1
+"""Rises when any number here changes, so that old caches and checkpoints are not taken for new ones."""
+SIZES = (64, 80, 128, 160)
+"""Sides in pixels that divide a frame evenly."""
+FAR_M = 10.0
+"""Depths beyond are taken for this, metres; so is 0, where nothing was hit."""
+_MM_PER_M = 1000.0
+
+
+def shrink_rgb(rgb: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+    """Returns (size, size, 3): the mean colour of each block of pixels.
+
+    Args:
+        rgb: (640, 640, 3) sRGB.
+        size: one of `SIZES`.
+    """
+    return np.asarray(Image.fromarray(rgb).reduce(len(rgb) // size), np.uint8)
+
+
+def shrink_depth(depth: NDArray[np.float32], size: int) -> NDArray[np.uint16]:
+    """Returns (size, size) millimetres: the depth in the middle of each block; nothing hit and far off are `FAR_M`.
+
+    Args:
+        depth: (640, 640) metres along the optical axis.
+        size: one of `SIZES`.
+    """
+    block = len(depth) // size
+    middle = depth[block // 2 :: block, block // 2 :: block]
+    metres = np.where((middle <= 0) | (middle > FAR_M), FAR_M, middle)
+    return np.rint(metres * _MM_PER_M).astype(np.uint16)
+
+
+def shrink_mask(ids: NDArray[np.uint16], instance_id: int, size: int) -> NDArray[np.uint8]:
+    """Returns (size, size) the share of each block that shows an instance, 0..255; for training only."""
+    block = len(ids) // size
+    hits = (ids == instance_id).reshape(size, block, size, block).mean(axis=(1, 3))
+    shares: NDArray[np.uint8] = np.rint(hits * 255).astype(np.uint8)
+    return shares
+
+
+def to_input(rgb: NDArray[np.uint8], depth: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """Returns the network's input (N, 4, S, S): colours and nearness, each about -1..1.
+
+    Args:
+        rgb: (N, S, S, 3) as shrunk.
+        depth: (N, S, S) millimetres as shrunk. The logarithm spreads out the last metre, where the stop is decided.
+    """
+    colours = rgb.transpose(0, 3, 1, 2).astype(np.float32) / 127.5 - 1.0
+    metres = np.clip(depth.astype(np.float32) / _MM_PER_M, 0.1, FAR_M)
+    nearness = 1.0 - np.log(metres / 0.1) / np.float32(np.log(FAR_M / 0.1) / 2)
+    return np.ascontiguousarray(np.concatenate([colours, nearness[:, None]], axis=1), np.float32)

@@ -1,0 +1,121 @@
+"""The network of the baseline: a small residual encoder, an LSTM over the words, and a head. Imports torch at once.
+
+The words steer the encoder's later stages (FiLM) and point at a place of its map; the head sees what stands there,
+where it stands, and the view as a whole. Imported only when a network is wanted.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from factory.train.options import BcOptions
+from schemas.tokens import GRID_POINTS
+
+__all__ = ["Answer", "BcNetwork"]
+
+_CELLS = GRID_POINTS * GRID_POINTS
+_GROUPS = 4
+
+
+class Answer(NamedTuple):
+    """What the network says of N views."""
+
+    action: Tensor
+    """(N, 2) v as a share of the top speed 0..1 and w of the top yaw rate -1..1; of the continuous head."""
+    stop: Tensor
+    """(N,) logit of standing; of the continuous head."""
+    cells: Tensor
+    """(N, 49) logits of the grid's points, 7 v + w; of the token head."""
+    mask: Tensor
+    """(N, S/8, S/8) logits of where the named object shows."""
+
+
+class BcNetwork(nn.Module):  # type: ignore[misc]
+    """From pictures (N, 4, S, S) and words (N, W) to an answer.
+
+    Args:
+        options: size and head.
+        words: length of the vocabulary.
+    """
+
+    def __init__(self, options: BcOptions, words: int) -> None:
+        super().__init__()
+        width = options.width
+        self._is_tokens = options.head == "tokens"
+        self.embedding = nn.Embedding(words, 32, padding_idx=0)
+        self.reader = nn.LSTM(32, 64, batch_first=True)
+        self.stem = nn.Sequential(
+            nn.Conv2d(4, width, 5, stride=2, padding=2, bias=False), nn.GroupNorm(_GROUPS, width), nn.ReLU()
+        )
+        self.stage1 = _Block(width, width, 2, 64)
+        self.stage2 = _Block(width, 2 * width, 2, 64)
+        self.look = _Block(2 * width, 2 * width, 1, 64)
+        self.stage3 = _Block(2 * width, 4 * width, 2, 64)
+        self.stage4 = _Block(4 * width, 4 * width, 2, 64)
+        self.pointer = nn.Conv2d(2 * width, 1, 1)
+        self.trunk = nn.Sequential(
+            nn.Linear(4 * width + 2 * width + 4 + 64, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU()
+        )
+        self.twist = nn.Linear(128, _CELLS if self._is_tokens else 3)
+
+    def forward(self, pictures: Tensor, words: Tensor) -> Answer:
+        said = self._read(words)
+        low = self.stage2(self.stage1(self.stem(pictures), said), said)
+        near = self.look(low, said)
+        mask = self.pointer(near)
+        wide = self.stage4(self.stage3(near, said), said).mean(dim=(2, 3))
+        pointed = _attend(near, mask, pictures[:, 3:])
+        out = self.twist(self.trunk(torch.cat([wide, pointed, said], dim=1)))
+        empty = out.new_zeros((len(out), 0))
+        if self._is_tokens:
+            return Answer(empty, empty, out, mask[:, 0])
+        action = torch.stack([torch.sigmoid(out[:, 0]), torch.tanh(out[:, 1])], dim=1)
+        return Answer(action, out[:, 2], empty, mask[:, 0])
+
+    def _read(self, words: Tensor) -> Tensor:
+        """Returns the state after the last word: (N, 64)."""
+        states, _ = self.reader(self.embedding(words))
+        last = (words != 0).sum(dim=1).clamp(min=1) - 1
+        return states[torch.arange(len(words), device=words.device), last]
+
+
+class _Block(nn.Module):  # type: ignore[misc]
+    """Two convolutions and a way around them, scaled and shifted by the words."""
+
+    def __init__(self, into: int, out: int, stride: int, said: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(into, out, 3, stride=stride, padding=1, bias=False)
+        self.norm1 = nn.GroupNorm(_GROUPS, out)
+        self.conv2 = nn.Conv2d(out, out, 3, padding=1, bias=False)
+        self.norm2 = nn.GroupNorm(_GROUPS, out)
+        self.film = nn.Linear(said, 2 * out)
+        nn.init.zeros_(self.film.weight)
+        nn.init.zeros_(self.film.bias)
+        plain = into == out and stride == 1
+        self.around = nn.Identity() if plain else nn.Conv2d(into, out, 1, stride=stride, bias=False)
+
+    def forward(self, x: Tensor, said: Tensor) -> Tensor:
+        scale, shift = self.film(said)[:, :, None, None].chunk(2, dim=1)
+        y = functional.relu(self.norm1(self.conv1(x)))
+        y = self.norm2(self.conv2(y)) * (1 + scale) + shift
+        return functional.relu(y + self.around(x))
+
+
+def _attend(features: Tensor, mask: Tensor, nearness: Tensor) -> Tensor:
+    """Returns what stands where the mask points, and where that is: (N, C + 4)."""
+    n, _, rows, columns = features.shape
+    share = torch.softmax(mask.reshape(n, 1, rows * columns), dim=2)
+    y, x = torch.meshgrid(
+        torch.linspace(-1, 1, rows, device=mask.device),
+        torch.linspace(-1, 1, columns, device=mask.device),
+        indexing="ij",
+    )
+    near = functional.adaptive_avg_pool2d(nearness, (rows, columns))
+    size = torch.sigmoid(mask).mean(dim=(2, 3))
+    maps: Any = torch.cat([features, x.expand(n, 1, -1, -1), y.expand(n, 1, -1, -1), near], dim=1)
+    pooled = (maps.reshape(n, -1, rows * columns) * share).sum(dim=2)
+    return torch.cat([pooled, size], dim=1)

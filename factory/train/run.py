@@ -1,0 +1,211 @@
+"""One training from a dataset to a folder: caches, epochs, checkpoints, logs. Resumes where it was.
+
+The folder holds `policy.pt` (what `--policy bc:OUT` drives with), `state.pt` (what a resumed training goes on from),
+`metrics.json`, and `tensorboard/`. Both checkpoints are written after every epoch, whole or not at all.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from coordinator.disk import translated
+from factory.dataset import Dataset
+from factory.settings import cache_directory
+from factory.train.cache import FrameCache, open_cache
+from factory.train.checkpoint import (
+    POLICY,
+    STATE,
+    Checkpoint,
+    read_checkpoint,
+    write_atomically,
+    write_checkpoint,
+)
+from factory.train.options import BcOptions, CheckpointMeta
+from factory.train.report import EpochMeasures, TrainReport
+from factory.train.torch_door import choose_device, load_torch, summary_writer
+from factory.train.words import vocabulary
+from schemas.errors import UsageError, WorldError
+from schemas.terms import Split
+
+if TYPE_CHECKING:
+    from factory.train.fit import BcTraining
+
+__all__ = ["TrainOrder", "Watcher", "train_bc"]
+
+_METRICS = "metrics.json"
+
+
+@dataclass(frozen=True)
+class TrainOrder:
+    """What is wanted of a training beside what decides its outcome."""
+
+    dataset: Dataset
+    """Filtered by scene and tier where that is wanted; the splits are taken from it here."""
+    out: Path
+    options: BcOptions
+    split: Split = Split.TRAIN_ID
+    device: str = "auto"
+    minutes: float | None = None
+    """No epoch is begun that would end later than this."""
+    resume: bool = False
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """Whom to tell and whom to ask on the way."""
+
+    caching: Callable[[int, int], None]
+    """Episodes decoded and to decode."""
+    learning: Callable[[int, int, int, float], None]
+    """Epochs done; batches done and to do in this one; its loss."""
+    measured: Callable[[EpochMeasures], None]
+    is_stopped: Callable[[], bool]
+
+
+def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
+    """Trains until the epochs are done, the minutes are used up or the watcher says stop.
+
+    Raises:
+        UsageError: torch is missing, the folder holds another training, or there is nothing to learn from.
+        ArchiveCorrupt: an episode is damaged.
+        WorldError: the disk refuses, or the losses are no numbers any more.
+    """
+    device = choose_device(order.device)
+    _check_folder(order)
+    train, val = _caches(order, watcher)
+    meta = _meta(order, train)
+    from factory.train.fit import BcTraining, Limits
+
+    limits = Limits(meta.max_speed_mps, meta.max_yaw_rate_rps)
+    training = BcTraining(order.options, meta.words, limits, device)
+    epochs = _restore(order, training, meta) if order.resume else []
+    begun, longest = time.monotonic(), 0.0
+    with closing(summary_writer(str(order.out / "tensorboard"), training.epochs_done + 1)) as log:
+        while training.epochs_done < order.options.epochs and not watcher.is_stopped():
+            spent = time.monotonic() - begun
+            if order.minutes is not None and longest and spent + longest > 60 * order.minutes:
+                break
+
+            def tell(done: int, of: int, loss: float) -> None:
+                watcher.learning(training.epochs_done, done, of, loss)
+
+            measured = training.run_epoch(train, val, tell)
+            _require_sound(measured)
+            longest = max(longest, measured.seconds)
+            epochs.append(measured)
+            _log(log, measured)
+            report = _report(order, training, train, val, epochs, str(device))
+            _write(order.out, training, meta, report)
+            watcher.measured(measured)
+    return _report(order, training, train, val, epochs, str(device))
+
+
+def _check_folder(order: TrainOrder) -> None:
+    if (order.out / STATE).exists() and not order.resume:
+        raise UsageError(f"{order.out} holds a training already: add --resume to go on, or choose another -o")
+    if order.resume and not (order.out / STATE).exists():
+        raise UsageError(f"{order.out} holds no training to resume: leave --resume out")
+    with translated("write", order.out):
+        order.out.mkdir(parents=True, exist_ok=True)
+
+
+def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache | None]:
+    root, options = cache_directory() / "train", order.options
+    part = order.dataset.filter(split=order.split)
+    if not len(part):
+        found = ", ".join(sorted(set(order.dataset.metadata["split"].to_pylist()))) or "none"
+        raise UsageError(f"{order.dataset.root} has no episodes of {order.split} here; splits there: {found}")
+    train = open_cache(part, options.size, options.hold, root, watcher.caching)
+    val = (
+        order.dataset.filter(split=Split.VAL_ID) if order.split is not Split.VAL_ID else order.dataset.filter(split=())
+    )
+    return train, open_cache(val, options.size, options.hold, root, watcher.caching) if len(val) else None
+
+
+def _meta(order: TrainOrder, train: FrameCache) -> CheckpointMeta:
+    index = train.index
+    version = importlib.metadata.version("minivla-factory")
+    return CheckpointMeta(
+        options=order.options,
+        words=vocabulary(episode.instruction for episode in index.episodes),
+        control_hz=index.control_hz,
+        fov_deg=index.fov_deg,
+        max_speed_mps=index.max_speed_mps,
+        max_yaw_rate_rps=index.max_yaw_rate_rps,
+        train_digest=index.key.dataset,
+        train_episodes=len(index.episodes),
+        train_frames=len(train),
+        software=f"minivla-factory {version}, torch {load_torch().__version__}",
+    )
+
+
+def _restore(order: TrainOrder, training: BcTraining, meta: CheckpointMeta) -> list[EpochMeasures]:
+    """Goes on from the folder's state and returns the epochs it has."""
+    path = order.out / STATE
+    found = read_checkpoint(path)
+    for name in ("options", "words", "train_digest"):
+        if getattr(found.meta, name) != getattr(meta, name):
+            raise UsageError(
+                f"{path} is of a training with other {_SAID[name]}: give the same ones, or choose another -o"
+            )
+    try:
+        training.restore(found.tensors)
+        report = TrainReport.model_validate_json((order.out / _METRICS).read_bytes())
+    except (KeyError, ValueError, RuntimeError, OSError, ValidationError) as error:
+        first = (str(error).splitlines() or ["no reason given"])[0]
+        raise WorldError(f"{order.out} cannot be resumed ({first}): choose another -o") from error
+    return [measured for measured in report.epochs if measured.epoch <= training.epochs_done]
+
+
+_SAID = {"options": "options", "words": "words", "train_digest": "episodes"}
+
+
+def _require_sound(measured: EpochMeasures) -> None:
+    if measured.train_loss != measured.train_loss:  # NaN
+        raise WorldError(f"the loss of epoch {measured.epoch} is no number: try a lower --rate")
+
+
+def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport) -> None:
+    done = meta.model_copy(update={"epochs_done": training.epochs_done})
+    state = training.state()
+    # metrics first: a resumed training drops epochs that its state does not know
+    write_atomically(out / _METRICS, report.model_dump_json(indent=2).encode())
+    write_checkpoint(out / POLICY, Checkpoint(done, {"model": state["model"]}))
+    write_checkpoint(out / STATE, Checkpoint(done, state))
+
+
+def _log(log: Any, measured: EpochMeasures) -> None:
+    for name, value in measured.model_dump(exclude={"epoch"}).items():
+        if value is not None:
+            log.add_scalar(name, value, measured.epoch)
+    log.flush()
+
+
+def _report(
+    order: TrainOrder,
+    training: BcTraining,
+    train: FrameCache,
+    val: FrameCache | None,
+    epochs: list[EpochMeasures],
+    device: str,
+) -> TrainReport:
+    return TrainReport(
+        out=str(order.out),
+        finished=training.epochs_done >= order.options.epochs,
+        options=order.options,
+        device=device,
+        parameters=training.parameters,
+        train_episodes=len(train.index.episodes),
+        train_frames=len(train),
+        val_episodes=len(val.index.episodes) if val else 0,
+        val_frames=len(val) if val else 0,
+        epochs=tuple(epochs),
+    )

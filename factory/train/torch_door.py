@@ -1,0 +1,56 @@
+"""The door to PyTorch: imported when first wanted, or refused with the extra that brings it."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from schemas.errors import UsageError
+
+__all__ = ["choose_device", "load_torch", "summary_writer"]
+
+_REMEDY = "pip install 'minivla-factory[train]' (the CPU build of torch does)"
+
+
+def load_torch() -> Any:
+    """Returns the module `torch`.
+
+    Raises:
+        UsageError: it is not installed; the message names the extra.
+    """
+    try:
+        return importlib.import_module("torch")
+    except ImportError as error:
+        raise UsageError(f"training and `bc:` policies need PyTorch: {_REMEDY}") from error
+
+
+def summary_writer(folder: str, purge_step: int) -> Any:
+    """Returns a writer of TensorBoard logs; what a former run logged from `purge_step` on is hidden.
+
+    Raises:
+        UsageError: TensorBoard is not installed.
+    """
+    load_torch()
+    try:
+        module = importlib.import_module("torch.utils.tensorboard")
+    except ImportError as error:
+        raise UsageError(f"training logs need TensorBoard: {_REMEDY}") from error
+    return module.SummaryWriter(folder, purge_step=purge_step)
+
+
+def choose_device(asked: str) -> Any:
+    """Returns the device of that name; `auto` is a GPU where there is one.
+
+    Raises:
+        UsageError: there is no such device.
+    """
+    torch = load_torch()
+    if asked == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(asked)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        first = (str(error).splitlines() or ["unknown"])[0]
+        raise UsageError(f"--device {asked}: torch cannot use it ({first}); auto and cpu always work") from error
+    return device

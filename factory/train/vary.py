@@ -1,0 +1,64 @@
+"""Random changes of pictures that leave the answer as it is, or change it in a known way. Pure; chance is given."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Batch", "vary"]
+
+_BRIGHTNESS, _CONTRAST, _TINT = 0.25, 0.2, 0.08
+_CLOSER = 0.75
+"""How close at the most a view from the circle is enlarged: 0.75 m for 1 m."""
+_ENLARGED = 0.6
+"""Share of the stop frames that are enlarged."""
+
+
+class Batch(NamedTuple):
+    """Frames on their way into the network."""
+
+    pictures: NDArray[np.float32]
+    """(N, 4, S, S) colours and nearness, about -1..1."""
+    mask: NDArray[np.float32]
+    """(N, S/8, S/8) share of the cell that shows the target."""
+    actions: NDArray[np.float32]
+    """(N, 2) v in m/s, w in rad/s."""
+    is_stop: NDArray[np.bool_]
+    """(N,)."""
+
+
+def vary(batch: Batch, rng: np.random.Generator) -> Batch:
+    """Returns the frames mirrored, lit otherwise, and those of the stop sometimes from closer by.
+
+    The expert stops on the circle, so no recorded frame shows what a robot sees that came too close. An enlarged frame
+    with depths shortened alike is such a view, as far as a picture can tell; to stand is right there too.
+    """
+    pictures, mask = batch.pictures.copy(), batch.mask.copy()
+    actions = batch.actions.copy()
+    for row in np.flatnonzero(batch.is_stop & (rng.random(len(mask)) < _ENLARGED)):
+        share = float(rng.uniform(_CLOSER, 1.0))
+        pictures[row], mask[row] = _enlarge(pictures[row], share), _enlarge(mask[row][None], share)[0]
+        pictures[row, 3] = _shorten(pictures[row, 3], share)
+    mirrored = rng.random(len(mask)) < 0.5
+    pictures[mirrored], mask[mirrored] = pictures[mirrored, :, :, ::-1], mask[mirrored, :, ::-1]
+    actions[mirrored, 1] *= -1
+    shape = (len(mask), 1, 1, 1)
+    gain = rng.uniform(1 - _CONTRAST, 1 + _CONTRAST, shape)
+    lift = rng.uniform(-_BRIGHTNESS, _BRIGHTNESS, shape) + rng.uniform(-_TINT, _TINT, (len(mask), 3, 1, 1))
+    pictures[:, :3] = np.clip(pictures[:, :3] * gain + lift, -1, 1)
+    return Batch(pictures, mask, actions, batch.is_stop)
+
+
+def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Returns the middle part of a (C, S, S) picture at full size, by the nearest pixel."""
+    size = picture.shape[1]
+    places = np.clip(((np.arange(size) + 0.5 - size / 2) * share + size / 2).astype(np.int64), 0, size - 1)
+    return picture[:, places[:, None], places[None, :]]
+
+
+def _shorten(nearness: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Returns the nearness of depths that are `share` of what they were; `look.to_input` takes logarithms."""
+    shortened: NDArray[np.float32] = np.clip(nearness - np.float32(2 * np.log(share) / np.log(100.0)), -1, 1)
+    return shortened
