@@ -21,8 +21,8 @@ def parse_episodes(text: str) -> list[str]:
     """
     found: dict[str, None] = {}
     for part in text.split(","):
-        first, _, last = part.strip().partition("-")
-        low, high = _number(first, text), _number(last or first, text)
+        first, dash, last = part.strip().partition("-")
+        low, high = _number(first, text), _number(last if dash else first, text)
         if high < low:
             raise UsageError(f"--episodes {text}: {part.strip()} ends before it begins")
         found.update(dict.fromkeys(episode_id(index) for index in range(low, high + 1)))

@@ -1,0 +1,77 @@
+"""The paper's tree: every frame and array is in content what the bundle holds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+from PIL import Image
+
+from coordinator.dataset_meta import read_dataset_meta
+from coordinator.summary import PUBLISHED_COLUMNS
+from factory.dataset import Dataset
+from factory.export import ExportOrder, run_export
+from factory.export.paper import PaperOptions
+from schemas.digest import content_digest, frame_digest
+from schemas.episode import EpisodeMeta
+from tests.unit.factory.export.varied import STEPS
+
+
+def test_tree_is_in_content_what_the_bundles_hold(varied: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run_export(ExportOrder(varied, out, "paper", PaperOptions())).complete
+    for episode in Dataset(varied):
+        folder = out / "episodes" / episode.episode_id
+        expected = {f"{kind}/{t:06d}.{end}" for kind, end in KINDS for t in range(len(episode))}
+        expected |= {"actions_continuous.npy", "actions_tokens.npy", "poses.npy", "meta.json"}
+        assert {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} == expected
+        assert (folder / "meta.json").read_bytes() == episode.stored("meta.json")
+        meta = EpisodeMeta.model_validate_json((folder / "meta.json").read_bytes())
+        digests = [frame_digest(*frame(folder, t)) for t in range(len(episode))]
+        assert tuple(digests) == meta.frame_digests
+        arrays = [np.load(folder / f"{name}.npy") for name in ("actions_continuous", "actions_tokens", "poses")]
+        assert (
+            content_digest(digests, arrays, meta.canonical()) == meta.content_digest == episode.summary.content_digest
+        )
+
+
+KINDS = (("rgb_front", "png"), ("depth_front", "npy"), ("seg_front", "png"))
+
+
+def frame(folder: Path, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Reads a frame with libraries that know nothing of us."""
+    rgb = np.asarray(Image.open(folder / f"rgb_front/{t:06d}.png"))
+    ids = np.asarray(Image.open(folder / f"seg_front/{t:06d}.png"))
+    return rgb, np.load(folder / f"depth_front/{t:06d}.npy"), ids.astype(np.uint16)
+
+
+def test_tables_describe_the_tree(varied: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run_export(ExportOrder(varied, out, "paper", PaperOptions()))
+    rows = pq.read_table(out / "metadata.parquet")
+    assert tuple(rows.column_names[: len(PUBLISHED_COLUMNS)]) == PUBLISHED_COLUMNS
+    assert not {"file_sha256", "file_name", "file_bytes"} & set(rows.column_names)
+    assert rows["num_steps"].to_pylist() == list(STEPS)
+    assert read_dataset_meta(out) == read_dataset_meta(varied)
+
+
+def test_part_of_a_dataset_says_so(varied: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    report = run_export(ExportOrder(varied, out, "paper", PaperOptions(), splits=("train_id",)))
+    assert (report.episodes, report.frames) == (2, 35)
+    meta = read_dataset_meta(out)
+    assert (meta.episodes, meta.complete, meta.dataset_digest) == (2, False, None)
+    assert sorted(path.name for path in (out / "episodes").iterdir()) == ["ep_000002", "ep_000004"]
+
+
+def test_published_name_of_a_split_is_written_where_asked(varied: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run_export(ExportOrder(varied, out, "paper", PaperOptions(split_names="published")))
+    splits = pq.read_table(out / "metadata.parquet")["split"].to_pylist()
+    assert splits == ["test_ood_lang", "train_id", "test_id", "train_id"]
+    texts = [json.loads((out / f"episodes/ep_00000{number}/meta.json").read_text()) for number in (1, 2)]
+    assert [text["job"]["split"] for text in texts] == ["test_ood_lang", "train_id"]
+    original = json.loads(Dataset(varied)["ep_000001"].stored("meta.json"))
+    assert {**texts[0], "job": {**texts[0]["job"], "split": "test_paraphrase_ood"}} == original
