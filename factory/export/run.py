@@ -73,8 +73,11 @@ class _State:
     """By position."""
     skipped: dict[int, Skip] = field(default_factory=dict)
     """By position."""
+    frame_counts: dict[int, int] = field(default_factory=dict)
+    """By position."""
     resumed: int = 0
     frames: int = 0
+    """Written in this call."""
 
     def tell(self, stage: str) -> None:
         done = len(self.pieces) + len(self.skipped)
@@ -159,6 +162,7 @@ def _make_pieces(state: _State) -> None:
             staged = state.out.staging_folder(made.episode_id)
             state.out.accept(made.episode_id, staged, made.facts, state.exporter.assembles)
             state.pieces[position] = _piece(state, position, made.episode_id)
+            state.frame_counts[position] = made.frames
             state.frames += made.frames
         state.tell("episodes")
 
@@ -175,7 +179,8 @@ def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[Task]:
             continue
         seen.add(name)
         if state.out.facts_path(name).is_file():
-            state.pieces[position] = _piece(state, position, name)
+            piece = state.pieces[position] = _piece(state, position, name)
+            state.frame_counts[position] = piece.facts.frames
             state.resumed += 1
             continue
         waiting[name] = position
@@ -207,7 +212,7 @@ def _finish(state: _State, manifest: Manifest) -> Manifest:
     pieces = [state.pieces[position] for position in sorted(state.pieces)]
     state.out.begin_finish(piece.episode_id for piece in pieces)
     state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
-    frames = sum(piece.facts.frames for piece in pieces)
+    frames = sum(state.frame_counts.values())
     update = {"episodes": len(pieces), "frames": frames, "complete": not skipped, "skipped": skipped}
     manifest = manifest.model_copy(update=update)
     write_manifest(state.out, manifest)
@@ -237,14 +242,13 @@ def _nothing_to_do(order: ExportOrder, manifest: Manifest) -> ExportReport:
 
 
 def _report(state: _State, manifest: Manifest, seconds: float) -> ExportReport:
-    frames = manifest.frames or sum(piece.facts.frames for piece in state.pieces.values())
     return ExportReport(
         dataset=str(state.order.root),
         dataset_digest=manifest.source.selection_digest,
         format=manifest.format,
         out=str(state.order.out),
         episodes=len(state.pieces),
-        frames=frames,
+        frames=sum(state.frame_counts.values()),
         resumed=state.resumed,
         skipped=manifest.skipped,
         bytes=state.out.size_bytes(),

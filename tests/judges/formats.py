@@ -1,0 +1,82 @@
+"""Every format once: exports a dataset, prints a table of sizes, times and memory, and calls the judges that are here.
+
+    python tests/judges/formats.py DATASET OUT [PYTHON_OF_THE_LEROBOT_JUDGE]
+
+OUT must not exist. Run with the project's own environment; `make test-formats` does all of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+ALL = ("--fps", "20", "--depth", "--ids")
+RUNS: dict[str, tuple[str, ...]] = {
+    "paper": ("paper",),
+    "lerobot": ("lerobot",),
+    "lerobot-all": ("lerobot", *ALL),
+    "lerobot-v2.1": ("lerobot-v2.1",),
+    "webdataset": ("webdataset",),
+    "mcap": ("mcap",),
+    "gnm": ("gnm",),
+    "vlnce": ("vlnce",),
+}
+"""Folder -> format and its options."""
+
+
+class Measured(NamedTuple):
+    """One export in one process."""
+
+    frames: int
+    size_bytes: int
+    cpu_s: float
+    peak_mib: float
+    """Of the largest process."""
+
+
+def main(dataset: Path, out: Path, lerobot_python: str | None) -> int:
+    out.mkdir(parents=True)
+    say("| export | frames | MB | kB a frame | CPU ms a frame | frames/s of one core | largest process, MiB |")
+    say("|---|---|---|---|---|---|---|")
+    for folder, words in RUNS.items():
+        say(row(" ".join(words), export(dataset, out / folder, words)))
+    if lerobot_python is None:
+        say("LeRobot's loader was not asked: give the python of its environment")
+        return 0
+    judge = [lerobot_python, str(Path(__file__).with_name("lerobot_judge.py")), str(out / "paper")]
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(out / ".huggingface")}
+    return subprocess.run([*judge, str(out / "lerobot"), str(out / "lerobot-all")], env=environment).returncode
+
+
+def export(dataset: Path, out: Path, words: tuple[str, ...]) -> Measured:
+    name, *options = words
+    command = [sys.executable, "-m", "factory", "export", str(dataset), "--to", name, "-o", str(out), *options]
+    with tempfile.TemporaryFile() as told:
+        process = subprocess.Popen([*command, "--workers", "1", "--json"], stdout=told, stderr=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        told.seek(0)
+        if process.returncode:
+            raise SystemExit(f"{' '.join(command)} ended with {process.returncode}")
+        report = json.load(told)
+    return Measured(report["frames"], report["bytes"], usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+
+
+def row(what: str, found: Measured) -> str:
+    a_frame = found.cpu_s / found.frames
+    size = f"{found.size_bytes / 1e6:.1f} | {found.size_bytes / 1e3 / found.frames:.1f}"
+    return f"| `{what}` | {found.frames} | {size} | {1e3 * a_frame:.1f} | {1 / a_frame:.0f} | {found.peak_mib:.0f} |"
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else None))
