@@ -1,0 +1,98 @@
+"""The benchmarks on real work in a small room: rendering, the loop against the plain pipeline, the coordinator."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from coordinator.archive import Archive
+from coordinator.catalog import read_entry
+from factory.bench.coordinator import bench_coordinator
+from factory.bench.render import bench_render
+from factory.bench.rollout import bench_rollout
+from factory.bench.sample import Sample
+from factory.bench.watch import Watch
+from schemas.config import CameraConfig, TaskConfig
+from schemas.errors import WorldError
+from schemas.job import Job
+from schemas.scene import encode_scene
+from tests.builders.bundle import job_for, parts_for
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.scene import box_room
+from workers.render.choose import open_renderer
+from workers.stage import Stage
+
+LOOP = ["start", "render", "read-back", "control", "png rgb", "depth", "png ids", "bundle", "physics"]
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("room") / "room.scene"
+    path.write_bytes(encode_scene(box_room()))
+    return path
+
+
+def job_in(room: Path, **changes: object) -> Job:
+    data = room.read_bytes()
+    values = {
+        "scene": "box_room",
+        "scene_sha256": hashlib.sha256(data).hexdigest(),
+        "scene_bytes": len(data),
+        "category": "crate",
+        "target_id": box_room().info.targets[0].target_id,
+        "task": TaskConfig(),
+    }
+    return job_for(**values | changes)
+
+
+@pytest.mark.gl
+def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
+    watch, told = Watch(), []
+    with Stage("gl", watch) as stage:
+        found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))
+    assert [cost.stage for cost in found.stages] == LOOP
+    assert len(told) == 3
+    assert (found.episodes, found.failed_attempts, found.wall.runs) == (1, 0, 2)
+    assert found.frames_per_s_per_core == found.wall.median
+    # the stages are all of the loop: nothing between them is lost
+    whole_ms = 1000 / found.frames_per_cpu_s
+    assert sum(cost.cpu_ms.median for cost in found.stages) == pytest.approx(whole_ms, rel=0.1)
+    assert found.kb_per_frame["rgb_front"] > found.kb_per_frame["actions_tokens.npy"] > 0
+    assert found.plain is not None
+    assert found.ratio == pytest.approx(found.wall.median / found.plain.frames_per_s)
+    assert set(found.plain.stages) == {"physics", "getCameraImage", "Pillow RGB", "Pillow ids", "np.save depth"}
+
+
+@pytest.mark.gl
+def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
+    hasty = job_in(room, task=TaskConfig(max_steps=3))
+    watch = Watch()
+    with Stage("gl", watch) as stage, pytest.raises(WorldError, match=r"none of 1 jobs in box_room succeeded.*timeout"):
+        bench_rollout([hasty], read_entry(room), stage, watch, 1, 0, lambda: None)
+
+
+@pytest.mark.gl
+def test_rendering_is_timed_apart_from_reading_back() -> None:
+    watch = Watch()
+    with open_renderer("gl", lap=watch) as renderer:
+        found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
+    assert [cost.stage for cost in found.stages] == ["render", "read-back"]
+    assert 0 < found.triangles_in_view <= found.triangles
+    assert found.frames_per_s.runs == 2
+
+
+def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Path) -> None:
+    parts = parts_for(job_for(1))
+    with Archive(tmp_path / "sample") as archive, archive.stage(1) as staged:
+        staged.write(parts.write())
+        path = archive.publish(staged, 1)
+    (tmp_path / "bench").mkdir()
+    found = bench_coordinator(
+        room_plan(200), room_catalog(), [Sample(parts.meta.job, path)], tmp_path / "bench", workers=4, repeats=1
+    )
+    assert (found.jobs, found.workers) == (200, 4)
+    assert found.cycles_per_s.median > 1
+    assert found.validate_ms_per_frame.median > 0
+    assert found.archive_mb_per_s.median > 0
