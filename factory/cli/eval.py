@@ -20,7 +20,7 @@ from factory.dataset import Dataset
 from factory.eval.ablation import ABLATIONS
 from factory.eval.from_dataset import specs_of_dataset
 from factory.eval.message import Setup
-from factory.eval.policies import find_policy
+from factory.eval.policies import check_name
 from factory.eval.publish import publish
 from factory.eval.result import Variant
 from factory.eval.run import Campaign, Pace, run_campaign
@@ -85,7 +85,7 @@ def command(
     if root is None or not policies:
         raise UsageError("give the dataset and a policy: factory eval --data DIR --policy expert")
     for name in policies:
-        find_policy(name)
+        check_name(name)
     dataset = Dataset(root)
     variants = (Variant.ORIGINAL, *ABLATIONS) if ablate_language else (Variant.ORIGINAL,)
     specs = _specs(dataset, specs_path, splits, episodes)

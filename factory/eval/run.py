@@ -25,7 +25,7 @@ from factory.eval.spec import SpecSet
 from factory.eval.store import PolicyNote, Store
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["Campaign", "Pace", "orders_for", "run_campaign"]
+__all__ = ["Campaign", "Pace", "orders_for", "require_recordings", "run_campaign"]
 
 _POLL_S = 0.05
 _TRIES = 2
@@ -113,10 +113,19 @@ def orders_for(campaign: Campaign, policy: str) -> list[Order]:
     return orders
 
 
-def _recordings(policy: str, specs: SpecSet) -> dict[str, str]:
+def require_recordings(policy: str, specs: SpecSet) -> None:
+    """Makes sure that all specs come from archived episodes.
+
+    Raises:
+        UsageError: one does not.
+    """
     lacking = [spec.spec_id for spec in specs.specs if spec.source_episode is None]
     if lacking:
-        raise UsageError(f"policy {policy} needs specs of archived episodes; {lacking[0]} and others are freshly drawn")
+        raise UsageError(f"policy {policy} needs specs of archived episodes; {lacking[0]} is freshly drawn")
+
+
+def _recordings(policy: str, specs: SpecSet) -> dict[str, str]:
+    require_recordings(policy, specs)
     if policy == "playback":
         return donors(specs)
     return {spec.spec_id: spec.source_episode for spec in specs.specs if spec.source_episode is not None}

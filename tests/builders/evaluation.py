@@ -15,11 +15,11 @@ from schemas.config import TaskConfig
 from schemas.episode import EpisodeMeta
 from schemas.job import Job
 from schemas.language import instruction
+from schemas.plan import Plan, ScenePlan
 from schemas.scene import encode_scene
 from schemas.terms import ExpertName, Split, Tier
 from tests.builders.bundle import job_for
 from tests.builders.dataset import NOW
-from tests.builders.plan import small_plan
 from tests.builders.scene import box_room
 from workers.attempt import Success, run_attempt
 from workers.stage import Stage
@@ -58,7 +58,12 @@ def room_job(index: int, **changes: object) -> Job:
 
 def archive_drives(root: Path, episodes: int = 3) -> Path:
     """Drives and archives episodes 1 to `episodes`, first success each, and returns the dataset."""
-    plan = small_plan(episodes).model_copy(update={"task": TaskConfig()})
+    plan = Plan(
+        name="test",
+        scenes=(ScenePlan(name="office", episodes=episodes, seen=("crate",), held_out=("barrel",)),),
+        tiers={Tier.NEAR: 1.0},
+        splits={Split.TRAIN_ID: 0.5, Split.TEST_ID: 0.5},
+    )
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(room_package())
     sha256 = hashlib.sha256(room_package()).hexdigest()

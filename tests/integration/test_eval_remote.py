@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from websockets.sync.server import ServerConnection, serve
 
+from factory.eval.action import read_actions
 from factory.eval.policies import Outside, make_policy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.wire import WireError, pack, unpack
 from factory.eval.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
 from schemas.errors import UsageError
 
+EXAMPLES = Path(__file__).parent.parent.parent / "docs" / "evaluation"
 INFO = EpisodeInfo("ep_000001", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
 VIEW = Observation(
     rgb=np.arange(4 * 4 * 3, dtype=np.uint8).reshape(4, 4, 3),
@@ -185,3 +190,34 @@ def test_an_array_that_contradicts_itself_is_refused_before_it_is_made(fake: dic
         unpack(msgpack.packb(fake))
     with pytest.raises(WireError):
         pack(np.array([object()]))
+
+
+def test_the_example_server_drives_forward_on_free_floor_and_turns_before_a_wall() -> None:
+    command = [sys.executable, str(EXAMPLES / "policy_server.py"), "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        policy = begin(process.stdout.readline().split()[-1], Outside())
+        found = [read_actions(policy.act(look(depth_m)), "continuous", 1.0, 1.5) for depth_m in (3.0, 0.4)]
+        policy.close()
+    finally:
+        process.kill()
+        process.communicate()
+    assert [len(chunk.twists) for chunk in found] == [6, 6]
+    assert [chunk.twists[0].v_mps > 0 for chunk in found] == [True, False]
+
+
+def test_the_example_class_answers_with_actions_within_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(EXAMPLES)  # an own policy need not be installed: the working directory is enough
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    policy = make_policy("my_policy:TowardsOpenFloor", QUICK)
+    policy.reset("Go to the chair.", INFO)
+    found = [read_actions(policy.act(look(depth_m)), "continuous", 1.0, 1.5) for depth_m in (3.0, 0.4)]
+    assert [chunk.twists[0].v_mps > 0 for chunk in found] == [True, False]
+    assert [chunk.beyond for chunk in found] == [0, 0]
+
+
+def look(depth_m: float) -> Observation:
+    """A view of a wall straight ahead."""
+    rgb, depth = np.zeros((640, 640, 3), np.uint8), np.full((640, 640), depth_m, np.float32)
+    return Observation(rgb=rgb, depth=depth, instruction="Go to the chair.", step=0)

@@ -17,7 +17,7 @@ from factory.eval.policy import Policy, is_built_in
 from schemas.errors import UsageError
 from schemas.terms import ExpertName
 
-__all__ = ["POLICIES", "Entry", "Outside", "describe_knowledge", "find_policy", "make_policy"]
+__all__ = ["POLICIES", "Entry", "Outside", "check_name", "describe_knowledge", "find_policy", "make_policy"]
 
 Maker = Callable[[str, Outside], Policy]
 """Takes what stands behind the first colon of the name, and what a policy may need."""
@@ -64,6 +64,18 @@ def find_policy(name: str) -> Entry:
         known = ", ".join(entry.usage for entry in (*POLICIES.values(), _FOREIGN))
         raise UsageError(f"no policy {name!r}; there are {known}")
     return _FOREIGN
+
+
+def check_name(name: str) -> None:
+    """Makes sure that a policy can be called that, without making it.
+
+    Raises:
+        UsageError: nothing is called that.
+    """
+    find_policy(name)
+    kind, _, rest = name.partition(":")
+    if kind == "expert":
+        _expert_name(rest)
 
 
 def make_policy(name: str, outside: Outside) -> Policy:
