@@ -116,9 +116,10 @@ def test_a_token_is_not_sent_unencrypted_to_another_machine(dataset, tmp_path):
     assert "https://" in done.stderr
 
 
-@pytest.mark.parametrize("repository", ["office", "a/b/c", "my lab/x", "../x/y", "a/b--c"])
-def test_a_wrong_repository_name_is_wrong_usage(dataset, tmp_path, repository):
-    assert push(tmp_path, dataset, repository, "--dry-run").returncode == 2
+def test_a_wrong_repository_name_is_wrong_usage(dataset, tmp_path):
+    done = push(tmp_path, dataset, "office", "--dry-run")
+    assert done.returncode == 2
+    assert "OWNER/NAME" in done.stderr
 
 
 def test_a_folder_that_is_neither_dataset_nor_export_is_refused(tmp_path):

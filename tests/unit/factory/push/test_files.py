@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from factory.push.files import PushFile, batches_of, plan_push
+import pytest
+
+from factory.push.files import PushFile, batches_of, plan_push, require_repository
+from factory.push.hub import require_safe_endpoint
+from schemas.errors import UsageError
 from tests.builders.dataset import make_dataset
 
 
@@ -61,3 +65,28 @@ def test_descriptions_come_last(tmp_path):
     names = [file.name for file in plan_push(root, "export.json").files]
     first_description = min(index for index, name in enumerate(names) if "/" not in name)
     assert all("/" not in name for name in names[first_description:])
+
+
+def test_repositories_have_an_owner_and_a_name():
+    assert require_repository("my-lab/office_navigation.v1") == "my-lab/office_navigation.v1"
+
+
+@pytest.mark.parametrize("name", ["office", "a/b/c", "my lab/x", "../x/y", "a/b--c", "a/..", "/x", "a/", "a/b\n"])
+def test_other_names_are_refused(name):
+    with pytest.raises(UsageError):
+        require_repository(name)
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["https://huggingface.co", "http://127.0.0.1:5000", "http://localhost", "http://[::1]:1"]
+)
+def test_a_token_may_go_encrypted_or_stay_on_this_machine(endpoint):
+    require_safe_endpoint(endpoint)
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["http://hub.example", "http://192.0.2.1", "ftp://localhost", "huggingface.co", "https://"]
+)
+def test_a_token_goes_nowhere_else(endpoint):
+    with pytest.raises(UsageError):
+        require_safe_endpoint(endpoint)
