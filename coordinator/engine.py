@@ -1,11 +1,13 @@
 """Opens the ledger's database by URL: one writing engine, or readers that cannot write. Only here SQLite is known.
 
-Makes every SQLite transaction durable and exclusive from its first statement; creates no table and runs no query.
+Makes every SQLite transaction durable and exclusive from its first statement, and holds a PostgreSQL database by an
+advisory lock, so that it too has one writer; creates no table and runs no query of the ledger's.
 """
 
 from __future__ import annotations
 
 import sqlite3
+import time
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,11 @@ from schemas.errors import UsageError, WorldError
 
 __all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "sqlite_files", "sqlite_url"]
 
+_EXAMPLES = "give e.g. sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
+_LOCK = 0x6D696E69766C61
+"""Of the advisory lock: one writer a database."""
+_LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
+"""A server notices late that a killed coordinator is gone."""
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
 
 
@@ -31,11 +38,17 @@ def open_writer(url: str) -> Engine:
     """Returns the engine of the one writer.
 
     On SQLite: WAL, synchronous=FULL, and BEGIN IMMEDIATE, so that a commit survives a power cut and a transaction
-    never finds out half way that another one wrote.
+    never finds out half way that another one wrote. On a server: one connection that holds the database's lock.
 
     Raises:
         UsageError: the URL names a database this installation cannot open.
+        WorldError: the server cannot be reached, or another coordinator writes to the database.
     """
+    if _is_server(url):
+        engine = _create(url, pool_size=1, max_overflow=0, pool_pre_ping=True)
+        event.listen(engine, "connect", _hold_alone)
+        _reach(engine)
+        return engine
     engine = _create(url)
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _prepare_writer)
@@ -48,10 +61,12 @@ def open_reader(url: str) -> Engine:
 
     Raises:
         UsageError: the URL names a database this installation cannot open.
-        WorldError: there is no such SQLite file.
+        WorldError: there is no such SQLite file, or the server cannot be reached.
     """
-    if make_url(url).get_backend_name() != "sqlite":
-        return _create(url)
+    if _is_server(url):
+        engine = _create(url, connect_args={"options": "-c default_transaction_read_only=on"}, pool_pre_ping=True)
+        _reach(engine)
+        return engine
     file = _sqlite_file(url)
     if not file.is_file():
         raise WorldError(f"no ledger at {file}; start a run there with `factory run` or `factory coordinator start`")
@@ -102,13 +117,60 @@ def _sqlite_file(url: str) -> Path:
     return Path(make_url(url).database or "")
 
 
-def _create(url: str) -> Engine:
+def _is_server(url: str) -> bool:
     try:
-        return create_engine(url)
-    except (ArgumentError, NoSuchModuleError, ImportError) as error:
+        return make_url(url).get_backend_name() == "postgresql"
+    except ArgumentError as error:
+        raise UsageError(f"the ledger's URL cannot be understood: {error}; {_EXAMPLES}") from error
+
+
+def _create(url: str, **options: Any) -> Engine:
+    try:
+        return create_engine(url, **options)
+    except ImportError as error:
         raise UsageError(
-            f"cannot open ledger {url!r}: {error}; give e.g. sqlite:///PATH or install the driver"
+            f"cannot open ledger {_shown(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and write "
+            "postgresql+psycopg://"
         ) from error
+    except (ArgumentError, NoSuchModuleError) as error:
+        raise UsageError(f"cannot open ledger {_shown(url)}: {error}; {_EXAMPLES}") from error
+
+
+def _shown(url: str) -> str:
+    """Returns a URL without its password."""
+    return make_url(url).render_as_string(hide_password=True)
+
+
+def _reach(engine: Engine) -> None:
+    try:
+        with engine.connect():
+            return
+    except DatabaseError as error:
+        shown = engine.url.render_as_string(hide_password=True)
+        engine.dispose()
+        reason = " ".join(str(error.orig).split())
+        raise WorldError(f"ledger {shown} cannot be reached: {reason}; is the server up, the database made?") from error
+    except WorldError:
+        engine.dispose()
+        raise
+
+
+def _hold_alone(raw: Any, _record: object) -> None:
+    """Takes the lock of one writer on a fresh connection; the server lets go of it when the connection ends."""
+    deadline = time.monotonic() + _LOCK_WAIT_S
+    while True:
+        with raw.cursor() as cursor:
+            cursor.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK,))
+            (is_ours,) = cursor.fetchone()
+        raw.commit()
+        if is_ours:
+            return
+        if time.monotonic() > deadline:
+            raw.close()
+            raise WorldError(
+                "another coordinator writes to the ledger's database: stop it first, or give another --ledger"
+            )
+        time.sleep(_LOCK_PAUSE_S)
 
 
 def _prepare_writer(raw: Any, _record: object) -> None:

@@ -48,7 +48,8 @@ def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> Adm
 
 def _current(connection: Connection, indices: Sequence[int], states: Sequence[State]) -> list[Any]:
     """Returns the current draw of the named episodes, or of all in the given states when none is named."""
-    current = select(jobs.c.id, jobs.c.idx, jobs.c.state, jobs.c.fence).where(jobs.c.superseded.is_(False))
+    columns = (jobs.c.id, jobs.c.idx, jobs.c.state, jobs.c.fence)
+    current = select(*columns).where(jobs.c.superseded.is_(False)).order_by(jobs.c.idx)
     if not indices:
         return list(connection.execute(current.where(jobs.c.state.in_(states))).all())
     found: list[Any] = []

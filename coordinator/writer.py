@@ -18,7 +18,7 @@ from sqlalchemy.engine import Connection
 from sqlalchemy.exc import OperationalError, SQLAlchemyError
 
 from coordinator.engine import checkpoint_log
-from schemas.errors import TransientError
+from schemas.errors import TransientError, WorldError
 
 __all__ = ["GROUP", "Writer"]
 
@@ -145,7 +145,7 @@ def _run_apart(connection: Connection, batch: Sequence[_Request[Any]]) -> list[A
     try:
         with connection.begin():
             return [_run_guarded(connection, request) for request in batch]
-    except SQLAlchemyError as error:
+    except (SQLAlchemyError, WorldError) as error:
         log.error("commit_failed", requests=len(batch), error=str(error), remedy="look after the ledger's disk")
         return [_transient(error)] * len(batch)
 
@@ -167,7 +167,7 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
     return result
 
 
-def _transient(error: SQLAlchemyError) -> TransientError:
+def _transient(error: SQLAlchemyError | WorldError) -> TransientError:
     failure = TransientError(f"the ledger did not take it: {error}; look after its disk or server, then ask again")
     failure.__cause__ = error
     return failure

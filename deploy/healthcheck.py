@@ -1,4 +1,4 @@
-"""The image's health check: asks the coordinator if that is process 1; a worker's health is the coordinator's to judge."""
+"""The image's health check: asks the coordinator if that is process 1; other roles need none."""
 
 from __future__ import annotations
 

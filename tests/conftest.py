@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.builders.postgres import Postgres, postgres, why_no_postgres
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -16,6 +19,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compiled scenes shared by the tests of one session."""
     return tmp_path_factory.mktemp("scenes")
+
+
+@pytest.fixture(scope="session")
+def postgres_server() -> Iterator[Postgres]:
+    """A PostgreSQL server shared by the tests of one session; skips with the reason where there is none."""
+    reason = why_no_postgres()
+    if reason:
+        pytest.skip(reason)
+    with postgres() as server:
+        yield server
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from coordinator.tls import Guard
 from factory.catalog import open_catalog, write_target_lists
 from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.http import http_options, status_pages
-from factory.cli.options import plan_argument, shrink_options, shrunk_plan, tls_option, verbose_option
+from factory.cli.options import ledger_option, plan_argument, shrink_options, shrunk_plan, tls_option, verbose_option
 from factory.ledger import plan_of
 from factory.listen import require_loopback, require_tls_endpoints
 from factory.logs import configure_logs
@@ -44,7 +44,7 @@ def command() -> None:
     metavar="ENDPOINT",
     help="Where workers connect; port 0 takes a free one. Default tcp/127.0.0.1:7447, with --tls tls/0.0.0.0:7447.",
 )
-@click.option("--ledger", metavar="URL", help="Another database than DIR/ledger.db, as an SQLAlchemy URL.")
+@ledger_option
 @click.option("--lease", "lease_ttl_s", type=click.FloatRange(1.0), help="Seconds a silent worker keeps its job.")
 @click.option("--stay", is_flag=True, help="Keep answering after the run is finished.")
 @tls_option

@@ -14,7 +14,7 @@ from coordinator.ledger_records import JobFilter, count_jobs, list_jobs, read_at
 from coordinator.states import State
 from coordinator.tls import read_credentials
 from factory.cli.episodes import episode_index
-from factory.cli.options import dataset_argument, tls_option
+from factory.cli.options import dataset_argument, ledger_option, tls_option
 from factory.cli.output import json_option, print_json, print_table
 from factory.ledger import read_ledger
 from schemas.errors import UsageError
@@ -37,9 +37,17 @@ def command() -> None:
 @click.option("--tier", type=click.Choice([str(tier) for tier in Tier]))
 @click.option("--split", type=click.Choice([str(split) for split in Split]))
 @click.option("--limit", type=click.IntRange(1), default=100, show_default=True)
+@ledger_option
 @json_option
 def list_(
-    root: Path, state: str | None, scene: str | None, tier: str | None, split: str | None, limit: int, as_json: bool
+    root: Path,
+    state: str | None,
+    scene: str | None,
+    tier: str | None,
+    split: str | None,
+    limit: int,
+    ledger: str | None,
+    as_json: bool,
 ) -> None:
     """List the jobs of the run in DIR, the current draw of each episode."""
     wanted = JobFilter(
@@ -48,7 +56,7 @@ def list_(
         tier=Tier(tier) if tier else None,
         split=Split(split) if split else None,
     )
-    with read_ledger(root) as connection:
+    with read_ledger(root, ledger) as connection:
         jobs, total = list_jobs(connection, wanted, limit), count_jobs(connection, wanted)
     if as_json:
         print_json({"total": total, "jobs": [_plain(job) for job in jobs]})
@@ -64,11 +72,12 @@ def list_(
 @command.command("show")
 @dataset_argument
 @click.argument("episode")
+@ledger_option
 @json_option
-def show(root: Path, episode: str, as_json: bool) -> None:
+def show(root: Path, episode: str, ledger: str | None, as_json: bool) -> None:
     """Show all draws, attempts and events of one EPISODE (`ep_000001` or a number)."""
     index = episode_index(episode)
-    with read_ledger(root) as connection:
+    with read_ledger(root, ledger) as connection:
         draws = list_jobs(connection, JobFilter(index=index))
         attempts, events = list(read_attempts(connection, index)), list(read_events(connection, index))
     if not draws:
@@ -97,26 +106,38 @@ def show(root: Path, episode: str, as_json: bool) -> None:
 @dataset_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Every failed job.")
+@ledger_option
 @tls_option
 @json_option
-def retry(root: Path, episodes: tuple[str, ...], everything: bool, tls: Path | None, as_json: bool) -> int:
+def retry(
+    root: Path, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+) -> int:
     """Put failed or cancelled EPISODES back into the queue with fresh budgets."""
-    return _administer(root, AdminAction.RETRY, episodes, everything, tls, as_json)
+    return _administer(root, AdminAction.RETRY, episodes, everything, ledger, tls, as_json)
 
 
 @command.command("cancel")
 @dataset_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Every job that has not ended.")
+@ledger_option
 @tls_option
 @json_option
-def cancel(root: Path, episodes: tuple[str, ...], everything: bool, tls: Path | None, as_json: bool) -> int:
+def cancel(
+    root: Path, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+) -> int:
     """Give up EPISODES that have not ended; workers that hold one stop with their next beat."""
-    return _administer(root, AdminAction.CANCEL, episodes, everything, tls, as_json)
+    return _administer(root, AdminAction.CANCEL, episodes, everything, ledger, tls, as_json)
 
 
 def _administer(
-    root: Path, action: AdminAction, names: tuple[str, ...], everything: bool, tls: Path | None, as_json: bool
+    root: Path,
+    action: AdminAction,
+    names: tuple[str, ...],
+    everything: bool,
+    ledger: str | None,
+    tls: Path | None,
+    as_json: bool,
 ) -> int:
     from coordinator.admin import administer  # opens zenoh
 
@@ -125,10 +146,10 @@ def _administer(
     request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
     now = datetime.now(UTC)
     if tls is None:
-        reply = administer(root, request, now)
+        reply = administer(root, request, now, ledger)
     else:
         files, name = read_credentials(tls)
-        reply = administer(root, request, now, name=name, tls=files)
+        reply = administer(root, request, now, ledger, name=name, tls=files)
     if as_json:
         print_json(reply.model_dump(mode="json"))
     else:

@@ -12,7 +12,15 @@ from coordinator.plan_file import shrink
 from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName
 
-__all__ = ["dataset_argument", "plan_argument", "shrink_options", "shrunk_plan", "tls_option", "verbose_option"]
+__all__ = [
+    "dataset_argument",
+    "ledger_option",
+    "plan_argument",
+    "shrink_options",
+    "shrunk_plan",
+    "tls_option",
+    "verbose_option",
+]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -48,6 +56,11 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
 
 dataset_argument = click.argument("root", metavar="DIR", type=click.Path(path_type=Path))
 """DIR: a dataset directory."""
+
+ledger_option = click.option(
+    "--ledger", metavar="URL", envvar="MINIVLA_LEDGER", help="The ledger, when it is not DIR/ledger.db."
+)
+"""`--ledger URL`, or the environment's MINIVLA_LEDGER: a URL may hold a password, which a command line shows to all."""
 
 tls_option = click.option(
     "--tls",

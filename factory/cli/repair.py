@@ -12,7 +12,7 @@ from coordinator.plan_file import load_plan
 from coordinator.repair import repair
 from coordinator.repair_report import RepairReport
 from coordinator.validator import Validator
-from factory.cli.options import dataset_argument
+from factory.cli.options import dataset_argument, ledger_option
 from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.logs import configure_logs
 from factory.patient import examine
@@ -27,7 +27,7 @@ __all__ = ["command"]
     "--dry-run", is_flag=True, help="Say what would be done and change nothing; exit 1 when there is something."
 )
 @click.option("--plan", "plan_name", metavar="PLAN", help="The plan it was begun with, when nothing left names it.")
-@click.option("--ledger", metavar="URL", help="The ledger, when it is not DIR/ledger.db.")
+@ledger_option
 @json_option
 def command(root: Path, dry_run: bool, plan_name: str | None, ledger: str | None, as_json: bool) -> int:
     """Make files, ledger and tables of DIR agree again; no coordinator may run on it.

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from coordinator.tls import read_credentials
-from factory.cli.options import tls_option
+from factory.cli.options import ledger_option, tls_option
 from factory.cli.output import json_option, print_json, say_duration, stdout
 from factory.ledger import progress_of
 from schemas.errors import UsageError
@@ -27,7 +27,7 @@ _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 @click.command("status")
 @click.argument("root", metavar="[DIR]", required=False, type=click.Path(path_type=Path))
 @click.option("--connect", metavar="ENDPOINT", help="Ask a running coordinator, e.g. tcp/127.0.0.1:7447.")
-@click.option("--ledger", metavar="URL", help="The ledger, when it is not DIR/ledger.db.")
+@ledger_option
 @click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
 @tls_option
 @json_option

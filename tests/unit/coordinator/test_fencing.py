@@ -9,7 +9,7 @@ from typing import Any
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from sqlalchemy import select
 
 from coordinator import ledger_admin, ledger_claims, ledger_outcomes
@@ -35,9 +35,14 @@ class Ledger(RuleBasedStateMachine):
         self.grants: list[Lease] = []
         self.newest: dict[int, int] = {}
 
+    def new_database(self) -> str:
+        """Returns the URL of an empty database."""
+        return "sqlite://"
+
     @initialize(episodes=st.integers(1, 2), misses=ONE_OR_TWO, draws=ONE_OR_TWO, crashes=ONE_OR_TWO)
     def begin(self, episodes: int, misses: int, draws: int, crashes: int) -> None:
-        self.desk = Desk(room_plan(episodes, attempts_per_draw=misses, draws=draws, crashes=crashes))
+        plan = room_plan(episodes, attempts_per_draw=misses, draws=draws, crashes=crashes)
+        self.desk = Desk(plan, self.new_database())
         self.claim(0)
 
     def grant(self, number: int) -> Lease:
@@ -178,3 +183,14 @@ TestStaleWorkersChangeNothing = Ledger.TestCase
 TestStaleWorkersChangeNothing.settings = settings(
     max_examples=80, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck), database=None
 )
+
+
+def test_stale_workers_change_nothing_on_a_server_either(postgres_server):
+    class OnServer(Ledger):
+        def new_database(self) -> str:
+            return postgres_server.new_database()
+
+    few = settings(
+        max_examples=8, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck), database=None
+    )
+    run_state_machine_as_test(OnServer, settings=few)

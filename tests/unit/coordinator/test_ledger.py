@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Iterator
 from datetime import timedelta
 
 import pytest
@@ -25,9 +26,16 @@ WORLD = [reason for reason in FailReason if reason.is_of_the_world]
 WORKER = [reason for reason in FailReason if reason.is_of_the_worker]
 
 
-@pytest.fixture
-def desk() -> Desk:
-    return Desk(room_plan(3, attempts_per_draw=2, draws=2, crashes=2))
+PLAN = room_plan(3, attempts_per_draw=2, draws=2, crashes=2)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def desk(request: pytest.FixtureRequest) -> Iterator[Desk]:
+    """The same suite on every database."""
+    is_server = request.param == "postgresql"
+    opened = Desk(PLAN, request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://")
+    yield opened
+    opened.engine.dispose()
 
 
 def outcomes(desk: Desk) -> list[tuple[int, int, str, bool]]:
@@ -385,7 +393,8 @@ def test_a_committed_claim_survives_in_the_write_ahead_log(tmp_path):
         (ledger_claims.ANY_OPEN, "ix_jobs_queue"),
     ],
 )
-def test_what_is_asked_with_every_claim_is_found_by_an_index(desk, statement, index):
+def test_what_is_asked_with_every_claim_is_found_by_an_index(statement, index):
+    desk = Desk(PLAN)
     with desk.open() as connection:
         text = str(statement.compile(connection, compile_kwargs={"render_postcompile": True}))
         plan = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {text}", (1,) * text.count("?")).all()

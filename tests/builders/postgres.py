@@ -1,0 +1,101 @@
+"""A PostgreSQL server of the tests' own, on loopback, in a folder of its own; ends with them and keeps nothing."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import pwd
+import shutil
+import socket
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sqlalchemy import create_engine, text
+
+__all__ = ["Postgres", "postgres", "why_no_postgres"]
+
+_USER = "factory"
+
+
+def why_no_postgres() -> str:
+    """Returns why there is no server to test with; empty when there is one."""
+    try:
+        import psycopg  # noqa: F401
+    except ImportError:
+        return "needs psycopg (pip install 'psycopg[binary]')"
+    if _tool("initdb") is None:
+        return "needs a PostgreSQL server (Debian: postgresql)"
+    if os.geteuid() == 0 and _other_user() is None:
+        return "PostgreSQL does not run as root, and there is no other user"
+    return ""
+
+
+class Postgres:
+    """A running server."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._numbers = itertools.count(1)
+
+    def url(self, database: str) -> str:
+        """Returns the URL of a database."""
+        return f"postgresql+psycopg://{_USER}@127.0.0.1:{self._port}/{database}"
+
+    def new_database(self) -> str:
+        """Makes an empty database and returns its URL."""
+        name = f"run_{next(self._numbers)}"
+        engine = create_engine(self.url("postgres"), isolation_level="AUTOCOMMIT")
+        with engine.connect() as connection:
+            connection.execute(text(f"CREATE DATABASE {name} TEMPLATE template0"))
+        engine.dispose()
+        return self.url(name)
+
+
+@contextmanager
+def postgres() -> Iterator[Postgres]:
+    """Starts a server for the length of the block."""
+    folder = Path(tempfile.mkdtemp(prefix="minivla-postgres-"))
+    user = _other_user() if os.geteuid() == 0 else None
+    as_user = {} if user is None else {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
+    if user is not None:
+        os.chown(folder, user.pw_uid, user.pw_gid)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    data = folder / "data"
+    settings = f"-h 127.0.0.1 -p {port} -k {folder} -c fsync=off -c shared_buffers=16MB -c max_connections=40"
+    environment = {"PATH": os.environ["PATH"], "LC_ALL": "C", "HOME": str(folder)}
+
+    def run(*words: object) -> None:
+        command = [_tool(str(words[0])) or str(words[0]), *map(str, words[1:])]
+        subprocess.run(command, check=True, capture_output=True, env=environment, cwd=folder, **as_user)  # type: ignore[call-overload]
+
+    try:
+        run("initdb", "--no-sync", "--auth=trust", "--username", _USER, "--encoding=UTF8", "-D", data)
+        run("pg_ctl", "start", "-w", "-D", data, "-l", folder / "log", "-o", settings)
+        try:
+            yield Postgres(port)
+        finally:
+            run("pg_ctl", "stop", "-m", "immediate", "-D", data)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _tool(name: str) -> str | None:
+    found = shutil.which(name)
+    if found is not None:
+        return found
+    versions = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{name}"))
+    return str(versions[-1]) if versions else None
+
+
+def _other_user() -> pwd.struct_passwd | None:
+    for name in ("postgres", "nobody"):
+        try:
+            return pwd.getpwnam(name)
+        except KeyError:
+            continue
+    return None

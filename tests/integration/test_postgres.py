@@ -1,0 +1,109 @@
+"""A whole run on a PostgreSQL ledger: one writer, a repair from nothing, readers that cannot write, clear refusals."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import DatabaseError
+
+from coordinator.engine import ledger_trouble, open_reader, open_writer
+from coordinator.ledger_records import read_summaries
+from coordinator.repair import Patient, repair
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from coordinator.validator import Validator
+from schemas.errors import UsageError, WorldError
+from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.postgres import Postgres
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+
+SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0)
+ANY_PORT = ("tcp/127.0.0.1:0",)
+
+
+@pytest.fixture
+def url(postgres_server: Postgres) -> str:
+    return postgres_server.new_database()
+
+
+@pytest.fixture
+def finished(tmp_path: Path, url: str) -> Patient:
+    """A run of two episodes that ended well."""
+    plan, catalog = room_plan(2), room_catalog(tmp_path)
+    with (
+        Coordinator(tmp_path / "out", plan, catalog, ANY_PORT, url, SETTINGS) as hub,
+        WireWorker(hub.endpoints, hub.run) as worker,
+    ):
+        worker.hello(version("minivla-factory"))
+        for _ in range(2):
+            job, lease = worker.job()
+            assert worker.deliver(lease, bundle_for(job))
+        until(hub.is_finished)
+    return Patient(tmp_path / "out", url, plan, catalog, {})
+
+
+def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finished):
+    assert not (finished.root / "ledger.db").exists()
+    with Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS) as again:
+        assert again.is_finished()
+        assert again.progress().jobs["archived"] == 2
+
+
+def test_a_second_coordinator_is_refused_even_from_another_directory(finished, tmp_path):
+    with (
+        Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS),
+        pytest.raises(WorldError, match="another coordinator writes"),
+    ):
+        Coordinator(tmp_path / "elsewhere", finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS)
+
+
+def test_a_reader_cannot_write(finished):
+    reader = open_reader(finished.url)
+    with reader.connect() as connection:
+        assert len(list(read_summaries(connection))) == 2
+    with reader.connect() as connection, pytest.raises(DatabaseError, match="read-only"):
+        connection.execute(text("delete from episodes"))
+    reader.dispose()
+
+
+def test_an_emptied_database_is_rebuilt_from_plan_and_archive(finished, postgres_server):
+    empty = postgres_server.new_database()
+    assert "lacks the tables" in ledger_trouble(empty)
+    moved = Patient(finished.root, empty, finished.plan, finished.catalog, {})
+    with Validator() as validator:
+        report = repair(moved, validator, datetime.now(UTC), apply=True)
+        assert [str(action.kind) for action in report.actions] == ["rebuild", "adopt", "adopt"]
+        assert repair(moved, validator, datetime.now(UTC), apply=False).is_sound
+
+
+def test_a_writer_gets_through_a_lost_connection(url, postgres_server):
+    engine = open_writer(url)
+    with engine.connect() as connection:
+        (own,) = connection.execute(text("select pg_backend_pid()")).one()
+    other = open_reader(postgres_server.url("postgres"))
+    with other.connect() as connection:
+        connection.execute(text("select pg_terminate_backend(:pid)"), {"pid": own})
+    other.dispose()
+    with engine.connect() as connection:
+        (now,) = connection.execute(text("select pg_backend_pid()")).one()
+    engine.dispose()
+    assert now != own
+
+
+def test_a_server_that_is_not_there_is_named_without_the_password():
+    endpoint = free_endpoint().removeprefix("tcp/")
+    pytest.importorskip("psycopg")
+    for opening in (open_writer, open_reader):
+        with pytest.raises(WorldError, match="cannot be reached") as caught:
+            opening(f"postgresql+psycopg://me:secret@{endpoint}/run")
+        assert "secret" not in str(caught.value)
+
+
+def test_a_missing_driver_is_named_with_the_remedy():
+    with pytest.raises(UsageError, match=r"pip install 'psycopg\[binary\]'"):
+        open_writer("postgresql+psycopg2://me:secret@localhost/run")  # the driver that nobody has here
