@@ -6,7 +6,6 @@ Health pages say one word and need no token, so that any prober may ask; figures
 from __future__ import annotations
 
 import hmac
-import ssl
 import threading
 from collections.abc import Callable
 from http import HTTPStatus
@@ -41,19 +40,16 @@ class StatusServer:
         address: where to listen.
         vitals: of the coordinator.
         token: that `/metrics` asks for as `Authorization: Bearer TOKEN`; `None` asks for none.
-        tls: to serve HTTPS with; `None` serves HTTP.
 
     Raises:
         WorldError: the address is taken.
         UsageError: the extra `metrics` is not installed.
     """
 
-    def __init__(
-        self, address: HttpAddress, vitals: Vitals, token: str | None = None, tls: ssl.SSLContext | None = None
-    ) -> None:
+    def __init__(self, address: HttpAddress, vitals: Vitals, token: str | None = None) -> None:
         pages = _Pages(vitals, token)
         try:
-            self._server = _Server(address, pages, tls)
+            self._server = _Server(address, pages)
         except OSError as error:
             raise WorldError(
                 f"cannot serve status pages on {address.host}:{address.port}: {error.strerror or error}; give another "
@@ -63,7 +59,7 @@ class StatusServer:
         self._thread.start()
         host, port = self._server.server_address[:2]
         shown = f"[{host!s}]" if ":" in str(host) else str(host)
-        self.url = f"{'https' if tls else 'http'}://{shown}:{port}"
+        self.url = f"http://{shown}:{port}"
         """Where it listens."""
 
     def close(self) -> None:
@@ -168,11 +164,10 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
     request_queue_size = 32
 
-    def __init__(self, address: HttpAddress, pages: _Pages, tls: ssl.SSLContext | None) -> None:
+    def __init__(self, address: HttpAddress, pages: _Pages) -> None:
         self.pages = pages
         self.address_family = AF_INET6 if ":" in address.host else AF_INET
         self._free = threading.Semaphore(_MOST_AT_A_TIME)
-        self._tls = tls
         super().__init__((address.host, address.port), _Handler)
 
     def process_request(self, request: socket | tuple[bytes, socket], client_address: Any) -> None:
@@ -184,8 +179,6 @@ class _Server(ThreadingHTTPServer):
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:
             request.settimeout(_PATIENCE_S)
-            if self._tls is not None:  # the handshake belongs here: a silent client must not hold up the others
-                request = self._tls.wrap_socket(request, server_side=True)
             super().process_request_thread(request, client_address)
         except OSError as error:
             log.debug("http_client_gone", error=str(error))

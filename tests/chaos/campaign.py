@@ -35,7 +35,7 @@ from tests.chaos.party import Cast, Party, fake_cast, real_cast
 __all__ = ["Tally", "calm_digest", "digest_of", "play_round", "run_campaign", "violations_of"]
 
 DISK_MB = 64
-_ROUND_S = 240.0
+_ROUND_S = 300.0
 _HARMLESS_S = 2.0
 _REAL_PLAN = """
 name = "chaos"
