@@ -19,7 +19,7 @@ from factory.scenes.light.shine import lamp_light, sky_light
 from factory.scenes.light.smooth import fill_hidden, smooth_charts
 from factory.scenes.light.texels import Texels, lay_texels
 from factory.scenes.light.tone import tone
-from factory.scenes.light.unwrap import Unwrap, unwrap
+from factory.scenes.light.unwrap import unwrap
 
 __all__ = ["LightMap", "bake_light"]
 
@@ -66,27 +66,33 @@ def bake_light(
     caster, lamps = Caster(triangles), find_lamps(charts, glow, bounds, floor_m)
     layout = unwrap(charts, _interest(caster, charts, bends, lamps), bends.least_texels())
     texels = lay_texels(charts, bends, layout)
-    sky, hidden = sky_light(caster, texels, _FINE_SKY)
-    whole, free = lamp_light(caster, texels, lamps, _FINE_LAMPS)
-    shines = glow[texels.chart] > 0
     owner = np.full(layout.shape, -1, np.int64)
     owner[texels.cell] = texels.chart
-    known, soft = _mask(layout, texels, ~hidden), _mask(layout, texels, ~texels.is_bent)
-    spread = [_spread(values, texels, known, soft, owner) for values in (sky, free)]
+    cast, known = _cast_light(caster, texels.cast(), lamps, owner)
     touch = contact_shade(triangles, floor_m, texels.points, texels.axes[:, 2])
-    opening = spread[0] * fill_hidden(_map(layout, texels, touch), known, owner)
-    gifts = fill_hidden(_map(layout, texels, whole), known, owner)
-    grey = _chart_means(charts, reflectance)[texels.chart]
-    shown = _mask(layout, texels, ~hidden & ~shines)
-    picture = tone(opening, gifts * spread[1], shown, _map(layout, texels, grey))
-    picture[_mask(layout, texels, shines)] = 255
+    filled = fill_hidden(np.concatenate((cast, _maps(layout.shape, texels, touch))), known, owner)
+    sky, free, whole, rim = filled
+    shines = _mask(layout.shape, texels, glow[texels.chart] > 0)
+    grey = _maps(layout.shape, texels, _chart_means(charts, reflectance)[texels.chart])[0]
+    picture = tone(sky * rim, whole * free, known & ~shines, grey)
+    picture[shines] = 255
     return LightMap(layout.uvs.astype(np.float32), picture)
+
+
+def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tuple[Floats, Bools]:
+    """Returns maps (3, H, W), smooth within flat charts: openness, share and amount of lamplight; and where known."""
+    sky, hidden = sky_light(caster, texels, _FINE_SKY)
+    whole, free = lamp_light(caster, texels, lamps, _FINE_LAMPS)
+    known, bent = _mask(owner.shape, texels, ~hidden), _mask(owner.shape, texels, texels.is_bent)
+    cast = _maps(owner.shape, texels, sky, free, whole)
+    smooth, is_near = smooth_charts(cast, known, owner)
+    return np.where(bent, cast, smooth), np.where(bent, known, is_near)
 
 
 def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Floats:
     """(C,) how dense the texels of each chart should lie, by a coarse look: 1, or less for what is hidden or dark."""
     layout = unwrap(charts, np.full(len(charts.area), _COARSE))
-    texels = lay_texels(charts, bends, layout)
+    texels = lay_texels(charts, bends, layout).cast()
     _, hidden = sky_light(caster, texels, _COARSE_SKY)
     whole, free = lamp_light(caster, texels, lamps, _COARSE_LAMPS)
     is_seen, is_lit = np.zeros(len(charts.area), bool), np.zeros(len(charts.area), bool)
@@ -103,20 +109,15 @@ def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
     return np.asarray(total / np.bincount(charts.of_triangle))
 
 
-def _spread(values: Floats, texels: Texels, known: Bools, soft: Bools, owner: Ints) -> Floats:
-    """Lays values out as a map without holes, smooth within flat charts."""
-    flat = np.zeros(owner.shape)
-    flat[texels.cell] = values
-    return fill_hidden(np.where(soft, smooth_charts(flat, known, owner), flat), known, owner)
-
-
-def _map(layout: Unwrap, texels: Texels, values: Floats) -> Floats:
-    flat = np.zeros(layout.shape)
-    flat[texels.cell] = values
+def _maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
+    """Lays values (N,) of the texels out as maps (K, H, W), zero where nothing lies."""
+    flat = np.zeros((len(values), *shape))
+    for each, target in zip(values, flat, strict=True):
+        target[texels.cell] = each
     return flat
 
 
-def _mask(layout: Unwrap, texels: Texels, chosen: Bools) -> Bools:
-    mask = np.zeros(layout.shape, bool)
+def _mask(shape: tuple[int, int], texels: Texels, chosen: Bools) -> Bools:
+    mask = np.zeros(shape, bool)
     mask[texels.cell] = chosen
     return mask

@@ -18,6 +18,7 @@ _NEAR_M2 = 0.15
 """Added to squared distances: a lamp right beside a wall must not burn it out."""
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -85,10 +86,18 @@ def nearest_lamps(lamps: Lamps, place: Floats, most: int) -> Lamps:
     return lamps.chosen(np.sort(np.argsort(-weight, kind="stable")[:most]))
 
 
-def light_from(lamps: Lamps, points: Floats, normals: Floats) -> Floats:
-    """Returns (N, L) the light that each lamp would throw on N points facing along `normals`, with nothing between."""
-    way = lamps.centre - points[:, None]
-    squared = np.einsum("nlk,nlk->nl", way, way) + _NEAR_M2
-    arriving = np.maximum(np.einsum("nlk,nk->nl", way, normals), 0.0)
-    leaving = np.maximum(-np.einsum("nlk,lk->nl", way, lamps.normal), 0.0)
-    return np.asarray(lamps.power * arriving * leaving / squared**2)
+def light_from(lamps: Lamps, points: Singles, normals: Singles) -> Singles:
+    """Returns (L, N) the light that each lamp would throw on N points facing along `normals`, with nothing between.
+
+    Args:
+        lamps: L of them.
+        points: (3, N) metres.
+        normals: (3, N) unit vectors.
+    """
+    centre, facing = (np.asarray(values.T[:, :, None], np.float32) for values in (lamps.centre, lamps.normal))
+    x, y, z = centre[0] - points[0], centre[1] - points[1], centre[2] - points[2]
+    squared = x * x + y * y + z * z + np.float32(_NEAR_M2)
+    arriving = np.maximum(x * normals[0] + y * normals[1] + z * normals[2], 0)
+    leaving = np.maximum(-(x * facing[0] + y * facing[1] + z * facing[2]), 0)
+    power = np.asarray(lamps.power[:, None], np.float32)
+    return np.asarray(power * arriving * leaving / (squared * squared), np.float32)

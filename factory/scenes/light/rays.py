@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 __all__ = ["Caster"]
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 
 class Caster:
@@ -23,11 +24,9 @@ class Caster:
         self._scene: Any = rtcore_scene.EmbreeScene()
         self._mesh: Any = TriangleMesh(self._scene, corners)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._normals = cross
+        self._normals = np.ascontiguousarray(cross.T)
 
-    def first_hits(
-        self, origins: Floats, directions: Floats, reach_m: float
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def first_hits(self, origins: Singles, directions: Singles, reach_m: float) -> tuple[Singles, NDArray[np.bool_]]:
         """Returns for N rays the distance to what they meet, at most `reach_m`, and whether they met its back.
 
         Args:
@@ -35,18 +34,15 @@ class Caster:
             directions: (N, 3) unit vectors.
             reach_m: how far to look.
         """
-        start, way = (np.ascontiguousarray(values, np.float32) for values in (origins, directions))
-        limit = np.full(len(start), reach_m, np.float32)
-        hit = self._scene.run(start, way, limit, query="INTERSECT", output=1)
+        limit = np.full(len(origins), reach_m, np.float32)
+        hit = self._scene.run(origins, directions, limit, query="INTERSECT", output=1)
         triangle = np.asarray(hit["primID"])
         has_met = triangle >= 0
-        facing = np.einsum("nk,nk->n", self._normals[np.where(has_met, triangle, 0)], way)
+        x, y, z = (self._normals[k].take(triangle, mode="clip") * directions[:, k] for k in range(3))
         distance = np.where(has_met, np.asarray(hit["tfar"], np.float32), np.float32(reach_m))
-        return distance, has_met & (facing > 0)
+        return distance, has_met & (x + y + z > 0)
 
-    def is_free(self, origins: Floats, directions: Floats, lengths_m: Floats) -> NDArray[np.bool_]:
+    def is_free(self, origins: Singles, directions: Singles, lengths_m: Singles) -> NDArray[np.bool_]:
         """Says for N rays whether they meet nothing within their length."""
-        start, way = (np.ascontiguousarray(values, np.float32) for values in (origins, directions))
-        limit = np.ascontiguousarray(lengths_m, np.float32)
-        met = np.asarray(self._scene.run(start, way, limit, query="OCCLUDED"))  # 0 where something was met, else -1
+        met = np.asarray(self._scene.run(origins, directions, lengths_m, query="OCCLUDED"))  # 0 where met, else -1
         return np.asarray(met != 0, np.bool_)

@@ -14,68 +14,80 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 
-def smooth_charts(values: Floats, known: Bools, owner: Ints) -> Floats:
-    """Returns each value averaged with the known ones around it, three by three, of the same chart.
+def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
+    """Averages each value with the known ones around it, three by three, of the same chart.
 
     Args:
-        values: (H, W).
+        values: (..., H, W), any number of maps.
         known: (H, W) which of them count.
         owner: (H, W) chart of each texel, -1 for none.
+
+    Returns:
+        The averages, and (H, W) where something was known.
     """
     total, count = _around(values, known, owner)
-    return np.where(count > 0, total / np.maximum(count, 1), values)
+    return np.where(count > 0, total / np.maximum(count, 1), values), count > 0
 
 
 def fill_hidden(values: Floats, known: Bools, owner: Ints) -> Floats:
-    """Returns the values with the unknown ones taken from their nearest known neighbours, else from the whole chart."""
+    """Returns the values (..., H, W) with the unknown ones taken from their nearest known neighbours, else from the
+    whole chart.
+    """
     filled, have = values.copy(), known.copy()
     missing = np.nonzero(~have & (owner >= 0))
+    means, is_found = _means(values, known, owner)
+    filled[..., missing[0], missing[1]] = means[..., owner[missing]]
+    near = is_found[owner[missing]]  # the others have no known neighbour however far
+    missing = missing[0][near], missing[1][near]
     for _ in range(_FILL_ROUNDS):
         if not len(missing[0]):
-            return filled
+            break
         total, count = _near(filled, have, owner, missing)
         fresh = count > 0
         rows, columns = missing[0][fresh], missing[1][fresh]
-        filled[rows, columns] = total[fresh] / count[fresh]
+        filled[..., rows, columns] = total[..., fresh] / count[fresh]
         have[rows, columns] = True
         missing = missing[0][~fresh], missing[1][~fresh]
-    means = _means(values, known, owner)
-    filled[missing] = means[owner[missing]]
     return filled
 
 
 def _near(values: Floats, known: Bools, owner: Ints, cells: tuple[NDArray[np.intp], ...]) -> tuple[Floats, Floats]:
     """Sum and number of the known values of the same chart around some cells."""
-    total, count = np.zeros(len(cells[0])), np.zeros(len(cells[0]))
+    count = np.zeros(len(cells[0]))
+    total = np.zeros((*values.shape[:-2], len(count)))
+    own = owner[cells]
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             rows, columns = cells[0] + down, cells[1] + right
             inside = (rows >= 0) & (rows < owner.shape[0]) & (columns >= 0) & (columns < owner.shape[1])
             rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
-            same = inside & known[rows, columns] & (owner[rows, columns] == owner[cells])
-            total += np.where(same, values[rows, columns], 0.0)
+            same = inside & known[rows, columns] & (owner[rows, columns] == own)
+            total += np.where(same, values[..., rows, columns], 0.0)
             count += same
     return total, count
 
 
-def _means(values: Floats, known: Bools, owner: Ints) -> Floats:
+def _means(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:
+    """The mean of the known values of each chart (..., C), dim where there are none, and (C,) where there are some."""
     size = int(owner.max(initial=0)) + 1
-    total = np.bincount(owner[known], values[known], size)
     count = np.bincount(owner[known], minlength=size)
-    overall = float(values[known].mean()) if known.any() else 1.0
-    return np.where(count > 0, total / np.maximum(count, 1), 0.3 * overall)
+    maps = values.reshape(-1, *values.shape[-2:])
+    total = np.stack([np.bincount(owner[known], each[known], size) for each in maps])
+    overall = np.array([float(each[known].mean()) if known.any() else 1.0 for each in maps])
+    means = np.where(count > 0, total / np.maximum(count, 1), 0.3 * overall[:, None])
+    return means.reshape(*values.shape[:-2], size), count > 0
 
 
 def _around(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Floats]:
     """Sum and number of the known values of the same chart in the square around each texel."""
-    total, count = np.zeros(values.shape), np.zeros(values.shape)
-    rows, columns = values.shape
+    total, count = np.zeros(values.shape), np.zeros(owner.shape)
+    rows, columns = owner.shape
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             here = (_run(down, rows), _run(right, columns))
             there = (_run(-down, rows), _run(-right, columns))
             same = known[there] & (owner[there] == owner[here])
-            total[here] += np.where(same, values[there], 0.0)
+            total[(..., *here)] += np.where(same, values[(..., *there)], 0.0)
             count[here] += same
     return total, count
 

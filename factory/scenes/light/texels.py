@@ -16,6 +16,8 @@ __all__ = ["PATTERN_SIDE", "Texels", "lay_texels"]
 PATTERN_SIDE = 3
 """Flat texels deal out the patterns of rays over squares of three by three."""
 _LIFT_M = 0.006
+_LARGE = 8
+"""Texels along the shorter side from which on a flat chart is large."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,12 +39,20 @@ class Texels:
     """(N,) which set of rays; the first for all texels of bent charts, whose values are never averaged."""
     is_bent: Bools
     """(N,)"""
+    is_spare: Bools
+    """(N,) every other texel of large flat charts, as on a chess board: their neighbours can stand for them."""
 
-    def chosen(self, rows: Ints | Bools) -> Texels:
-        """Returns some of the texels."""
-        cell = (self.cell[0][rows], self.cell[1][rows])
+    def cast(self) -> Texels:
+        """Returns those that are worth casting rays from."""
+        rows = np.flatnonzero(~self.is_spare)
         return Texels(
-            cell, self.chart[rows], self.points[rows], self.axes[rows], self.pattern[rows], self.is_bent[rows]
+            cell=(self.cell[0][rows], self.cell[1][rows]),
+            chart=self.chart[rows],
+            points=self.points[rows],
+            axes=self.axes[rows],
+            pattern=self.pattern[rows],
+            is_bent=self.is_bent[rows],
+            is_spare=self.is_spare[rows],
         )
 
 
@@ -64,7 +74,8 @@ def lay_texels(charts: Charts, bends: Bends, layout: Unwrap) -> Texels:
     bent = np.flatnonzero(is_bent)
     axes[bent] = _turned(axes[bent], bends.normals(chart[bent], share[bent]))
     pattern = np.where(is_bent, 0, local[:, 0] % PATTERN_SIDE + PATTERN_SIDE * (local[:, 1] % PATTERN_SIDE))
-    return Texels((place[:, 1], place[:, 0]), chart, points, axes, pattern, is_bent)
+    is_spare = ((layout.size.min(axis=1) >= _LARGE)[chart]) & ~is_bent & (local.sum(axis=1) % 2 == 1)
+    return Texels((place[:, 1], place[:, 0]), chart, points, axes, pattern, is_bent, is_spare)
 
 
 def _turned(axes: Floats, normals: Floats) -> Floats:

@@ -18,7 +18,7 @@ __all__ = ["TooManyPieces", "Unwrap", "unwrap"]
 _TEXELS_PER_M = 12.0
 _FLOOR_GAIN, _CEILING_GAIN = 2.4, 0.4
 _LARGE_M2 = 4.0
-_BUDGET = 640_000
+_BUDGET = 512_000
 _MAX_SIDE = 1024
 _TINY = 0.75
 """Pieces narrower than this share of a texel get a single one."""

@@ -119,7 +119,9 @@ def test_hidden_pieces_get_a_single_texel() -> None:
 def test_smoothing_never_mixes_charts() -> None:
     owner = np.repeat([[0, 0, 1, 1]], 3, axis=0)
     values = np.where(owner == 0, 1.0, 5.0)
-    assert smooth_charts(values, np.ones_like(owner, bool), owner) == pytest.approx(values)
+    smooth, is_near = smooth_charts(values, np.ones_like(owner, bool), owner)
+    assert smooth == pytest.approx(values)
+    assert is_near.all()
 
 
 def test_unknown_texels_are_filled_from_their_own_chart() -> None:
