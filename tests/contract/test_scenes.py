@@ -94,8 +94,8 @@ def test_what_a_spawn_sees_it_can_drive_to_straight(scene: CompiledScene) -> Non
 
 
 def test_most_things_have_an_honest_colour(scene: CompiledScene) -> None:
-    """But for racks and shelves: half of what they show is their mixed load."""
-    things = [target for target in scene.info.targets if target.category not in ("rack", "shelf")]
+    """But for racks and shelves, half of which is their mixed load, and tables: a wooden top on a white frame."""
+    things = [target for target in scene.info.targets if target.category not in ("rack", "shelf", "table")]
     assert sum(target.colour != "unknown" for target in things) >= 0.8 * len(things)
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "loft",
     "merge",
     "moved",
+    "pad",
     "quad",
     "rod",
     "triangle_count",
@@ -107,6 +108,17 @@ def cushion(low: Vector, high: Vector, bevel: float) -> Mesh:
 
     levels = [(bevel, z0), (0.0, z0 + bevel), (0.0, z1 - bevel), (bevel, z1)]
     return loft(np.array([octagon(inset, z) for inset, z in levels]))
+
+
+def pad(low: Vector, high: Vector, bevel: float, is_loose: bool = False) -> Mesh:
+    """A box with its upper edges chamfered by `bevel` metres, a loose one's lower edges too: a cheap cushion."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    under = [(bevel, z0), (0.0, z0 + bevel)] if is_loose else [(0.0, z0)]
+    levels = [*under, (0.0, z1 - bevel), (bevel, z1)]
+    outlines = [((x0 + inset, x1 - inset), (y0 + inset, y1 - inset), z) for inset, z in levels]
+    return loft(
+        np.array([[(x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z)] for x, y, z in outlines])
+    )
 
 
 def lathe(profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = 14) -> Mesh:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import block, cushion, cylinder, fitted_block, loft, moved, rod, tube
+from factory.scenes.author.geometry import Mesh, block, cushion, cylinder, fitted_block, loft, moved, pad, rod, tube
 from factory.scenes.author.materials import Piece, glowing, painted, textured
 
 __all__ = ["bed", "curtain", "drip_stand", "head_panel", "nightstand", "trolley", "wash_unit", "wheelchair"]
@@ -27,23 +27,25 @@ def bed(variant: int, rng: Generator) -> list[Piece]:
     blanket = painted(("SkyBlue", "Teal", "Beige")[variant % 3], 0.95)
     tilt = 0.12 + 0.18 * float(rng.random())
     frame = block((-0.44, -0.98, 0.36), (0.44, 0.98, 0.42))
-    mattress = cushion((-0.43, -0.95, 0.42), (0.43, 0.35, 0.58), 0.03)
-    raised = moved(cushion((-0.43, 0.0, -0.16), (0.43, 0.66, 0.0), 0.03), (0.0, 0.33, 0.58), roll=tilt)
-    cover = cushion((-0.455, -0.96, 0.44), (0.455, 0.10, 0.605), 0.03)
-    pillow = moved(cushion((-0.27, -0.17, 0.0), (0.27, 0.17, 0.12), 0.05), (0.0, 0.68, 0.59 + 0.35 * tilt), roll=tilt)
-    ends = [cushion((-0.46, y - 0.02, 0.30), (0.46, y + 0.02, z), 0.015) for y, z in ((1.0, 1.02), (-1.0, 0.86))]
+    mattress = pad((-0.43, -0.95, 0.42), (0.43, 0.35, 0.58), 0.03)
+    raised = moved(pad((-0.43, 0.0, -0.16), (0.43, 0.66, 0.0), 0.03), (0.0, 0.33, 0.58), roll=tilt)
+    cover = pad((-0.455, -0.96, 0.44), (0.455, 0.10, 0.605), 0.03)
+    pillow = moved(
+        pad((-0.27, -0.17, 0.0), (0.27, 0.17, 0.12), 0.05, is_loose=True), (0.0, 0.68, 0.59 + 0.35 * tilt), roll=tilt
+    )
+    ends = [_end_board(y, z) for y, z in ((1.0, 1.02), (-1.0, 0.86))]
     legs = [
         block((x - 0.025, y - 0.025, 0.1), (x + 0.025, y + 0.025, 0.36)) for x in (-0.36, 0.36) for y in (-0.8, 0.8)
     ]
     base = block((-0.36, -0.8, 0.14), (0.36, 0.8, 0.19))
     wheels = [
-        moved(cylinder(0.055, -0.02, 0.02, sides=8), (x, y, 0.055), pitch=1.5708)
+        moved(cylinder(0.055, -0.02, 0.02, sides=6), (x, y, 0.055), pitch=1.5708)
         for x in (-0.36, 0.36)
         for y in (-0.8, 0.8)
     ]
     rails = [
-        tube([(x, 0.15, 0.45), (x, 0.2, 0.8), (x, 0.75, 0.8), (x, 0.8, 0.45)], 0.016, 5) for x in (-0.465, 0.465)
-    ] + [rod((x, 0.18, 0.64), (x, 0.78, 0.64), 0.010, 4) for x in (-0.465, 0.465)]
+        tube([(x, 0.15, 0.45), (x, 0.2, 0.8), (x, 0.75, 0.8), (x, 0.8, 0.45)], 0.016, 4) for x in (-0.465, 0.465)
+    ] + [rod((x, 0.18, 0.64), (x, 0.78, 0.64), 0.010, 3) for x in (-0.465, 0.465)]
     pieces = [Piece(WHITE, m) for m in (frame, mattress, raised, pillow)] + [Piece(PALE, m) for m in ends]
     return [
         *pieces,
@@ -53,11 +55,17 @@ def bed(variant: int, rng: Generator) -> list[Piece]:
     ]
 
 
+def _end_board(y: float, top: float) -> Mesh:
+    """A board across the bed with rounded upper corners, 4 cm thick."""
+    outline = [(-0.46, 0.30), (0.46, 0.30), (0.46, top - 0.06), (0.40, top), (-0.40, top), (-0.46, top - 0.06)]
+    return loft(np.array([[(x, side, z) for x, z in outline] for side in (y + 0.02, y - 0.02)]))
+
+
 def nightstand(_variant: int, rng: Generator) -> list[Piece]:
     """A bedside unit with two drawers, a cup and a lamp."""
     body = block((-0.22, -0.2, 0.08), (0.22, 0.2, 0.72))
     fronts = [block((-0.2, -0.215, z), (0.2, -0.2, z + 0.26)) for z in (0.12, 0.42)]
-    feet = [cylinder(0.025, 0.0, 0.08, (x, y), 6) for x in (-0.17, 0.17) for y in (-0.15, 0.15)]
+    feet = [cylinder(0.025, 0.0, 0.08, (x, y), 4) for x in (-0.17, 0.17) for y in (-0.15, 0.15)]
     top = block((-0.24, -0.22, 0.72), (0.24, 0.22, 0.75))
     cup = cylinder(0.035, 0.75, 0.85, (0.1, -0.05), 8)
     return [Piece(WHITE, body), *(Piece(PALE, m) for m in (*fronts, top)), *(Piece(BLACK, m) for m in feet),
@@ -153,7 +161,7 @@ def wash_unit(_variant: int, _rng: Generator) -> list[Piece]:
     """A hand basin on a cupboard with tap, mirror, tiles and a soap dispenser."""
     cupboard = block((-0.3, -0.2, 0.12), (0.3, 0.22, 0.78))
     doors = [block((x - 0.14, -0.215, 0.16), (x + 0.14, -0.2, 0.74)) for x in (-0.145, 0.145)]
-    basin = cushion((-0.33, -0.24, 0.78), (0.33, 0.22, 0.88), 0.03)
+    basin = pad((-0.33, -0.24, 0.78), (0.33, 0.22, 0.88), 0.03)
     tap = tube([(0.0, 0.17, 0.88), (0.0, 0.17, 1.05), (0.0, 0.05, 1.06), (0.0, 0.02, 1.01)], 0.014)
     tiles = block((-0.45, 0.205, 0.9), (0.45, 0.22, 1.6))
     mirror = block((-0.22, 0.195, 1.1), (0.22, 0.205, 1.55))

@@ -44,7 +44,7 @@ def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
             (radius * 0.75, top - 0.03),
             (0.03, top),
         ],
-        sides=18,
+        sides=14,
     )
     valve = cylinder(0.022, top, top + 0.05, sides=8)
     levers = [

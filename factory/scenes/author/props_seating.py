@@ -9,7 +9,7 @@ import math
 
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import Mesh, Vector, block, cushion, cylinder, moved, rod, tube
+from factory.scenes.author.geometry import Mesh, Vector, block, cushion, cylinder, moved, pad, rod, tube
 from factory.scenes.author.materials import Material, Piece, painted, textured
 
 __all__ = [
@@ -102,10 +102,10 @@ def cantilever_chair(variant: int, _rng: Generator) -> list[Piece]:
     for side in (-0.23, 0.23):
         path: list[Vector] = [(side, 0.20, 0.02), (side, -0.22, 0.02), (side, -0.24, 0.06), (side, -0.21, 0.43),
                               (side, 0.16, 0.44), (side, 0.21, 0.50), (side, 0.27, 0.88)]  # fmt: skip
-        pieces.append(Piece(CHROME, tube(path, 0.013, 5)))
-    pieces.append(Piece(CHROME, rod((-0.23, 0.20, 0.02), (0.23, 0.20, 0.02), 0.013, 5)))
-    seat = cushion((-0.23, -0.22, 0.44), (0.23, 0.19, 0.49), 0.02)
-    back = moved(cushion((-0.22, -0.02, 0.0), (0.22, 0.02, 0.28), 0.015), (0.0, 0.235, 0.60), roll=-0.15)
+        pieces.append(Piece(CHROME, tube(path, 0.013, 4)))
+    pieces.append(Piece(CHROME, rod((-0.23, 0.20, 0.02), (0.23, 0.20, 0.02), 0.013, 4)))
+    seat = pad((-0.23, -0.22, 0.44), (0.23, 0.19, 0.49), 0.02)
+    back = moved(pad((-0.22, -0.02, 0.0), (0.22, 0.02, 0.28), 0.015, is_loose=True), (0.0, 0.235, 0.60), roll=-0.15)
     return [*pieces, Piece(fabric, seat), Piece(fabric, back)]
 
 
@@ -126,11 +126,13 @@ def wooden_chair(variant: int, _rng: Generator) -> list[Piece]:
 def waiting_chair(variant: int, _rng: Generator) -> list[Piece]:
     """A moulded plastic shell on four splayed steel legs."""
     shell = SHELLS[variant % len(SHELLS)]
-    seat = cushion((-0.22, -0.22, 0.43), (0.22, 0.20, 0.465), 0.012)
-    back = [moved(cushion((-0.21, -0.014, 0.0), (0.21, 0.014, 0.26), 0.012), (0.0, 0.205, 0.45), roll=-0.12)]
-    back.append(moved(cushion((-0.20, -0.014, 0.0), (0.20, 0.014, 0.17), 0.012), (0.0, 0.235, 0.70), roll=-0.28))
-    lip = moved(cushion((-0.21, -0.05, -0.02), (0.21, 0.0, 0.018), 0.01), (0.0, -0.20, 0.435), roll=0.4)
-    legs = [rod((x, y, 0.43), (x * 1.35, y * 1.25, 0.0), 0.014, 5) for x in (-0.17, 0.17) for y in (-0.17, 0.17)]
+    seat = pad((-0.22, -0.22, 0.43), (0.22, 0.20, 0.465), 0.012)
+    back = [moved(pad((-0.21, -0.014, 0.0), (0.21, 0.014, 0.26), 0.012, is_loose=True), (0.0, 0.205, 0.45), roll=-0.12)]
+    back.append(
+        moved(pad((-0.20, -0.014, 0.0), (0.20, 0.014, 0.17), 0.012, is_loose=True), (0.0, 0.235, 0.70), roll=-0.28)
+    )
+    lip = moved(pad((-0.21, -0.05, -0.02), (0.21, 0.0, 0.018), 0.01), (0.0, -0.20, 0.435), roll=0.4)
+    legs = [rod((x, y, 0.43), (x * 1.35, y * 1.25, 0.0), 0.014, 4) for x in (-0.17, 0.17) for y in (-0.17, 0.17)]
     rails = [rod((x * 1.15, -0.195, 0.24), (x * 1.15, 0.195, 0.24), 0.009, 4) for x in (-0.18, 0.18)]
     return [*(Piece(shell, m) for m in (seat, lip, *back)), *(Piece(STEEL, m) for m in (*legs, *rails))]
 
