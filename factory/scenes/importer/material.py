@@ -83,7 +83,7 @@ def read_surface(material: Any, notes: list[str]) -> Surface | None:
     """
     shader = material.ComputeSurfaceSource()[0]
     if shader and shader.GetIdAttr().Get() in _SURFACES:
-        return _preview(shader)
+        return _one_tile(material, _preview(shader, notes), notes)
     shader = material.ComputeSurfaceSource("mdl")[0]
     surface = _mdl_inputs(shader) or _mdl_text(shader) if shader else None
     if surface is None:
@@ -95,12 +95,12 @@ def _first_input(shader: Any, *names: str) -> Any | None:
     return next((found for name in names if (found := shader.GetInput(name))), None)
 
 
-def _preview(shader: Any) -> Surface:
+def _preview(shader: Any, notes: list[str]) -> Surface:
     base = _first_input(shader, "diffuseColor", "base_color")
     end = _follow(base) if base else None
     surface = Surface()
     if isinstance(end, UsdShade.Shader):
-        surface = _textured(end)
+        surface = _textured(end, notes)
     elif end is not None:
         surface = Surface(colour=_colour(end))
     opacity = _value(shader, "opacity")
@@ -162,13 +162,28 @@ def _through(shader: Any, hops: int) -> Any | None:
     return next((end for end in ends if end is not None), None)
 
 
-def _textured(shader: Any) -> Surface:
+def _one_tile(material: Any, surface: Surface, notes: list[str]) -> Surface:
+    """The surface with the first tile for a picture of UDIM tiles, which the renderer repeats."""
+    if not UsdShade.UdimUtils.IsUdimIdentifier(surface.texture):
+        return surface
+    for spec in material.GetPrim().GetPrimStack():
+        tiles = UsdShade.UdimUtils.ResolveUdimTilePaths(surface.texture, spec.layer)
+        if tiles:
+            notes.append(f"{material.GetPath()}: of {len(tiles)} UDIM tiles the first is shown everywhere")
+            return replace(surface, texture=str(min(tiles, key=lambda tile: str(tile[1]))[0]))
+    return surface
+
+
+def _textured(shader: Any, notes: list[str]) -> Surface:
     file = _value(shader, "file")
+    if file is None:
+        notes.append(f"{shader.GetPath()}: a picture without a file, shown in one colour")
+        return Surface()
     scale, fallback = _value(shader, "scale"), _value(shader, "fallback")
     uv_set, affine = _uv_of(_first_input(shader, "st", "texcoord"))
     return Surface(
         colour=_WHITE if scale is None else _colour(scale),
-        texture="" if file is None else asset_path(file),
+        texture=asset_path(file),
         fallback=GRAY if fallback is None else _colour(fallback),
         uv_set=uv_set,
         uv_affine=affine,

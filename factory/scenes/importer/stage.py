@@ -155,7 +155,9 @@ def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matri
                 prims.PruneChildren()
                 yield from list(_walk_copies(walk, prim, path, frame))
             else:
-                yield Placement(prim, path, frame @ walk.matrix(prim))
+                with np.errstate(all="ignore"):  # what is not finite is refused where points are placed
+                    place = frame @ walk.matrix(prim)
+                yield Placement(prim, path, place)
         except BROKEN_PRIM as error:
             walk.notes.append(f"{path}: skipped, {_one_line(str(error))}")
 
