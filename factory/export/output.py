@@ -11,7 +11,7 @@ import fcntl
 import hashlib
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -37,6 +37,8 @@ class Output:
         self.root = root
         self._work = root / WORK_FOLDER
         self._done: set[str] = set()
+        self.before_file: Callable[[], None] = lambda: None
+        """Called before each final file is begun; may raise to end the work there."""
         with translated("open", root):
             root.mkdir(parents=True, exist_ok=True)
             self._lock = _lock(root)
@@ -113,6 +115,7 @@ class Output:
         Raises:
             WorldError: the disk is full or gone; nothing half written remains.
         """
+        self.before_file()
         final = self.root / name
         with translated("write", final):
             final.parent.mkdir(parents=True, exist_ok=True)

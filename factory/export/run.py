@@ -39,6 +39,10 @@ class Progress(NamedTuple):
     """`episodes`, then `finishing`."""
 
 
+class _Stopped(Exception):
+    """Somebody asked to stop while the last files were being written."""
+
+
 OnProgress = Callable[[Progress], None]
 
 
@@ -78,6 +82,10 @@ class _State:
     resumed: int = 0
     frames: int = 0
     """Written in this call."""
+
+    def require_going_on(self) -> None:
+        if self.stop.is_set():
+            raise _Stopped
 
     def tell(self, stage: str) -> None:
         done = len(self.pieces) + len(self.skipped)
@@ -211,7 +219,12 @@ def _finish(state: _State, manifest: Manifest) -> Manifest:
     state.tell("finishing")
     pieces = [state.pieces[position] for position in sorted(state.pieces)]
     state.out.begin_finish(piece.episode_id for piece in pieces)
-    state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
+    state.out.before_file = state.require_going_on
+    try:
+        state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
+    except _Stopped:
+        return manifest
+    state.out.before_file = lambda: None  # all is there: only the manifest is missing
     frames = sum(state.frame_counts.values())
     update = {"episodes": len(pieces), "frames": frames, "complete": not skipped, "skipped": skipped}
     manifest = manifest.model_copy(update=update)

@@ -83,10 +83,17 @@ def test_interrupted_export_goes_on(dataset: Path, calm: dict[str, Path], tmp_pa
         if progress.done:
             stop.set()
 
+    def stop_before_the_last_files(progress: Progress) -> None:
+        if progress.stage == "finishing":
+            stop.set()
+
     report = run_export(order(dataset, tmp_path / "out", name), stop_after_one, stop)
     assert (report.complete, report.finished, report.episodes) == (False, False, 1)
+    stop.clear()
+    report = run_export(order(dataset, tmp_path / "out", name), stop_before_the_last_files, stop)
+    assert (report.complete, report.finished, report.resumed) == (False, False, 1)
     report = run_export(order(dataset, tmp_path / "out", name))
-    assert (report.complete, report.resumed) == (True, 1)
+    assert (report.complete, report.resumed) == (True, EPISODES)
     assert contents(tmp_path / "out") == contents(calm[name])
 
 
