@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 import uuid
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -210,8 +211,8 @@ def _read_index(folder: Path) -> _Index | None:
 def _open(folder: Path, index: _Index) -> FrameCache:
     try:
         rgb, depth, mask = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("rgb", "depth", "mask"))
-        with np.load(folder / "labels.npz") as labels:
+        with (folder / "labels.npz").open("rb") as file, np.load(file) as labels:
             actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder, it is made anew") from error
     return FrameCache(index, rgb, depth, mask, actions, is_stop, episode)

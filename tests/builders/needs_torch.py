@@ -1,0 +1,15 @@
+"""Whether PyTorch is installed; without it the tests that need it skip, and say which extra brings it."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+
+__all__ = ["needs_torch"]
+
+_MISSING = [name for name in ("torch", "tensorboard") if importlib.util.find_spec(name) is None]
+
+needs_torch = pytest.mark.skipif(
+    bool(_MISSING), reason=f"no {' and no '.join(_MISSING)}: pip install 'minivla-factory[train]'; make test-train does"
+)

@@ -1,0 +1,202 @@
+"""`factory train bc` on small datasets: it learns, resumes to the same weights, and drives; or says what is missing."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from factory.dataset import Dataset
+from factory.eval.action import read_actions
+from factory.eval.policies import Outside, find_policy, make_policy
+from factory.eval.policy import EpisodeInfo, Observation
+from factory.train.options import BcOptions
+from factory.train.run import TrainOrder, Watcher, train_bc
+from schemas.errors import UsageError, WorldError
+from tests.builders.dataset import make_dataset
+from tests.builders.needs_torch import needs_torch
+
+INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
+# torch 2.13 warns of its own use of what Python 3.14 will drop
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("train") / "data"
+    make_dataset(root, 2)
+    return root
+
+
+def options(**changes: Any) -> BcOptions:
+    return BcOptions(**{"epochs": 3, "size": 64, "width": 4, "batch": 4, "hold": 3} | changes)
+
+
+def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99, resume: bool = False) -> list[float]:
+    """Trains, stops after some epochs of this call, and returns the losses of all of them."""
+    seen: list[int] = []
+    watcher = Watcher(
+        caching=lambda _done, _of: None,
+        learning=lambda _epochs, _done, _of, _loss: None,
+        measured=lambda measured: seen.append(measured.epoch),
+        is_stopped=lambda: len(seen) >= stop_after,
+    )
+    report = train_bc(TrainOrder(Dataset(root), out, options, device="cpu", resume=resume), watcher)
+    return [epoch.train_loss for epoch in report.epochs]
+
+
+def weights(out: Path) -> dict[str, np.ndarray[Any, Any]]:
+    from factory.train.checkpoint import read_checkpoint
+
+    return {name: tensor.numpy() for name, tensor in read_checkpoint(out).tensors["model"].items()}
+
+
+def observation(step: int = 0) -> Observation:
+    rgb = np.random.default_rng(step).integers(0, 256, (640, 640, 3), dtype=np.uint8)
+    return Observation(rgb=rgb, depth=np.full((640, 640), 2.0, np.float32), instruction="", step=step)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
+def test_without_torch_the_extra_is_named(root: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "factory", "train", "bc", "--data", str(root), "-o", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "pip install 'minivla-factory[train]'" in done.stderr
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(UsageError, match=r"minivla-factory\[train\]"):
+        make_policy(f"bc:{tmp_path}", Outside())
+
+
+def test_a_trained_policy_is_known_to_read_its_instruction() -> None:
+    assert find_policy("bc:anything").reads_instruction
+
+
+@needs_torch
+@pytest.mark.parametrize("head", ["continuous", "tokens"])
+def test_training_learns_by_heart(root: Path, tmp_path: Path, head: str) -> None:
+    losses = train(root, tmp_path / "out", options(head=head, epochs=25, peak_rate=1e-2))
+    assert losses[-1] < 0.7 * losses[0]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "policy.pt",
+        "state.pt",
+        "metrics.json",
+        "tensorboard",
+    }
+    assert any((tmp_path / "out" / "tensorboard").iterdir())
+
+
+@needs_torch
+def test_resumed_training_ends_with_the_same_weights(root: Path, tmp_path: Path) -> None:
+    whole = train(root, tmp_path / "whole", options())
+    train(root, tmp_path / "parts", options(), stop_after=1)
+    with pytest.raises(UsageError, match="holds a training already: add --resume"):
+        train(root, tmp_path / "parts", options())
+    assert train(root, tmp_path / "parts", options(), resume=True) == whole
+    one, two = weights(tmp_path / "whole"), weights(tmp_path / "parts")
+    assert one.keys() == two.keys()
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+@needs_torch
+def test_resume_refuses_another_training(root: Path, tmp_path: Path) -> None:
+    train(root, tmp_path, options(), stop_after=1)
+    with pytest.raises(UsageError, match="other options"):
+        train(root, tmp_path, options(seed=5), resume=True)
+
+
+@needs_torch
+def test_seed_decides_the_weights(root: Path, tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        train(root, tmp_path / name, options(seed=seed, epochs=1))
+    one, same, other = (weights(tmp_path / name) for name in "abc")
+    assert all(np.array_equal(one[name], same[name]) for name in one)
+    assert any(not np.array_equal(one[name], other[name]) for name in one)
+
+
+@needs_torch
+@pytest.mark.parametrize("head", ["continuous", "tokens"])
+def test_policy_answers_with_actions_of_the_hold(root: Path, tmp_path: Path, head: str) -> None:
+    train(root, tmp_path, options(head=head, epochs=1))
+    policy = make_policy(f"bc:{tmp_path}", Outside())
+    policy.reset("Go to the chair.", INFO)
+    for step in range(3):
+        chunk = read_actions(policy.act(observation(step)), "continuous", 1.0, 1.5)
+        assert len(chunk.twists) == 3
+        assert chunk.beyond == 0
+        assert len(set(chunk.twists)) == 1
+
+
+@needs_torch
+def test_words_change_what_is_done_and_not_in_the_ablated_twin(root: Path, tmp_path: Path) -> None:
+    for name, ablate in (("reads", False), ("blind", True)):
+        train(root, tmp_path / name, options(epochs=2, ablate_language=ablate))
+        policy = make_policy(f"bc:{tmp_path / name}", Outside())
+        answers = []
+        for instruction in ("Go to the chair.", "Approach the red sofa and stop."):
+            policy.reset(instruction, INFO)
+            answers.append(np.asarray(policy.act(observation())))
+        assert np.array_equal(*answers) is ablate
+
+
+@needs_torch
+def test_another_clock_or_camera_is_refused(root: Path, tmp_path: Path) -> None:
+    train(root, tmp_path, options(epochs=1))
+    policy = make_policy(f"bc:{tmp_path}", Outside())
+    with pytest.raises(UsageError, match=r"learned at 60 Hz .* asked to drive at 30 Hz"):
+        policy.reset("Go to the chair.", INFO.__class__("spec_1", 7, 30, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0))
+
+
+@needs_torch
+def test_what_is_no_checkpoint_is_refused_unread(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"no checkpoint .*nothing"):
+        make_policy(f"bc:{tmp_path / 'nothing'}", Outside())
+    import torch
+
+    torch.save({"meta": "{}"}, tmp_path / "policy.pt")
+    with pytest.raises(UsageError, match="no checkpoint that this version reads"):
+        make_policy(f"bc:{tmp_path}", Outside())
+    (tmp_path / "policy.pt").write_bytes(b"PK\x03\x04 not really")
+    with pytest.raises(WorldError, match="damaged or no checkpoint"):
+        make_policy(f"bc:{tmp_path}", Outside())
+
+
+class Evil:
+    """Would write a file when unpickled."""
+
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        import os
+
+        return os.system, ("touch /tmp/minivla-evil-checkpoint",)
+
+
+@needs_torch
+def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
+    import torch
+
+    torch.save({"meta": "{}", "model": Evil()}, tmp_path / "policy.pt")
+    with pytest.raises(WorldError, match="damaged or no checkpoint"):
+        make_policy(f"bc:{tmp_path}", Outside())
+    assert not Path("/tmp/minivla-evil-checkpoint").exists()
+
+
+@needs_torch
+def test_command_prints_its_report_and_goes_on(root: Path, tmp_path: Path) -> None:
+    base = [sys.executable, "-m", "factory", "train", "bc", "--data", str(root), "-o", str(tmp_path), "--size", "64"]
+    first = subprocess.run(
+        [*base, "--epochs", "1", "--json", "--device", "cpu"], capture_output=True, text=True, check=False
+    )
+    assert first.returncode == 0, first.stderr
+    report = json.loads(first.stdout)
+    assert report["finished"] is True
+    assert len(report["epochs"]) == 1
+    assert report["val_episodes"] == 0
+    assert report == json.loads((tmp_path / "metrics.json").read_text())
+    second = subprocess.run([*base, "--epochs", "1"], capture_output=True, text=True, check=False)
+    assert second.returncode == 2
+    assert "add --resume" in second.stderr

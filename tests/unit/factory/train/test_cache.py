@@ -1,0 +1,102 @@
+"""The cache of shrunk frames: what it holds, that it is made once, and anew when something is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factory.dataset import Dataset
+from factory.train.cache import CacheKey, FrameCache, open_cache
+from factory.train.labels import chosen_frames, label_episode, stop_frame
+from factory.train.look import shrink_depth, shrink_mask, shrink_rgb
+from schemas.errors import ArchiveCorrupt, UsageError, WorldError
+from tests.builders.dataset import make_dataset
+
+SIZE, HOLD = 64, 3
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("cached") / "data"
+    make_dataset(root, 2)
+    return Dataset(root)
+
+
+def opened(data: Dataset, root: Path) -> tuple[FrameCache, list[tuple[int, int]]]:
+    told: list[tuple[int, int]] = []
+    return open_cache(data, SIZE, HOLD, root, lambda done, of: told.append((done, of))), told
+
+
+def test_cache_holds_what_the_episodes_have(data: Dataset, tmp_path: Path) -> None:
+    cache, told = opened(data, tmp_path)
+    episode = data[1]
+    frames = chosen_frames(len(episode), HOLD)
+    assert told == [(1, 2), (2, 2)]
+    assert len(cache) == 2 * len(frames)
+    assert [(entry.episode_id, entry.first, entry.frames) for entry in cache.index.episodes] == [
+        ("ep_000001", 0, len(frames)),
+        ("ep_000002", len(frames), len(frames)),
+    ]
+    row = len(frames) + 2
+    frame = episode.frame(int(frames[2]))
+    assert cache.episode[row] == 1
+    assert np.array_equal(cache.rgb[row], shrink_rgb(frame.rgb, SIZE))
+    assert np.array_equal(cache.depth[row], shrink_depth(frame.depth, SIZE))
+    assert np.array_equal(cache.mask[row], shrink_mask(frame.ids, episode.meta.target_instance_id, SIZE // 8))
+    job = episode.meta.job
+    stop = stop_frame(episode.actions, job.robot.max_braking_mps2, job.task.control_hz)
+    labels = label_episode(episode.actions, frames, stop, HOLD)
+    assert np.array_equal(cache.actions[len(frames) :], labels.actions)
+    assert np.array_equal(cache.is_stop[len(frames) :], labels.is_stop)
+    assert cache.index.control_hz == episode.meta.job.task.control_hz
+
+
+def test_second_opening_decodes_nothing(data: Dataset, tmp_path: Path) -> None:
+    first, _ = opened(data, tmp_path)
+    second, told = opened(data, tmp_path)
+    assert told == []
+    assert np.array_equal(first.rgb, second.rgb)
+    assert isinstance(second.rgb, np.memmap)
+
+
+def test_other_content_size_or_hold_is_another_cache(data: Dataset) -> None:
+    key = CacheKey(dataset=data.digest, size=SIZE, hold=HOLD)
+    others = (
+        CacheKey(dataset=data.filter(episode="ep_000001").digest, size=SIZE, hold=HOLD),
+        CacheKey(dataset=data.digest, size=128, hold=HOLD),
+        CacheKey(dataset=data.digest, size=SIZE, hold=6),
+    )
+    assert len({key.name, *(other.name for other in others)}) == 4
+
+
+def test_cache_without_a_readable_index_is_made_anew(data: Dataset, tmp_path: Path) -> None:
+    opened(data, tmp_path)
+    (index,) = tmp_path.glob("*/index.json")
+    index.write_text('{"key": 1}')
+    cache, told = opened(data, tmp_path)
+    assert told
+    assert len(cache)
+
+
+def test_damaged_cache_is_named_with_the_remedy(data: Dataset, tmp_path: Path) -> None:
+    opened(data, tmp_path)
+    (labels,) = tmp_path.glob("*/labels.npz")
+    labels.write_bytes(labels.read_bytes()[:40])
+    with pytest.raises(WorldError, match=r"is damaged .* delete that folder"):
+        opened(data, tmp_path)
+
+
+def test_damaged_episode_leaves_no_cache_behind(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data", 2)
+    path = tmp_path / "data" / "episodes" / "ep_000002.zip"
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(ArchiveCorrupt, match="ep_000002"):
+        opened(Dataset(tmp_path / "data"), tmp_path / "cache")
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_no_episodes_are_refused(data: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no such episodes"):
+        opened(data.filter(split="test_ood_obj"), tmp_path)

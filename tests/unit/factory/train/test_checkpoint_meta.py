@@ -1,0 +1,68 @@
+"""What a checkpoint says of itself, and what is refused; needs no torch."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from factory.train.checkpoint import checkpoint_path, parse_meta, write_atomically
+from factory.train.options import BcOptions, CheckpointMeta
+from factory.train.words import vocabulary
+from schemas.errors import UsageError
+
+PATH = Path("policy.pt")
+
+
+def meta(**changes: object) -> CheckpointMeta:
+    values = {
+        "options": BcOptions(epochs=2),
+        "words": vocabulary(),
+        "control_hz": 60,
+        "fov_deg": 90.0,
+        "max_speed_mps": 1.0,
+        "max_yaw_rate_rps": 1.5,
+        "train_digest": "0" * 64,
+        "train_episodes": 3,
+        "train_frames": 40,
+        "software": "none",
+    }
+    return CheckpointMeta.model_validate(values | changes)
+
+
+def test_metadata_survives_its_file() -> None:
+    assert parse_meta(meta(epochs_done=2).model_dump_json(), PATH) == meta(epochs_done=2)
+
+
+@pytest.mark.parametrize("changes", [{"format": 2}, {"look": 99}])
+def test_other_versions_are_refused_by_number(changes: dict[str, int]) -> None:
+    text = json.dumps(json.loads(meta().model_dump_json()) | changes)
+    with pytest.raises(UsageError, match=r"another version .*(format 2|version 99)"):
+        parse_meta(text, PATH)
+
+
+@pytest.mark.parametrize("text", [None, 7, "", "{}", '{"kind": "other"}'])
+def test_what_is_no_metadata_is_refused(text: object) -> None:
+    with pytest.raises(UsageError, match=r"policy\.pt is no checkpoint"):
+        parse_meta(text, PATH)
+
+
+def test_a_training_folder_stands_for_its_policy(tmp_path: Path) -> None:
+    assert checkpoint_path(tmp_path) == tmp_path / "policy.pt"
+    assert checkpoint_path(tmp_path / "mine.pt") == tmp_path / "mine.pt"
+
+
+def test_file_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "metrics.json"
+    write_atomically(path, b"one")
+    write_atomically(path, b"two")
+    assert path.read_bytes() == b"two"
+    assert [found.name for found in tmp_path.iterdir()] == ["metrics.json"]
+
+
+@pytest.mark.parametrize("changes", [{"size": 100}, {"epochs": 0}, {"head": "both"}, {"peak_rate": 0}])
+def test_options_that_make_no_sense_are_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        BcOptions.model_validate(changes)

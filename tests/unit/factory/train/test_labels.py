@@ -1,0 +1,60 @@
+"""Labels from recorded commands: where the decision to stand shows, and what is held until the next look."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.train.labels import chosen_frames, label_episode, stop_frame
+from schemas.config import RobotConfig
+
+HZ, BRAKING = 60, RobotConfig().max_braking_mps2
+
+
+def drive() -> NDArray[np.float32]:
+    """Speeds up at 2.5 m/s2, sinks with the distance, brakes at 8 m/s2 and stands for six steps."""
+    up = np.arange(1, 24) * 2.5 / HZ
+    sinking = np.linspace(up[-1], 0.70, 60)
+    braking = np.clip(0.70 - np.arange(1, 7) * 8 / HZ, 0, None)
+    speed = np.concatenate([up, sinking, braking, np.zeros(6)])
+    return np.stack([speed, np.linspace(0.5, 0.0, len(speed))], axis=1).astype(np.float32)
+
+
+def test_stop_begins_with_the_braking() -> None:
+    assert stop_frame(drive(), BRAKING, HZ) == 23 + 60
+
+
+def test_an_episode_that_never_stands_has_no_stop() -> None:
+    assert stop_frame(drive()[:50], BRAKING, HZ) == 50
+
+
+def test_standing_on_the_way_is_no_stop() -> None:
+    twice = np.concatenate([drive(), drive()])
+    assert stop_frame(twice, BRAKING, HZ) == len(drive()) + 23 + 60
+
+
+def test_an_episode_of_standing_is_a_stop_throughout() -> None:
+    assert stop_frame(np.zeros((8, 2), np.float32), BRAKING, HZ) == 0
+
+
+def test_frames_are_denser_at_the_end() -> None:
+    frames = chosen_frames(100, 6)
+    assert frames[:3].tolist() == [0, 6, 12]
+    assert {70, 72, 74, 98} <= set(frames.tolist())
+    assert len(set(frames.tolist())) == len(frames)
+    assert frames.max() < 100
+
+
+def test_short_episodes_are_looked_at_whole() -> None:
+    assert chosen_frames(5, 6).tolist() == [0, 2, 4]
+
+
+def test_labels_hold_the_command_at_the_end_of_the_hold() -> None:
+    actions = drive()
+    frames = np.array([0, 12, 80, 84])
+    labels = label_episode(actions, frames, stop=83, hold=6)
+    assert labels.is_stop.tolist() == [False, False, False, True]
+    assert np.array_equal(labels.actions[0], actions[5])
+    assert np.array_equal(labels.actions[1], actions[17])
+    assert np.array_equal(labels.actions[2], actions[82]), "not into the braking"
+    assert labels.actions[3].tolist() == [0.0, 0.0]

@@ -1,0 +1,54 @@
+"""Instructions as numbers: complete for the templates, stable, and the same for all in the ablated twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factory.train.words import ANY, MAX_WORDS, PAD, UNKNOWN, encode, split_words, vocabulary
+from schemas.language import TEMPLATES, instruction
+from schemas.terms import CATEGORIES
+
+WORDS = vocabulary()
+
+
+@pytest.mark.parametrize("template", sorted(TEMPLATES))
+def test_every_template_with_every_category_is_known_and_fits(template: str) -> None:
+    words = vocabulary(["red"])
+    for category in CATEGORIES:
+        text = instruction(template, category, "red")
+        assert len(split_words(text)) <= MAX_WORDS
+        assert UNKNOWN not in encode(text, words)
+
+
+def test_case_and_punctuation_do_not_matter() -> None:
+    assert np.array_equal(encode("Go to the CHAIR!", WORDS), encode("go to the chair", WORDS))
+
+
+def test_different_objects_give_different_numbers() -> None:
+    said = {tuple(encode(f"Go to the {name.replace('_', ' ')}.", WORDS)) for name in CATEGORIES}
+    assert len(said) == len(CATEGORIES)
+
+
+def test_unknown_words_are_told_as_such() -> None:
+    found = encode("Go to the zeppelin.", WORDS)
+    assert found[3] == UNKNOWN
+    assert found[:3].min() > ANY
+    assert (found[4:] == PAD).all()
+
+
+def test_own_categories_of_the_training_data_become_words() -> None:
+    assert UNKNOWN not in encode("Go to the zeppelin.", vocabulary(["Approach the zeppelin."]))
+
+
+def test_ablated_twin_reads_the_same_of_everything() -> None:
+    texts = ("Go to the chair.", "", "Approach the red sofa and stop.")
+    assert {tuple(encode(text, WORDS, ablate=True)) for text in texts} == {(ANY, *[PAD] * (MAX_WORDS - 1))}
+
+
+@pytest.mark.parametrize("text", ["", "!?", "a " * 100])
+def test_any_text_gives_something_to_read(text: str) -> None:
+    found = encode(text, WORDS)
+    assert found.shape == (MAX_WORDS,)
+    assert found[0] != PAD
+    assert 0 <= found.min() <= found.max() < len(WORDS)
