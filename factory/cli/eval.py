@@ -130,8 +130,7 @@ def _specs(dataset: Dataset, path: Path | None, splits: tuple[Split, ...] | None
     chosen = splits_of(dataset, splits)
     with Progress(*_columns(), console=stderr, transient=True) as bar:
         task = bar.add_task("reading starts", total=None)
-        every = specs_of_dataset(dataset, chosen, lambda done, of: bar.update(task, completed=done, total=of))
-    return every.only(None, episodes)
+        return specs_of_dataset(dataset, chosen, lambda done, of: bar.update(task, completed=done, total=of), episodes)
 
 
 def _drive(campaign: Campaign, store: Store) -> bool:

@@ -54,7 +54,7 @@ def command(
             with Stage() as stage:
                 found = unfiltered_specs(dataset, chosen, episodes or 100, seed, stage, tell)
         else:
-            found = specs_of_dataset(dataset, chosen, tell).only(None, episodes)
+            found = specs_of_dataset(dataset, chosen, tell, episodes)
     write_specs(found, out)
     if as_json:
         print_json(_summary(found, out))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from factory.catalog import find_package
 from factory.dataset import Dataset
 from factory.episode import Episode
-from factory.eval.spec import EvalSettings, EvalSpec, SpecSet
+from factory.eval.spec import EvalSettings, EvalSpec, SpecSet, spread
 from schemas.episode import EpisodeMeta
 from schemas.errors import UsageError
 from schemas.scene import Instance, decode_scene
@@ -32,16 +32,19 @@ Tell = Callable[[int, int], None]
 
 
 class Places:
-    """The scenes of a dataset, loaded when first asked for; looks packages up and keeps the last few."""
+    """The scenes of a dataset, found and loaded when first asked for; keeps the last few."""
 
     def __init__(self, root: Path, keep: int = 4) -> None:
         self._root = root
         self._keep = keep
+        self._paths: dict[str, Path] = {}
         self._loaded: dict[str, LoadedScene] = {}
 
     def path(self, name: str, sha256: str) -> Path:
         """Returns the package of a scene; `ArchiveCorrupt` where the dataset has none."""
-        return find_package(self._root, name, sha256).path
+        if sha256 not in self._paths:
+            self._paths[sha256] = find_package(self._root, name, sha256).path
+        return self._paths[sha256]
 
     def load(self, name: str, sha256: str) -> LoadedScene:
         """Returns a scene; `ArchiveCorrupt` where the dataset has none."""
@@ -53,13 +56,19 @@ class Places:
         return self._loaded[sha256]
 
 
-def specs_of_dataset(dataset: Dataset, splits: Collection[Split], tell: Tell = lambda _done, _total: None) -> SpecSet:
+def specs_of_dataset(
+    dataset: Dataset,
+    splits: Collection[Split],
+    tell: Tell = lambda _done, _total: None,
+    episodes: int | None = None,
+) -> SpecSet:
     """Returns one spec for each archived episode of some splits, in the order of the plan.
 
     Args:
         dataset: with its scenes and episodes.
         splits: which; all that are asked for must have episodes.
         tell: told the progress.
+        episodes: only so many of them, spread evenly over the list.
 
     Raises:
         UsageError: a split has no episodes.
@@ -67,19 +76,24 @@ def specs_of_dataset(dataset: Dataset, splits: Collection[Split], tell: Tell = l
     """
     _require_episodes(dataset, splits)
     part = dataset.filter(split=[str(split) for split in splits])
+    names = part.metadata["episode_id"].to_pylist()
+    chosen = [names[place] for place in spread(len(names), episodes)]
+    source = f"episodes of {dataset.meta.run}, splits {', '.join(str(split) for split in splits)}"
     places = Places(dataset.root)
     specs: dict[str, EvalSpec] = {}
     # by scene and target, so that what is derived from them is derived once; the order of the set is the plan's
-    episodes = sorted(part, key=lambda episode: (episode.summary.scene, episode.summary.target_id))
-    for done, episode in enumerate(episodes, 1):
+    order = sorted(
+        (part[name] for name in chosen), key=lambda episode: (episode.summary.scene, episode.summary.target_id)
+    )
+    for done, episode in enumerate(order, 1):
         with episode:
             specs[episode.episode_id] = spec_of_episode(episode, places)
-        tell(done, len(part))
+        tell(done, len(chosen))
     return SpecSet(
-        source=f"episodes of {dataset.meta.run}, splits {', '.join(str(split) for split in splits)}",
+        source=source if len(chosen) == len(names) else f"{source}; {len(chosen)} of {len(names)}",
         run=dataset.meta.run,
         settings=EvalSettings.of(dataset.meta.plan),
-        specs=tuple(specs[name] for name in part.metadata["episode_id"].to_pylist()),
+        specs=tuple(specs[name] for name in chosen),
     )
 
 

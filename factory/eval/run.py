@@ -72,20 +72,21 @@ def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: 
         UsageError: a policy cannot be made, or the specs do not fit the dataset.
         WorldError: a policy's server is away, or simulations die.
     """
+    places = Places(campaign.root)
     with ExitStack() as stack:
         seats = [Seat(campaign.setup) for _ in range(campaign.processes)]
         for seat in seats:
             stack.callback(seat.kill)
         for policy in campaign.policies:
-            if not _Round(campaign, policy, store, seats, stop, tell).run():
+            if not _Round(campaign, orders_for(campaign, policy, places), store, seats, stop, tell).run():
                 return False
     return True
 
 
-def orders_for(campaign: Campaign, policy: str) -> list[Order]:
+def orders_for(campaign: Campaign, policy: str, places: Places) -> list[Order]:
     """Returns all episodes of a policy in the order of work: by variant, scene and place in the set."""
     entry = find_policy(policy)
-    specs, places = campaign.specs, Places(campaign.root)
+    specs = campaign.specs
     packages = {spec.scene_sha256: places.path(spec.scene, spec.scene_sha256) for spec in specs.specs}
     # a policy that cannot hear is not asked again under other words
     variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
@@ -135,9 +136,16 @@ class _Round:
     """All episodes of one policy."""
 
     def __init__(
-        self, campaign: Campaign, policy: str, store: Store, seats: list[Seat], stop: threading.Event, tell: Tell
+        self,
+        campaign: Campaign,
+        orders: list[Order],
+        store: Store,
+        seats: list[Seat],
+        stop: threading.Event,
+        tell: Tell,
     ) -> None:
-        self._campaign, self._policy, self._store = campaign, policy, store
+        self._campaign, self._orders, self._store = campaign, orders, store
+        self._policy = orders[0].policy
         self._seats, self._stop, self._tell = seats, stop, tell
         self._renderer = ""
         self._is_made = False
@@ -145,7 +153,7 @@ class _Round:
 
     def run(self) -> bool:
         """Returns whether all are done."""
-        orders = orders_for(self._campaign, self._policy)
+        orders = self._orders
         finished = self._store.results(self._policy)
         done = {(result.spec_id, result.variant, result.instruction) for result in finished}
         waiting = deque(o for o in orders if (o.spec.spec_id, o.variant, o.instruction) not in done)

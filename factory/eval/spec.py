@@ -17,7 +17,7 @@ from schemas.job import Job
 from schemas.plan import Plan, canonical_json
 from schemas.terms import ExpertName, Split, Tier
 
-__all__ = ["SPECS_FORMAT", "EvalSettings", "EvalSpec", "SpecSet"]
+__all__ = ["SPECS_FORMAT", "EvalSettings", "EvalSpec", "SpecSet", "spread"]
 
 SPECS_FORMAT = 1
 """Version of the file of specs. A reader opens its own version and older ones; a newer one it refuses by name."""
@@ -136,10 +136,16 @@ class SpecSet(Model):
             UsageError: none is left.
         """
         specs = [spec for spec in self.specs if splits is None or spec.split in splits]
-        if episodes is not None and episodes < len(specs):
-            specs = [specs[number * len(specs) // episodes] for number in range(episodes)]
+        specs = [specs[place] for place in spread(len(specs), episodes)]
         if not specs:
             there = ", ".join(sorted({spec.split for spec in self.specs}))
             raise UsageError(f"the specs have no episodes in {', '.join(sorted(splits or ()))}; splits there: {there}")
         source = self.source if len(specs) == len(self.specs) else f"{self.source}; {len(specs)} of {len(self.specs)}"
         return SpecSet(source=source, run=self.run, settings=self.settings, specs=tuple(specs))
+
+
+def spread(count: int, wanted: int | None) -> list[int]:
+    """Returns at most `wanted` places of a list of `count`, evenly apart; all of them where none is wanted."""
+    if wanted is None or wanted >= count:
+        return list(range(count))
+    return [number * count // wanted for number in range(wanted)]

@@ -15,17 +15,17 @@ from tests.builders.evaluation import archive_drives
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of three drives in a room of boxes."""
-    return archive_drives(tmp_path_factory.mktemp("drives") / "dataset")
+    """A dataset of two drives in a room of boxes."""
+    return archive_drives(tmp_path_factory.mktemp("drives") / "dataset", episodes=2)
 
 
 @pytest.fixture(scope="module")
 def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Replay and a stop over all episodes, kept."""
+    """Replay and a stop over two episodes, kept."""
     folder = tmp_path_factory.mktemp("eval") / "out"
     specs = folder.parent / "specs.json"
-    factory("eval", "specs", drives, "--split", "all", "-o", specs)
-    shorten(specs, 200)
+    factory("eval", "specs", drives, "--split", "all", "--episodes", 2, "-o", specs)
+    shorten(specs, 150)
     words = ("eval", "--data", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", folder)
     found = factory(*words, "--videos", "1", "--workers", 2)
     assert "replay" in found.stdout
@@ -44,14 +44,14 @@ def test_replay_succeeds_everywhere_and_stop_nowhere(out: Path) -> None:
     results = json.loads((out / "results.json").read_text())
     replay, stop = results["policies"]
     assert results["complete"] is True
-    assert (replay["overall"]["success"]["count"], replay["overall"]["n"]) == (3, 3)
+    assert (replay["overall"]["success"]["count"], replay["overall"]["n"]) == (2, 2)
     assert stop["overall"]["success"]["count"] == 0
     assert {group["group"] for group in replay["groups"] if group["by"] == "split"} == {"train_id", "test_id"}
 
 
 def test_the_files_are_what_they_are_called(out: Path) -> None:
     table = pq.read_table(out / "episodes.parquet")
-    assert table.num_rows == 6
+    assert table.num_rows == 4
     assert {"spec_id", "policy", "success", "spl", "final_ne_m", "track_x_m"} <= set(table.column_names)
     page = (out / "index.html").read_text()
     assert page.count("data:image/webp;base64,") == 1
@@ -65,15 +65,15 @@ def test_the_same_command_drives_nothing_twice(factory: FactoryCli, drives: Path
     found = factory.json(
         "eval", "--data", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out
     )
-    assert found["policies"][0]["overall"]["success"]["count"] == 3
+    assert found["policies"][0]["overall"]["success"]["count"] == 2
     assert {path: path.read_bytes() for path in out.rglob("episodes.jsonl")} == before
 
 
 def test_two_policies_are_compared_pair_by_pair(factory: FactoryCli, out: Path) -> None:
     found = factory.json("eval", "compare", out / "policies" / "stop", out / "policies" / "replay")
-    assert (found["pairs"], found["only_second"], found["only_first"]) == (3, 3, 0)
+    assert (found["pairs"], found["only_second"], found["only_first"]) == (2, 2, 0)
     assert found["success_difference"]["mean"] == 1.0
-    assert found["p"] == pytest.approx(2 * 0.5**3)
+    assert found["p"] == pytest.approx(2 * 0.5**2)
 
 
 def test_ctrl_c_keeps_what_is_done(factory: FactoryCli, drives: Path, out: Path, tmp_path: Path) -> None:
@@ -90,5 +90,5 @@ def test_ctrl_c_keeps_what_is_done(factory: FactoryCli, drives: Path, out: Path,
 
 def test_unfiltered_starts_are_a_file_of_specs(factory: FactoryCli, drives: Path, tmp_path: Path) -> None:
     path = tmp_path / "u.json"
-    found = factory.json("eval", "specs", drives, "--split", "all", "--unfiltered", "--episodes", 4, "-o", path)
-    assert (found["episodes"], found["starts"]) == (4, {"drawn": 4})
+    found = factory.json("eval", "specs", drives, "--split", "all", "--unfiltered", "--episodes", 2, "-o", path)
+    assert (found["episodes"], found["starts"]) == (2, {"drawn": 2})
