@@ -1,9 +1,9 @@
-# The whole interface of a checkout: make setup | run | test | check | scenes-check. Everything lives in .venv.
+# The whole interface of a checkout: make setup | run | test | check | bench | scenes-check. Everything lives in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check scenes-check clean
+.PHONY: setup run test check bench scenes-check clean
 
 setup: $(READY)
 
@@ -25,6 +25,10 @@ check: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+
+# frames a second of every scene on an otherwise idle machine, beside the plain PyBullet pipeline
+bench: $(READY)
+	$(VENV)/bin/factory bench rollout --against plain
 
 # compiles seeds 0-19 of all built-in scenes and holds each to the contract: ten minutes, not in CI
 scenes-check: $(READY)
