@@ -1,0 +1,206 @@
+"""Fine-tune a vision-language model on the action tokens of a dataset, the way OpenVLA does it.
+
+    python finetune_tokens.py --data dataset --model tiny -o tiny                  # minutes on a CPU, proves the pipe
+    python finetune_tokens.py --data dataset --model openvla/openvla-7b -o adapted   # transformers, peft, a GPU
+
+Then, from the folder of this file:  VLA_CHECKPOINT=tiny factory eval --data dataset --policy finetune_tokens:VlaPolicy
+
+An action is two of the 7 + 7 tokens of the grid. They take the place of the last 14 tokens of the language model's
+vocabulary (OpenVLA takes its last 256), so the model answers with two words it already has. Needs the extra `train`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from factory import Dataset
+from factory.torch_dataset import FrameDataset
+
+GRID = 7
+PROMPT = "In: What action should the robot take to {instruction}?\nOut:"
+
+
+def prompt_of(instruction):
+    """Returns the question of OpenVLA; its instructions are in lower case, without a full stop."""
+    return PROMPT.format(instruction=instruction.lower().rstrip(". "))
+
+
+def to_vocabulary(tokens, vocabulary):
+    """Returns v and w tokens 0..6 as ids of the language model: v from -14 to -8, w from -7 to -1."""
+    return vocabulary - 2 * GRID + np.asarray(tokens) + np.array((0, GRID))
+
+
+def from_logits(logits, place, vocabulary):
+    """Returns the likeliest token 0..6 of one place (0 is v, 1 is w), whatever else the model would rather say."""
+    first = vocabulary - 2 * GRID + place * GRID
+    return int(logits[first : first + GRID].argmax())
+
+
+class TinyVla(nn.Module):
+    """A transformer of two layers with random weights: patches, then bytes of the prompt, then the answer."""
+
+    vocabulary, size, patch, width = 512, 64, 16, 64
+
+    def __init__(self):
+        super().__init__()
+        self.see = nn.Conv2d(3, self.width, self.patch, self.patch)
+        self.say = nn.Embedding(self.vocabulary, self.width)
+        self.place = nn.Parameter(0.02 * torch.randn(1, 256, self.width))
+        layer = nn.TransformerEncoderLayer(self.width, 4, 4 * self.width, dropout=0.0, batch_first=True)
+        self.layers = nn.TransformerEncoder(layer, 2)
+        self.out = nn.Linear(self.width, self.vocabulary)
+
+    def encode(self, prompt):
+        """Returns the ids of a prompt: its bytes."""
+        return list(prompt.encode())
+
+    def pixels(self, rgb):
+        """Returns (N, 640, 640, 3) uint8 as the model wants it."""
+        every = rgb.shape[1] // self.size
+        return rgb[:, ::every, ::every].permute(0, 3, 1, 2).float() / 127.5 - 1
+
+    def forward(self, pixels, ids):
+        """Returns logits (N, L, vocabulary) of what follows each id."""
+        seen = self.see(pixels).flatten(2).transpose(1, 2)
+        x = torch.cat([seen, self.say(ids)], dim=1) + self.place[:, : seen.shape[1] + ids.shape[1]]
+        mask = nn.Transformer.generate_square_subsequent_mask(x.shape[1])
+        return self.out(self.layers(x, mask=mask, is_causal=True))[:, seen.shape[1] :]
+
+    def save(self, out):
+        """Writes the weights."""
+        torch.save(self.state_dict(), Path(out) / "tiny.pt")
+
+    @classmethod
+    def load(cls, out):
+        """Reads them again."""
+        model = cls()
+        model.load_state_dict(torch.load(Path(out) / "tiny.pt", weights_only=True))
+        return model
+
+
+class PretrainedVla(nn.Module):
+    """OpenVLA, or a model with its interface, under low-rank adapters."""
+
+    def __init__(self, name, adapters=None):
+        super().__init__()
+        from peft import LoraConfig, PeftModel, get_peft_model
+        from transformers import AutoModelForVision2Seq, AutoProcessor
+
+        self.processor = AutoProcessor.from_pretrained(name, trust_remote_code=True)
+        base = AutoModelForVision2Seq.from_pretrained(name, torch_dtype=torch.bfloat16, trust_remote_code=True)
+        if adapters:
+            self.model = PeftModel.from_pretrained(base, adapters)
+        else:
+            self.model = get_peft_model(base, LoraConfig(r=32, lora_alpha=16, target_modules="all-linear"))
+        self.model.to("cuda")
+        self.vocabulary = len(self.processor.tokenizer)
+
+    def encode(self, prompt):
+        """Returns the ids of a prompt; OpenVLA expects the empty token 29871 behind it."""
+        return [*self.processor.tokenizer(prompt)["input_ids"], 29871]
+
+    def pixels(self, rgb):
+        """Returns (N, 640, 640, 3) uint8 as the model's own image processor makes it."""
+        from PIL import Image
+
+        images = [Image.fromarray(picture.numpy()) for picture in rgb]
+        return self.processor.image_processor(images, return_tensors="pt")["pixel_values"].to("cuda", torch.bfloat16)
+
+    def forward(self, pixels, ids):
+        """Returns logits (N, L, vocabulary); the patches stand behind the first token and are cut out again."""
+        ids = ids.to("cuda")
+        logits = self.model(input_ids=ids, pixel_values=pixels, attention_mask=torch.ones_like(ids)).logits
+        return torch.cat([logits[:, :1], logits[:, logits.shape[1] - ids.shape[1] + 1 :]], dim=1).float().cpu()
+
+    def save(self, out):
+        """Writes the adapters."""
+        self.model.save_pretrained(out)
+
+
+def batches(dataset, size, seed):
+    """Yields frames of one length of prompt together, so that nothing needs filling up; without end."""
+    rng = np.random.default_rng(seed)
+    while True:
+        samples = [dataset[int(index)] for index in rng.integers(0, len(dataset), size)]
+        by_prompt = {}
+        for sample in samples:
+            by_prompt.setdefault(prompt_of(sample["instruction"]), []).append(sample)
+        yield from by_prompt.items()
+
+
+def train(model, dataset, steps, batch, rate, seed):
+    """Fits the model to the tokens and returns the losses."""
+    learned = [parameter for parameter in model.parameters() if parameter.requires_grad]
+    optimizer = torch.optim.AdamW(learned, lr=rate)
+    losses = []
+    for step, (prompt, samples) in zip(range(steps), batches(dataset, batch, seed), strict=False):
+        asked = torch.tensor([model.encode(prompt)]).expand(len(samples), -1)
+        wanted = torch.from_numpy(np.stack([to_vocabulary(sample["tokens"], model.vocabulary) for sample in samples]))
+        pixels = model.pixels(torch.from_numpy(np.stack([sample["rgb"] for sample in samples])))
+        logits = model(pixels, torch.cat([asked, wanted[:, :1]], dim=1))[:, -2:]
+        loss = nn.functional.cross_entropy(logits.reshape(-1, logits.shape[-1]), wanted.reshape(-1))
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+        if step % 10 == 0:
+            print(f"step {step}: loss {losses[-1]:.3f}", flush=True)  # noqa: T201
+    return losses
+
+
+class VlaPolicy:
+    """The fine-tuned model as a policy of `factory eval`; reads VLA_CHECKPOINT (and VLA_MODEL, unless tiny)."""
+
+    actions = "tokens"
+    hold = 6
+
+    def __init__(self):
+        checkpoint, name = os.environ["VLA_CHECKPOINT"], os.environ.get("VLA_MODEL", "tiny")
+        self.model = (TinyVla.load(checkpoint) if name == "tiny" else PretrainedVla(name, checkpoint)).eval()
+
+    def reset(self, instruction, info):  # noqa: ARG002
+        """Reads the instruction."""
+        self.asked = torch.tensor([self.model.encode(prompt_of(instruction))])
+
+    def act(self, observation):
+        """Returns (6, 2) tokens: one answer, held for a tenth of a second."""
+        pixels = self.model.pixels(torch.from_numpy(observation["rgb"].copy())[None])
+        ids, answer = self.asked, []
+        with torch.inference_mode():
+            for place in (0, 1):
+                token = from_logits(self.model(pixels, ids)[0, -1], place, self.model.vocabulary)
+                answer.append(token)
+                said = self.model.vocabulary - 2 * GRID + place * GRID + token
+                ids = torch.cat([ids, torch.tensor([[said]])], dim=1)
+        return np.tile(np.array(answer), (self.hold, 1))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", required=True)
+    parser.add_argument("--split", default="train_id")
+    parser.add_argument("--model", default="tiny")
+    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--rate", type=float, default=5e-4)
+    parser.add_argument("--stride", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("-o", "--out", required=True)
+    chosen = parser.parse_args()
+    torch.manual_seed(chosen.seed)
+    frames = FrameDataset(Dataset(chosen.data).filter(split=chosen.split), stride=chosen.stride)
+    model = TinyVla() if chosen.model == "tiny" else PretrainedVla(chosen.model)
+    losses = train(model, frames, chosen.steps, chosen.batch, chosen.rate, chosen.seed)
+    Path(chosen.out).mkdir(parents=True, exist_ok=True)
+    model.save(chosen.out)
+    print(f"loss {losses[0]:.3f} at first, {np.mean(losses[-10:]):.3f} at last; written to {chosen.out}")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""MiniVLA-Nav as a benchmark of allenai's vla-eval: its orchestrator drives our simulator, its servers give actions.
+
+pip install vla-eval 'minivla-factory[eval]'; then, from the folder of this file (vla_eval.yaml names the dataset):
+
+    vla-eval run --config vla_eval.yaml --no-docker
+
+One task a spec, so that results name episodes. A server gets `images["front"]`, `depth`, `task_description`; it answers
+with `actions` (v, w). A chunk is unrolled by the server, as vla-eval has it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from vla_eval.benchmarks.base import StepBenchmark, StepResult
+from vla_eval.specs import IMAGE_RGB, LANGUAGE, DimSpec
+
+from factory.gym.env import MiniVLANavEnv
+
+__all__ = ["MiniVLANav"]
+
+
+class MiniVLANav(StepBenchmark):
+    """Episodes of a dataset's split, or of a file of specs, one after the other in one process.
+
+    Args:
+        data: the dataset's directory.
+        split: one or several splits, `a,b`.
+        specs: a file of `factory eval specs` instead.
+        size: pixels of a side of the images.
+        send_depth: whether observations have depth.
+    """
+
+    render_backends: ClassVar[frozenset[str]] = frozenset({"cpu", "gpu"})
+
+    @classmethod
+    def configure_render(cls, mode: str) -> dict[str, str]:  # noqa: ARG003
+        """Sets nothing: the renderer takes EGL's first device, be it a GPU or llvmpipe."""
+        return {}
+
+    def __init__(
+        self,
+        data: str,
+        split: str = "test_id",
+        specs: str | None = None,
+        size: int = 320,
+        send_depth: bool = True,
+    ) -> None:
+        super().__init__()
+        self._env = MiniVLANavEnv(data, split=split, specs=specs, size=size)
+        self._send_depth = send_depth
+
+    def get_tasks(self) -> list[dict[str, Any]]:
+        """Returns one task an episode."""
+        return [
+            {"name": spec.spec_id, "suite": str(spec.split), "scene": spec.scene, "category": spec.category}
+            for spec in self._env.specs.specs
+        ]
+
+    def reset(self, task: dict[str, Any]) -> dict[str, Any]:
+        """Begins the episode of that name."""
+        observation, self._info = self._env.reset(options={"episode": task["name"]})
+        return observation
+
+    def step(self, action: dict[str, Any]) -> StepResult:
+        """Carries one (v, w) out."""
+        twist = np.asarray(action["actions"], np.float32).reshape(-1)[:2]
+        observation, reward, terminated, truncated, self._info = self._env.step(twist)
+        return StepResult(obs=observation, reward=reward, done=terminated or truncated, info=self._info)
+
+    def make_obs(self, raw_obs: dict[str, Any], task: dict[str, Any]) -> dict[str, Any]:  # noqa: ARG002
+        """Returns what a model server is sent."""
+        sent = {"images": {"front": raw_obs["rgb"]}, "task_description": raw_obs["instruction"]}
+        return {**sent, "depth": raw_obs["depth"]} if self._send_depth else sent
+
+    def get_step_result(self, step_result: StepResult) -> dict[str, Any]:  # noqa: ARG002
+        """Returns the measures of an episode; `spl` is 0 where it did not come to its end."""
+        info = self._info
+        return {
+            "success": bool(info["success"]),
+            "spl": float(info.get("spl", 0.0)),
+            "navigation_error_m": float(info["distance_m"]),
+            "collision": info["end_reason"] == "collision",
+        }
+
+    def get_metric_keys(self) -> dict[str, str]:
+        """Returns how vla-eval sums episodes up."""
+        return {"success": "mean", "spl": "mean", "navigation_error_m": "mean", "collision": "mean"}
+
+    def get_action_spec(self) -> dict[str, DimSpec]:
+        """Returns what an action is."""
+        about = "v in m/s, 0 to 1, and w in rad/s, -1.5 to 1.5, at 60 Hz"
+        return {"base": DimSpec("base", 2, "twist_v_mps_w_rps", (-1.5, 1.5), description=about)}
+
+    def get_observation_spec(self) -> dict[str, DimSpec]:
+        """Returns what an observation is."""
+        return {"image": IMAGE_RGB, "language": LANGUAGE}
+
+    def get_metadata(self) -> dict[str, Any]:
+        """Returns the limit of steps: the environment ends episodes by itself."""
+        return {"max_steps": self._env.specs.settings.task.max_steps}
+
+    def get_hold_action(self, last_action: dict[str, Any] | None) -> dict[str, Any]:  # noqa: ARG002
+        """Returns standstill: a stale twist would drive on."""
+        return {"actions": np.zeros(2, np.float32)}
+
+    def cleanup(self) -> None:
+        """Closes simulator and renderer."""
+        self._env.close()
