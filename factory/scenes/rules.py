@@ -45,7 +45,7 @@ class CategoryRule(Model):
     largest_m: Positive = 40.0
     """Longest plausible longest side, metres."""
     has_colour: bool = True
-    """Whether it is called after its colour; a rack shows that of its load."""
+    """Whether it is called after its colour; a rack shows that of its load, a monitor that of its picture."""
 
 
 class RuleBook(Model):
