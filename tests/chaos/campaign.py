@@ -35,7 +35,6 @@ from tests.chaos.party import Cast, Party, fake_cast, real_cast
 __all__ = ["Tally", "calm_digest", "digest_of", "play_round", "run_campaign", "violations_of"]
 
 DISK_MB = 64
-_ROUND_S = 300.0
 _HARMLESS_S = 2.0
 _REAL_PLAN = """
 name = "chaos"
@@ -70,7 +69,7 @@ def calm_digest(cast: Cast, root: Path) -> str:
     """Returns the digest of the dataset that one undisturbed worker makes."""
     root.mkdir()
     with Party(root, cast, 1) as party:
-        _await_all(party, time.monotonic() + _ROUND_S)
+        _await_all(party, time.monotonic() + cast.longest_s)
         party.end()
         digest = digest_of(party)
     shutil.rmtree(root)
@@ -88,7 +87,7 @@ def play_round(
         party = stack.enter_context(Party(root, cast, workers, disk))
         kinds = possible(party)
         tally.missing |= disk.missing
-        deadline, done = time.monotonic() + _ROUND_S, 0
+        deadline, done = time.monotonic() + cast.longest_s, 0
         next_harm, relief = time.monotonic() + 2.0, float("inf")
         while len(party.archived()) < cast.episodes and time.monotonic() < deadline:
             now = time.monotonic()
@@ -107,7 +106,7 @@ def play_round(
         disk.clear()
         party.tend(everybody=True)
         if len(party.archived()) < cast.episodes:
-            party.violations.append(f"{len(party.archived())} of {cast.episodes} episodes after {_ROUND_S:g} s")
+            party.violations.append(f"{len(party.archived())} of {cast.episodes} episodes after {cast.longest_s:g} s")
             shutil.copy(party.log, root.with_suffix(".log"))
         party.end()
         party.violations += violations_of(party)

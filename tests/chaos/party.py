@@ -37,6 +37,8 @@ class Cast:
     """(root, endpoint) -> command line; the dataset lies in `root/out`."""
     worker: Callable[[Path, str], list[str]]
     """(folder of the host, endpoint) -> command line."""
+    longest_s: float
+    """How long a round may take."""
     has_small_disk: bool
     """Whether the coordinator works on a disk of a few megabytes."""
 
@@ -48,6 +50,7 @@ def fake_cast(episodes: int, longest_s: float) -> Cast:
         episodes,
         lambda root, endpoint: _module("tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S),
         lambda folder, endpoint: [*_module("tests.builders.worker", endpoint, folder, 2), *simulation],
+        longest_s=300.0,
         has_small_disk=True,
     )
 
@@ -63,6 +66,7 @@ def real_cast(plan: Path, episodes: int) -> Cast:
         lambda folder, endpoint: _module(
             *("factory", "worker", "--connect", endpoint, "--cores", 1, "--spool", folder / "spool", "--wait", 600)
         ),
+        longest_s=1200.0,
         has_small_disk=False,
     )
 
