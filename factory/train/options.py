@@ -27,8 +27,8 @@ class BcOptions(Model):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     size: int = 128
     """Side of the picture the network sees, pixels."""
-    width: Annotated[int, Field(ge=4, le=256)] = 24
-    """Channels of the first stage; each later one has twice as many."""
+    width: Annotated[int, Field(ge=4, le=256, multiple_of=4)] = 24
+    """Channels of the first stage; the later ones have two and four times as many. Normalised in four groups."""
     hold: Annotated[int, Field(ge=1, le=60)] = 6
     """Steps for which an action is held; 6 is ten looks a second at 60 Hz."""
     batch: Annotated[int, Field(ge=1, le=4096)] = 32

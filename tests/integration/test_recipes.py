@@ -43,7 +43,7 @@ def test_tokens_are_learned_and_driven_with(tmp_path: Path, recipes: None, monke
         capture_output=True,
         text=True,
         check=False,
-        env=os.environ | {"PYTHONPATH": str(RECIPES.parents[1])},
+        env=os.environ | {"PYTHONPATH": str(RECIPES.parents[1]), "OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr
     words = done.stdout.splitlines()[-1].split()

