@@ -10,6 +10,7 @@ import hashlib
 import json
 import random
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -238,6 +239,7 @@ def main() -> int:
     parser.add_argument("--root", type=Path, help="where to work; default: a temporary folder")
     parser.add_argument("--json", action="store_true", help="print the tally as JSON")
     told = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nobody is left behind
     with tempfile.TemporaryDirectory(prefix="minivla-chaos-", dir=told.root) as folder:
         root = Path(folder)
         if told.simulation == "real":
