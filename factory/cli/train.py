@@ -33,9 +33,17 @@ def command() -> None:
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder of the result."
 )
-@click.option("--split", type=click.Choice([str(split) for split in Split]), default=str(Split.TRAIN_ID), show_default=True)
+@click.option(
+    "--split", type=click.Choice([str(split) for split in Split]), default=str(Split.TRAIN_ID), show_default=True
+)
 @click.option("--scene", "scenes", multiple=True, metavar="SCENE", help="Only this scene; may be repeated.")
-@click.option("--tier", "tiers", multiple=True, type=click.Choice([str(tier) for tier in Tier]), help="Only this tier; may be repeated.")
+@click.option(
+    "--tier",
+    "tiers",
+    multiple=True,
+    type=click.Choice([str(tier) for tier in Tier]),
+    help="Only this tier; may be repeated.",
+)
 @click.option("--epochs", type=click.IntRange(1, 10_000), default=30, show_default=True)
 @click.option("--minutes", type=click.FloatRange(0.01), metavar="M", help="Begin no epoch that would end later.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
