@@ -1,9 +1,11 @@
-# The whole interface of a checkout: make setup | run | test | check | bench | scenes-check. Everything lives in .venv.
+# The whole interface of a checkout: make setup | run | test | check | bench | chaos | scenes-check |
+# test-formats. Everything lives in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
+JUDGE  := .venv-judge
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench scenes-check clean
+.PHONY: setup run test check bench chaos scenes-check test-formats clean
 
 setup: $(READY)
 
@@ -30,9 +32,24 @@ check: $(READY)
 bench: $(READY)
 	$(VENV)/bin/factory bench rollout --against plain
 
+# half an hour of kills, freezes, lost replies and full disks; every dataset must equal that of a calm run
+chaos: $(READY)
+	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30
+
+# every format with sizes and times, and LeRobot's own loader in an environment of its own (Python 3.12, 3 GB)
+test-formats: $(READY) $(JUDGE)/.ready
+	rm -rf build/formats
+	$(VENV)/bin/factory run demo --episodes 8 --out build/formats/data
+	$(VENV)/bin/python tests/judges/formats.py build/formats/data build/formats/out $(JUDGE)/bin/python
+
+$(JUDGE)/.ready:
+	python3.12 -m venv $(JUDGE)
+	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1"
+	touch $(JUDGE)/.ready
+
 # compiles seeds 0-19 of all built-in scenes and holds each to the contract: ten minutes, not in CI
 scenes-check: $(READY)
 	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(JUDGE) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
