@@ -24,6 +24,7 @@ DOORS = {
     "prometheus_client": {"coordinator/http/exposition.py"},
     "cryptography": {"factory/keys/"},
     "huggingface_hub": {"factory/push/hub.py"},
+    "av": {"factory/export/video.py", "factory/film.py"},
     "matplotlib": {"factory/report/canvas.py"},
     "mcap": {"factory/export/mcap.py"},
     "rerun": {"factory/view.py"},
