@@ -103,7 +103,7 @@ def geodesic_field(grid: Grid, target: Target, radius_m: float) -> DistanceField
     return _wide_floor(grid).distances(arrival_cells(grid, target, radius_m))
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=2)
 def _wide_floor(grid: Grid) -> FloorGraph:
     return FloorGraph.over(grid.clearance >= HALF_WIDTH_M, grid.resolution_m)
 

@@ -113,7 +113,7 @@ class PoseTable:
         return bool(self.grid.values_at(self.free[heading_of(yaw)], (x, y), False))
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=4)
 def pose_table(grid: Grid, margin_m: float) -> PoseTable:
     """Returns the free poses of a grid with `margin_m` of free space around the three discs of the footprint."""
     wide = grid.clearance >= DISC_RADIUS_M + margin_m

@@ -61,7 +61,7 @@ def plan_path(
     return None
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=2)
 def _weights(grid: Grid) -> NDArray[np.float64]:
     """(H, W) how much longer a way through a cell counts than it is; narrow places are avoided, not forbidden."""
     lack = np.clip((_WIDE_M - grid.clearance) / (_WIDE_M - DISC_RADIUS_M), 0.0, 1.0)
@@ -69,7 +69,7 @@ def _weights(grid: Grid) -> NDArray[np.float64]:
     return weights
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=4)
 def _floor_graph(grid: Grid, margin_m: float) -> FloorGraph:
     return FloorGraph.over(pose_table(grid, margin_m).floor, grid.resolution_m, _weights(grid))
 
