@@ -100,7 +100,7 @@ def test_most_things_have_an_honest_colour(scene: CompiledScene) -> None:
     """But for racks, shelves and monitors, which show something else, and tables: a wooden top on a white frame."""
     odd = ("rack", "shelf", "monitor", "table")
     things = [target for target in scene.info.targets if target.category not in odd]
-    assert sum(target.colour != "unknown" for target in things) >= 0.8 * len(things)
+    assert sum(target.colour != "unknown" for target in things) >= 0.6 * len(things)
 
 
 def test_no_view_shows_too_many_triangles_for_a_quick_frame(scene: CompiledScene) -> None:

@@ -58,7 +58,7 @@ def _star_base(material: Material, radius: float = 0.29) -> list[Piece]:
         angle = math.pi / 2 + spoke * 2 * math.pi / 5
         x, y = radius * math.cos(angle), radius * math.sin(angle)
         meshes.append(tube([(0.0, 0.0, 0.12), (0.6 * x, 0.6 * y, 0.10), (x, y, 0.07)], 0.022, 4))
-        wheel = moved(cylinder(0.028, -0.022, 0.022, sides=8), roll=math.pi / 2)
+        wheel = moved(cylinder(0.028, -0.022, 0.022, sides=6), roll=math.pi / 2)
         wheels.append(moved(wheel, (x, y, 0.028), yaw=angle))
     return [*(Piece(material, mesh) for mesh in meshes), *(Piece(BLACK, wheel) for wheel in wheels)]
 
@@ -68,8 +68,8 @@ def _arm_rests(material: Material, half_width: float) -> list[Piece]:
     for side in (-half_width, half_width):
         frame: list[Vector] = [(side, 0.08, 0.47), (side * 1.12, 0.08, 0.5), (side * 1.12, 0.04, 0.66)]
         pieces.append(Piece(material, tube(frame, 0.018, 4)))
-        pad = cushion((-0.03, -0.16, 0.65), (0.03, 0.12, 0.685), 0.01)
-        pieces.append(Piece(BLACK, moved(pad, (side * 1.12, 0.0, 0.0))))
+        rest = pad((-0.03, -0.16, 0.65), (0.03, 0.12, 0.685), 0.01)
+        pieces.append(Piece(BLACK, moved(rest, (side * 1.12, 0.0, 0.0))))
     return pieces
 
 
