@@ -15,7 +15,7 @@ __all__ = ["SplitList", "splits_of"]
 _TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
 
 
-class SplitList(click.ParamType):
+class SplitList(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
     """`S[,S...]`: splits in the paper's order; `all`, those that have episodes, becomes an empty tuple."""
 
     name = "splits"

@@ -115,6 +115,12 @@ def test_what_lies_beyond_the_clip_range_is_nothing(renderer: Renderer) -> None:
     assert frame.depth.max() <= CAMERA.far_m
 
 
+def test_a_surface_on_the_far_plane_is_not_beyond_it(renderer: Renderer) -> None:
+    for beyond_m in (-0.0005, -0.0001, 0.0, 0.0001, 0.0003, 0.0005):  # the depth buffer tells a millimetre apart there
+        depth = look(renderer, wall(CAMERA.x_m + CAMERA.far_m + beyond_m)).depth
+        assert DEPTH_FRAME.violations(depth) == []
+
+
 def test_a_surface_through_the_camera_plane_is_cut_cleanly(renderer: Renderer) -> None:
     frame = look(renderer, Box((-9, -9, -0.1), (9, 9, 0.0)))
     rows = np.arange(360, 640)

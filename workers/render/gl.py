@@ -123,6 +123,7 @@ class GlRenderer:
         depth, ids = np.empty((size, size), np.float32), np.empty((size, size), np.uint16)
         self._rgb.read_into(rgb)
         self._depth.read_into(depth)
+        np.minimum(depth, self._camera.far_m, out=depth)  # the far plane cuts to half a millimetre
         self._ids.read_into(ids)
         return Frame(rgb, depth, ids)
 
