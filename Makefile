@@ -1,11 +1,12 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | scenes-check |
-# test-formats. Everything lives in .venv.
+# test-formats | test-train. Everything lives in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 JUDGE  := .venv-judge
+TRAIN  := .venv-train
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos scenes-check test-formats clean
+.PHONY: setup run test check bench chaos scenes-check test-formats test-train clean
 
 setup: $(READY)
 
@@ -47,9 +48,20 @@ $(JUDGE)/.ready:
 	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1"
 	touch $(JUDGE)/.ready
 
+# training, recipes and their tests, in an environment of their own: PyTorch is large
+test-train: $(TRAIN)/.ready
+	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/integration/test_train.py tests/integration/test_recipes.py
+
+$(TRAIN)/.ready: requirements.txt
+	$(PYTHON) -m venv $(TRAIN)
+	$(TRAIN)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
+	$(TRAIN)/bin/python -m pip install --quiet torch==2.13.0 tensorboard vla-eval
+	$(TRAIN)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	touch $(TRAIN)/.ready
+
 # compiles seeds 0-19 of all built-in scenes and holds each to the contract: ten minutes, not in CI
 scenes-check: $(READY)
 	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
 clean:
-	rm -rf $(VENV) $(JUDGE) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(JUDGE) $(TRAIN) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
