@@ -9,21 +9,13 @@ import click
 from factory.cli.output import print_table
 from factory.eval.compare import Comparison
 from factory.eval.estimate import Estimate
-from factory.eval.score import Evaluation, PolicyScores, Score
+from factory.eval.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.stats.model import Share
 
 __all__ = ["print_comparison", "print_evaluation"]
 
 _HEAD = ("n", "SR %", "any %", "SPL", "soft-SPL", "NE m", "OP", "coll. %", "timeout %", "fault %")
 _ALWAYS = {"split", "view"}
-_TITLES = {
-    "split": "By split",
-    "scene": "By scene",
-    "tier": "By tier",
-    "category": "By category",
-    "template": "By template",
-    "view": "By categories in view at the start",
-}
 
 
 def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
@@ -36,7 +28,7 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     click.echo(f"{evaluation.episodes} episodes: {evaluation.source}; success radius {evaluation.success_radius_m:g} m")
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
     print_table("\nAll episodes", ("policy", *_HEAD), rows)
-    for by, title in _TITLES.items():
+    for by, title in GROUPS.items():
         if all_tables or by in _ALWAYS:
             _print_groups(evaluation.policies, by, title)
     _print_ablations(evaluation.policies)
@@ -66,14 +58,7 @@ def print_comparison(comparison: Comparison) -> None:
 
 
 def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None:
-    names = list(dict.fromkeys(group.group for policy in policies for group in policy.groups if group.by == by))
-    rows = [
-        (name, policy.policy, *_cells(group))
-        for name in names
-        for policy in policies
-        for group in policy.groups
-        if (group.by, group.group) == (by, name)
-    ]
+    rows = [(name, policy.policy, *_cells(group)) for name, policy, group in side_by_side(policies, by)]
     if rows:
         print_table(f"\n{title}", (by, "policy", *_HEAD), rows)
 

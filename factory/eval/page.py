@@ -8,7 +8,7 @@ from html import escape
 
 from factory.eval.estimate import Estimate
 from factory.eval.result import EpisodeResult
-from factory.eval.score import Evaluation, PolicyScores, Score
+from factory.eval.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.stats.model import Share
 
 __all__ = ["Failure", "write_page"]
@@ -16,14 +16,6 @@ __all__ = ["Failure", "write_page"]
 Failure = tuple[EpisodeResult, bytes]
 """A failed episode and its video."""
 
-_GROUPS = {
-    "split": "By split",
-    "view": "By categories in view at the start",
-    "scene": "By scene",
-    "tier": "By tier",
-    "category": "By category",
-    "template": "By template",
-}
 _HEAD = (
     "n",
     "success, %",
@@ -134,15 +126,8 @@ def _notes(policies: Sequence[PolicyScores]) -> str:
 
 
 def _groups(policies: Sequence[PolicyScores]) -> Iterable[str]:
-    for by, title in _GROUPS.items():
-        names = list(dict.fromkeys(group.group for policy in policies for group in policy.groups if group.by == by))
-        rows = [
-            (name, policy.policy, *_cells(group))
-            for name in names
-            for policy in policies
-            for group in policy.groups
-            if (group.by, group.group) == (by, name)
-        ]
+    for by, title in GROUPS.items():
+        rows = [(name, policy.policy, *_cells(group)) for name, policy, group in side_by_side(policies, by)]
         if rows:
             yield f"<h2>{title}</h2>" + _table((by, "policy", *_HEAD), rows)
 

@@ -18,7 +18,19 @@ from schemas.base import Fraction, Model, Sha256
 from schemas.language import TEMPLATES
 from schemas.terms import CATEGORIES, Split, Tier
 
-__all__ = ["MEANS", "Ablation", "Evaluation", "PolicyScores", "Score", "score_policy"]
+__all__ = ["GROUPS", "MEANS", "Ablation", "Evaluation", "PolicyScores", "Score", "score_policy", "side_by_side"]
+
+GROUPS: Mapping[str, str] = MappingProxyType(
+    {
+        "split": "By split",
+        "view": "By categories in view at the start",
+        "scene": "By scene",
+        "tier": "By tier",
+        "category": "By category",
+        "template": "By template",
+    }
+)
+"""How episodes are grouped, and the title of that table."""
 
 MEANS: Mapping[str, str] = MappingProxyType(
     {
@@ -146,6 +158,16 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
         ablation=tuple(_ablations(results)),
         act_ms=sum(row.act_ms for row in original) / len(original) if original else None,
     )
+
+
+def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[str, PolicyScores, Score]]:
+    """Yields group, policy and score of one kind of group: all policies of a group, then the next group."""
+    names = dict.fromkeys(group.group for policy in policies for group in policy.groups if group.by == by)
+    for name in names:
+        for policy in policies:
+            for group in policy.groups:
+                if (group.by, group.group) == (by, name):
+                    yield name, policy, group
 
 
 def score(by: str, group: str, rows: Sequence[EpisodeResult]) -> Score:
