@@ -29,6 +29,7 @@ __all__ = [
     "pad",
     "quad",
     "rod",
+    "standing_block",
     "triangle_count",
     "tube",
 ]
@@ -92,6 +93,14 @@ def fitted_block(low: Vector, high: Vector) -> Mesh:
     plain = block(low, high)
     wall = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
     return Mesh(plain.points, plain.counts, plain.indices, np.array(wall * 6))
+
+
+def standing_block(low: Vector, high: Vector, fitted: bool = False, lid: bool = True) -> Mesh:
+    """A box that stands on something: without the bottom that nobody sees and, covered itself, without a lid."""
+    whole = fitted_block(low, high) if fitted else block(low, high)
+    corners = 4 * np.array([0, 1, 2, 3, 5] if lid else [0, 1, 2, 3])[:, None] + np.arange(4)
+    st = None if whole.st is None else whole.st[corners.ravel()]
+    return Mesh(whole.points, whole.counts[: len(corners)], whole.indices[corners.ravel()], st)
 
 
 def cushion(low: Vector, high: Vector, bevel: float) -> Mesh:

@@ -195,9 +195,9 @@ def cone(_variant: int, _rng: Generator) -> list[Piece]:
 
 def protection_post(_variant: int, _rng: Generator) -> list[Piece]:
     """A yellow impact post with black bands, as they guard rack ends."""
-    bands = [cylinder(0.062, z, z + 0.12, sides=12) for z in (0.25, 0.55)]
+    bands = [cylinder(0.062, z, z + 0.12, sides=8) for z in (0.25, 0.55)]
     return [
-        Piece(painted("Yellow"), cylinder(0.06, 0.0, 0.8, sides=12)),
+        Piece(painted("Yellow"), cylinder(0.06, 0.0, 0.8, sides=8)),
         *(Piece(BLACK, band) for band in bands),
     ]
 

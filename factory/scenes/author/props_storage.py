@@ -9,7 +9,17 @@ from itertools import pairwise
 
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import Mesh, Vector, block, cylinder, fitted_block, lathe, moved, rod
+from factory.scenes.author.geometry import (
+    Mesh,
+    Vector,
+    block,
+    cylinder,
+    fitted_block,
+    lathe,
+    moved,
+    rod,
+    standing_block,
+)
 from factory.scenes.author.materials import PAINTS, Material, Piece, painted, textured, tinted
 
 __all__ = ["barrel", "carton_stack", "pallet", "pallet_crate", "plastic_crate", "rack", "shelf"]
@@ -48,10 +58,10 @@ KEG = (
 def pallet(x: float, y: float, z: float, half_x: float = 0.58, half_y: float = 0.5) -> list[Piece]:
     """A wooden pallet 0.14 m high centred at (x, y), standing at height z."""
     bars = [
-        block((x - half_x, y + row - 0.05, z), (x + half_x, y + row + 0.05, z + 0.10))
+        standing_block((x - half_x, y + row - 0.05, z), (x + half_x, y + row + 0.05, z + 0.10), lid=False)
         for row in (-half_y + 0.05, half_y - 0.05)
     ]
-    deck = block((x - half_x, y - half_y, z + 0.10), (x + half_x, y + half_y, z + 0.14))
+    deck = standing_block((x - half_x, y - half_y, z + 0.10), (x + half_x, y + half_y, z + 0.14))
     return [Piece(ROUGH, mesh) for mesh in (*bars, deck)]
 
 
@@ -68,7 +78,7 @@ def carton_stack(x: float, y: float, z: float, reach: Vector, rng: Generator) ->
             inset = float(rng.uniform(0.005, 0.035))
             low = (left + inset, y - reach[1] / 2 + inset, z + height)
             high = (left + width - inset, y + reach[1] / 2 - inset, z + height + step - 0.004)
-            pieces.append(Piece(look, fitted_block(low, high)))
+            pieces.append(Piece(look, standing_block(low, high, fitted=True)))
             height += step
     return pieces
 
@@ -83,7 +93,7 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[Piece]:
     if kind < 0.68:
         return [*base, *carton_stack(x, 0.0, top, (1.08, 0.72, height), rng)]
     if kind < 0.84:
-        wrapped = fitted_block((x - 0.52, -0.36, top), (x + 0.52, 0.36, top + height))
+        wrapped = standing_block((x - 0.52, -0.36, top), (x + 0.52, 0.36, top + height), fitted=True)
         return [*base, Piece(WRAP, wrapped)]
     tote = TOTES[int(rng.integers(len(TOTES)))]
     size = height / 2
@@ -107,7 +117,7 @@ def rack(variant: int, rng: Generator) -> list[Piece]:
         zigzag = [0.15 + step * (top - 0.3) / 4 for step in range(5)]
         for step, (z0, z1) in enumerate(pairwise(zigzag)):
             side = 0.35 if step % 2 else -0.35
-            steel.append(rod((x, -side, z0), (x, side, z1), 0.018, 4))
+            steel.append(rod((x, -side, z0), (x, side, z1), 0.018, 3))
     pieces = [Piece(upright, mesh) for mesh in steel]
     for y in (-0.38, 0.38):
         for z in levels[1:]:
@@ -186,7 +196,7 @@ def barrel(variant: int, _rng: Generator) -> list[Piece]:
         height = 0.575
     bungs = [cylinder(0.03, height, height + 0.025, (x, 0.0), 8) for x in (-0.12, 0.13)]
     return [
-        Piece(paint, lathe(profile, sides=20)),
+        Piece(paint, lathe(profile, sides=16)),
         *(Piece(BLACK if kind else STEEL, bung) for bung in bungs),
     ]
 
