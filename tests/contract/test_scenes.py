@@ -104,7 +104,7 @@ def test_most_things_have_an_honest_colour(scene: CompiledScene) -> None:
 
 
 def test_no_view_shows_too_many_triangles_for_a_quick_frame(scene: CompiledScene) -> None:
-    """Of the parts in view, those that face the camera; what walls hide counts too. Other layouts may pass it by a little."""
+    """Of the parts in view, those that face the camera, behind walls too. Other layouts may pass it by a little."""
     triangles = scene.positions.reshape(-1, 3, 3).astype(np.float64)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     part = np.repeat(np.arange(len(scene.part_count)), scene.part_count // 3)
