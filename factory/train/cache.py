@@ -1,16 +1,20 @@
 """The shrunk frames of a split as memory-mapped arrays, so that no epoch decodes a PNG again. Made once, then read.
 
 A cache is made beside its place and renamed, so that one that is there is whole; its name is a digest of all it
-depends on: the episodes' content, the size, which frames, and the version of the shrinking.
+depends on: the episodes' content, the size, which frames, and the version of the shrinking. Of several trainings that
+want the same one, the first makes it under a lock and the others wait.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
+import os
 import shutil
-import uuid
+import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +36,7 @@ CACHE_FORMAT = 1
 MASK_SHRINK = 8
 """How much smaller than the picture the map of the target is: the network's own second stage."""
 _INDEX = "index.json"
+_POLL_S = 0.2
 Tell = Callable[[int, int], None]
 
 
@@ -100,7 +105,8 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Tell) -
         size: side of the pictures, pixels.
         hold: steps between two looks.
         root: folder of the caches.
-        tell: is told episodes done and to do while frames are decoded.
+        tell: is told episodes done and to do while frames are decoded, 0 done while another training decodes them;
+            may raise to give up.
 
     Raises:
         UsageError: there are no episodes, or they were recorded at different rates or with different robots.
@@ -111,27 +117,53 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Tell) -
         raise UsageError(f"{dataset.root} has no such episodes; `factory status` prints the splits and tiers it has")
     key = CacheKey(dataset=dataset.digest, size=size, hold=hold)
     folder = root / key.name
+
+    def wait() -> None:
+        tell(0, len(dataset))
+        time.sleep(_POLL_S)
+
     index = _read_index(folder)
     if index is None or index.key != key:
-        _make(dataset, key, folder, tell)
-        index = _read_index(folder)
+        with translated("write the cache", folder):
+            root.mkdir(parents=True, exist_ok=True)
+            with _alone(root / f".{key.name}.lock", wait):
+                index = _read_index(folder)  # another training may have made it meanwhile
+                if index is None or index.key != key:
+                    _make(dataset, key, folder, tell)
+                    index = _read_index(folder)
     if index is None:
         raise WorldError(f"the cache {folder} vanished while it was opened: run the command again")
     return _open(folder, index)
 
 
+@contextmanager
+def _alone(path: Path, wait: Callable[[], None]) -> Iterator[None]:
+    """Holds a lock among the trainings of this host; ends with the process, however that ends."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                wait()
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: Tell) -> None:
-    part = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}")
-    with translated("write the cache", folder):
-        part.mkdir(parents=True)
-        try:
-            _decode(dataset, key, part, tell)
-            if folder.exists():
-                shutil.rmtree(folder)
-            part.rename(folder)
-            sync_directory(folder.parent)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
+    part = folder.with_name(f".{folder.name}.part")
+    shutil.rmtree(part, ignore_errors=True)  # of a training that was killed; the lock is ours
+    part.mkdir()
+    try:
+        _decode(dataset, key, part, tell)
+        if folder.exists():
+            shutil.rmtree(folder)
+        part.rename(folder)
+        sync_directory(folder.parent)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: Tell) -> None:

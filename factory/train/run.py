@@ -123,11 +123,17 @@ def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache
     if not len(part):
         found = ", ".join(sorted(set(order.dataset.metadata["split"].to_pylist()))) or "none"
         raise UsageError(f"{order.dataset.root} has no episodes of {order.split} here; splits there: {found}")
-    train = open_cache(part, options.size, options.hold, root, watcher.caching)
+
+    def tell(done: int, of: int) -> None:
+        watcher.caching(done, of)
+        if watcher.is_stopped():
+            raise KeyboardInterrupt
+
+    train = open_cache(part, options.size, options.hold, root, tell)
     val = (
         order.dataset.filter(split=Split.VAL_ID) if order.split is not Split.VAL_ID else order.dataset.filter(split=())
     )
-    return train, open_cache(val, options.size, options.hold, root, watcher.caching) if len(val) else None
+    return train, open_cache(val, options.size, options.hold, root, tell) if len(val) else None
 
 
 def _meta(order: TrainOrder, train: FrameCache) -> CheckpointMeta:

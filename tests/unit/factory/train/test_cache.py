@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +96,28 @@ def test_damaged_episode_leaves_no_cache_behind(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(ArchiveCorrupt, match="ep_000002"):
         opened(Dataset(tmp_path / "data"), tmp_path / "cache")
-    assert list((tmp_path / "cache").iterdir()) == []
+    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".lock"]
+
+
+def test_of_two_that_want_one_cache_the_second_waits_and_decodes_nothing(data: Dataset, tmp_path: Path) -> None:
+    is_begun, may_go_on, first, second = threading.Event(), threading.Event(), [], []
+
+    def tell_and_hold(done: int, of: int) -> None:
+        first.append((done, of))
+        is_begun.set()
+        assert may_go_on.wait(60)
+
+    with ThreadPoolExecutor(2) as pool:
+        maker = pool.submit(open_cache, data, SIZE, HOLD, tmp_path, tell_and_hold)
+        assert is_begun.wait(60)
+        waiter = pool.submit(open_cache, data, SIZE, HOLD, tmp_path, lambda done, of: second.append((done, of)))
+        with pytest.raises(TimeoutError):
+            waiter.result(1.0)
+        may_go_on.set()
+        made, found = maker.result(60), waiter.result(60)
+    assert first == [(1, 2), (2, 2)]
+    assert set(second) == {(0, 2)}
+    assert np.array_equal(made.rgb, found.rgb)
 
 
 def test_no_episodes_are_refused(data: Dataset, tmp_path: Path) -> None:
