@@ -1,6 +1,7 @@
 """The coordinator's work: leases and submits of a large ledger, opening it again, validating and archiving bundles.
 
-Speaks to ledger, validator and archive directly; no network takes part, and no simulation is timed.
+Speaks to ledger, validator and archive directly, then to a whole coordinator over zenoh (`wire`); times no
+simulation.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from coordinator import ledger_claims, ledger_outcomes
-from coordinator.archive import Archive
 from coordinator.catalog import Catalog
 from coordinator.engine import open_writer
 from coordinator.ledger import ledger_url_of, open_run
 from coordinator.ledger_claims import lease_of
+from coordinator.open_archive import open_archive
 from coordinator.progress import read_progress
 from coordinator.summary import summary_of
 from coordinator.validator import Validator
@@ -26,6 +27,7 @@ from coordinator.writer import Writer
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import CoordinatorBench, Spread
 from factory.bench.sample import Sample
+from factory.bench.wire import bench_wire
 from schemas.bundle import BundleReader
 from schemas.episode import EpisodeMeta
 from schemas.plan import Plan
@@ -41,7 +43,15 @@ _ROUNDS = 8
 
 
 def bench_coordinator(
-    plan: Plan, catalog: Catalog, samples: Sequence[Sample], folder: Path, workers: int, repeats: int
+    plan: Plan,
+    catalog: Catalog,
+    samples: Sequence[Sample],
+    folder: Path,
+    *,
+    workers: int,
+    sessions: int,
+    bundle_bytes: int,
+    repeats: int,
 ) -> CoordinatorBench:
     """Fills a ledger with the plan's jobs, works on it as many workers at once would, and returns the figures.
 
@@ -51,6 +61,8 @@ def bench_coordinator(
         samples: real bundles to validate and archive.
         folder: an empty directory for the ledger and an archive.
         workers: requests in flight.
+        sessions: connected at the same time, when the coordinator's memory is read.
+        bundle_bytes: what each worker delivers when all finish together.
         repeats: of everything but filling.
     """
     machine, start_mib = describe_machine(), resident_mib()
@@ -64,6 +76,16 @@ def bench_coordinator(
         looks = [_seconds(lambda: writer.call(lambda c: read_progress(c, datetime.now(UTC)))) for _ in range(repeats)]
     memory = measure_memory(start_mib)
     engine.dispose()
+    wire = bench_wire(
+        plan,
+        catalog,
+        meta,
+        folder,
+        workers=workers,
+        sessions=sessions,
+        bundle_bytes=bundle_bytes,
+        repeats=repeats,
+    )
     return CoordinatorBench(
         machine=machine,
         jobs=plan.episodes,
@@ -75,6 +97,7 @@ def bench_coordinator(
         validate_ms_per_frame=Spread.of(_validate(samples, repeats)),
         archive_mb_per_s=Spread.of([_archive(samples, folder / f"archive{n}") for n in range(repeats)]),
         memory=memory,
+        wire=wire,
     )
 
 
@@ -135,7 +158,7 @@ def _validate(samples: Sequence[Sample], repeats: int) -> list[float]:
 
 def _archive(samples: Sequence[Sample], root: Path) -> float:
     bundles = [sample.path.read_bytes() for sample in samples]
-    with Archive(root) as archive:
+    with open_archive(root) as archive:
         begun = time.perf_counter()
         for sample, data in zip(samples, bundles, strict=True):
             with archive.stage(sample.job.index) as staged:

@@ -13,16 +13,19 @@ from schemas.base import Model
 
 __all__ = [
     "CoordinatorBench",
+    "Crowd",
     "Machine",
     "Memory",
     "PlainPace",
     "ReadBench",
     "RenderBench",
     "RolloutBench",
+    "Rush",
     "SceneRender",
     "SceneRollout",
     "Spread",
     "StageCost",
+    "WireBench",
 ]
 
 
@@ -145,6 +148,42 @@ class RenderBench(Model):
     scenes: dict[str, SceneRender]
 
 
+class Crowd(Model):
+    """Many workers connected at once, each with a lease."""
+
+    sessions: int
+    memory: Memory
+    """Of the coordinator with all of them."""
+
+
+class Rush(Model):
+    """All workers finish a large bundle at the same moment, while somebody else goes on claiming."""
+
+    workers: int
+    bundle_mb: float
+    """MB (1e6 bytes) each."""
+    seconds: float
+    """Until the last one was archived and dropped."""
+    mb_per_s: float
+    claims: int
+    """Of the bystander meanwhile."""
+    claim_p50_ms: float
+    claim_p99_ms: float
+    memory: Memory
+    """Of the coordinator."""
+
+
+class WireBench(Model):
+    """A whole coordinator in a process of its own, asked over zenoh on loopback by processes beside it."""
+
+    cycles_per_s: Spread
+    """Claim and announcement of one job each, answered when durable; wall clock."""
+    start_s: Spread
+    """Until it listens, on the filled ledger."""
+    crowd: Crowd
+    rush: Rush
+
+
 class CoordinatorBench(Model):
     """`factory bench coordinator`."""
 
@@ -167,6 +206,7 @@ class CoordinatorBench(Model):
     archive_mb_per_s: Spread
     """Copy, hash, fsync and rename of real bundles, wall clock."""
     memory: Memory
+    wire: WireBench
 
 
 class ReadBench(Model):

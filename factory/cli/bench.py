@@ -127,10 +127,18 @@ def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as
 @command.command("coordinator")
 @click.option("--jobs", type=click.IntRange(1000, 5_000_000), default=100_000, show_default=True, help="In the ledger.")
 @click.option("--workers", type=click.IntRange(1, 64), default=64, show_default=True, help="Requests in flight.")
+@click.option("--sessions", type=click.IntRange(1, 4000), default=2000, show_default=True, help="Connected at once.")
+@click.option(
+    "--bundle-mb", type=click.IntRange(1, 256), default=32, show_default=True, help="Of each worker's bundle."
+)
 @_repeats_option
 @json_option
-def coordinator(jobs: int, workers: int, repeats: int, as_json: bool) -> None:
-    """Time leases and submits of a large ledger, and validating and archiving of real bundles."""
+def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats: int, as_json: bool) -> None:
+    """Time a coordinator with a large ledger: leases and submits, directly and over the network, and real bundles.
+
+    The memory is that of a coordinator in a process of its own, with all sessions connected, and with all workers
+    delivering a bundle at the same moment.
+    """
     sample_plan = narrow(load_plan(_SAMPLE_PLAN), ("office",), 2)
     part = sample_plan.scenes[0].model_copy(update={"episodes": jobs})
     plan = load_plan("paper").model_copy(update={"scenes": (part,)})
@@ -138,7 +146,16 @@ def coordinator(jobs: int, workers: int, repeats: int, as_json: bool) -> None:
         catalog = open_catalog(sample_plan, nowhere, scene_cache())
         with Stage() as stage:
             samples = make_sample(nowhere / "sample", sample_plan, catalog, stage, tell)
-        report = bench_coordinator(plan, catalog, samples, nowhere, workers, repeats)
+        report = bench_coordinator(
+            plan,
+            catalog,
+            samples,
+            nowhere,
+            workers=workers,
+            sessions=sessions,
+            bundle_bytes=bundle_mb * 1_000_000,
+            repeats=repeats,
+        )
     _print(report, as_json, show_coordinator)
 
 

@@ -80,6 +80,20 @@ def show_coordinator(report: CoordinatorBench) -> None:
     ]
     title = f"{report.jobs} jobs, {report.workers} requests in flight"
     print_table(title, ("what", "median", "spread"), rows)
+    wire, crowd, rush = report.wire, report.wire.crowd, report.wire.rush
+    rows = [
+        ("claim + announcement over zenoh, cycles/s", wire.cycles_per_s.median, _range(wire.cycles_per_s)),
+        ("start until it listens, s", wire.start_s.median, _range(wire.start_s)),
+        (f"memory with {crowd.sessions} sessions, MiB", crowd.memory.end_mib, f"peak {crowd.memory.peak_mib:.0f}"),
+        (
+            f"{rush.workers} workers deliver {rush.bundle_mb:.0f} MB each, MB/s",
+            rush.mb_per_s,
+            f"{rush.seconds:.1f} s in all",
+        ),
+        ("peak memory meanwhile, MiB", rush.memory.peak_mib, ""),
+        ("a bystander's claim meanwhile, p99 ms", rush.claim_p99_ms, f"p50 {rush.claim_p50_ms:.1f}, n {rush.claims}"),
+    ]
+    print_table("the same coordinator in a process of its own", ("what", "figure", "more"), rows)
 
 
 def show_read(report: ReadBench) -> None:

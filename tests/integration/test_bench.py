@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.archive import Archive
 from coordinator.catalog import read_entry
+from coordinator.open_archive import open_archive
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
@@ -85,14 +85,27 @@ def test_rendering_is_timed_apart_from_reading_back() -> None:
 
 def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Path) -> None:
     parts = parts_for(job_for(1))
-    with Archive(tmp_path / "sample") as archive, archive.stage(1) as staged:
+    with open_archive(tmp_path / "sample") as archive, archive.stage(1) as staged:
         staged.write(parts.write())
         path = archive.publish(staged, 1)
     (tmp_path / "bench").mkdir()
     found = bench_coordinator(
-        room_plan(200), room_catalog(), [Sample(parts.meta.job, path)], tmp_path / "bench", workers=4, repeats=1
+        room_plan(200),
+        room_catalog(tmp_path),
+        [Sample(parts.meta.job, path)],
+        tmp_path / "bench",
+        workers=4,
+        sessions=8,
+        bundle_bytes=3_000_000,
+        repeats=1,
     )
     assert (found.jobs, found.workers) == (200, 4)
     assert found.cycles_per_s.median > 1
     assert found.validate_ms_per_frame.median > 0
     assert found.archive_mb_per_s.median > 0
+    assert found.wire.cycles_per_s.median > 1
+    assert (found.wire.crowd.sessions, found.wire.rush.workers) == (8, 4)
+    assert found.wire.rush.claims > 0
+    # a process of its own, with the bundles never whole in memory
+    assert 30 < found.wire.rush.memory.start_mib <= found.wire.rush.memory.peak_mib
+    assert len(list((tmp_path / "bench" / "episodes").iterdir())) == 4
