@@ -25,6 +25,7 @@ from coordinator.ledger import holds_run, open_run, read_info
 from coordinator.ledger_outcomes import lose
 from coordinator.ledger_records import read_summaries
 from coordinator.ledger_repair import recall, record_whole
+from coordinator.open_archive import open_archive
 from coordinator.puller import Checker
 from coordinator.repair_report import Action, RepairKind, RepairReport
 from coordinator.repair_survey import Survey, Tell, survey_archive
@@ -71,7 +72,7 @@ def repair(
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
-        archive = stack.enter_context(Archive(patient.root)) if apply else None
+        archive = stack.enter_context(open_archive(patient.root)) if apply else None
         trouble = ledger_trouble(patient.url)
         with _reading(patient.url, trouble) as ledger:
             survey = survey_archive(patient.root, patient.plan, patient.catalog, ledger, checker, tell)

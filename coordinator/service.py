@@ -17,19 +17,20 @@ from typing import Self
 import structlog
 
 from coordinator import ledger_claims
-from coordinator.archive import Archive
 from coordinator.beacon import light, quench
 from coordinator.catalog import Catalog
 from coordinator.checkpoint import write_checkpoint
 from coordinator.dataset_meta import GateOutcome
 from coordinator.engine import open_reader, open_writer
+from coordinator.errands import Errands
 from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import ledger_url_of, open_run
 from coordinator.meters import Meter, Meters
+from coordinator.open_archive import open_archive
 from coordinator.progress import count_frames, read_progress
 from coordinator.protocol import Terms
-from coordinator.puller import Checker, Pullers
+from coordinator.puller import Judge, Pullers
 from coordinator.reconcile import reconcile
 from coordinator.router import Router
 from coordinator.settings import CoordinatorSettings
@@ -67,6 +68,7 @@ class Coordinator:
         checker: judges bundles and is closed with the coordinator; by default sandboxed children, one a puller.
         clock: the time; an argument, so that a test can let leases run out.
         gate: what a pilot found before a new run; goes into the dataset's description.
+        errands: jobs in the place of the plan's draws; what they bring is kept, and no tables of episodes are written.
 
     Raises:
         UsageError: the directory holds another plan.
@@ -83,9 +85,10 @@ class Coordinator:
         settings: CoordinatorSettings | None = None,
         *,
         guard: Guard | None = None,
-        checker: Checker | None = None,
+        checker: Judge | None = None,
         clock: Callable[[], datetime] = utc_now,
         gate: Sequence[GateOutcome] = (),
+        errands: Errands | None = None,
     ) -> None:
         self._gate = tuple(gate)
         self._settings = settings = settings or CoordinatorSettings()
@@ -102,12 +105,13 @@ class Coordinator:
             retry_after_s=settings.retry_after_s,
             is_draining=self._draining.is_set,
             has_room=lambda: self._has_room,
+            errands=errands,
         )
         url = ledger_url_of(root, ledger_url)
         checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
             stack.callback(checker.close)
-            self._archive = stack.enter_context(Archive(root))
+            self._archive = stack.enter_context(open_archive(root))
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
             stack.callback(self._write_tables)
@@ -181,11 +185,12 @@ class Coordinator:
     ) -> None:
         self.close()
 
-    def _open_ledger(self, stack: ExitStack, url: str, checker: Checker) -> None:
+    def _open_ledger(self, stack: ExitStack, url: str, checker: Judge) -> None:
         terms = self._terms
         self._engine = open_writer(url)
         stack.callback(self._engine.dispose)
-        is_new = open_run(self._engine, terms.plan, terms.catalog, terms.lease_ttl_s, self._clock())
+        planned = terms.errands.planned if terms.errands is not None else None
+        is_new = open_run(self._engine, terms.plan, terms.catalog, terms.lease_ttl_s, self._clock(), planned)
         for name, entry in terms.catalog.items():
             self._archive.add_scene(entry.path, name, entry.sha256)
         self._reader = open_reader(url)
@@ -194,7 +199,7 @@ class Coordinator:
         if is_new or reconciled.adopted or reconciled.requeued:
             self._changed.set()
 
-    def _open_pullers(self, checker: Checker) -> Pullers:
+    def _open_pullers(self, checker: Judge) -> Pullers:
         return Pullers(
             self._archive,
             self._writer,
@@ -269,7 +274,7 @@ class Coordinator:
             )
 
     def _write_tables(self) -> None:
-        if self._changed.is_set():
+        if self._changed.is_set() and self._terms.errands is None:
             self._changed.clear()
             with self._reader.connect() as connection:
                 write_checkpoint(

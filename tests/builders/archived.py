@@ -12,6 +12,7 @@ from coordinator.checkpoint import write_checkpoint
 from coordinator.draw import to_job
 from coordinator.ledger import ledger_url_of, planned_of
 from coordinator.ledger_claims import lease_of
+from coordinator.open_archive import open_archive
 from coordinator.repair import Patient
 from coordinator.summary import summary_of
 from schemas.terms import FailReason
@@ -40,7 +41,7 @@ class ArchivedRun:
         self.url = ledger_url_of(root)
         self.desk = Desk(self.plan, self.url)
         self.desk.catalog = self.catalog
-        with Archive(root) as archive:
+        with open_archive(root) as archive:
             for name, entry in self.catalog.items():
                 archive.add_scene(entry.path, name, entry.sha256)
             for _ in range(misses):

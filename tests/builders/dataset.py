@@ -12,6 +12,7 @@ import numpy as np
 
 from coordinator.archive import Archive
 from coordinator.dataset_tables import FailedAttempt, write_tables
+from coordinator.open_archive import open_archive
 from coordinator.summary import EpisodeSummary, summary_of
 from schemas.plan import Plan
 from schemas.scene import Instance, Target, encode_scene
@@ -55,7 +56,7 @@ def make_dataset(root: Path, episodes: int = 3, planned: int | None = None) -> P
     sha256 = hashlib.sha256(package).hexdigest()
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(package)
-    with Archive(root) as archive:
+    with open_archive(root) as archive:
         archive.add_scene(source, "office", sha256)
         rows = [
             archive_episode(archive, episode_of(plan, index, sha256, len(package))) for index in range(1, episodes + 1)

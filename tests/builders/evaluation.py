@@ -8,8 +8,8 @@ import hashlib
 import io
 from pathlib import Path
 
-from coordinator.archive import Archive
 from coordinator.dataset_tables import write_tables
+from coordinator.open_archive import open_archive
 from coordinator.summary import summary_of
 from schemas.config import TaskConfig
 from schemas.episode import EpisodeMeta
@@ -67,7 +67,7 @@ def archive_drives(root: Path, episodes: int = 3) -> Path:
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(room_package())
     sha256 = hashlib.sha256(room_package()).hexdigest()
-    with Archive(root) as archive, Stage("auto") as stage:
+    with open_archive(root) as archive, Stage("auto") as stage:
         archive.add_scene(source, "office", sha256)
         stage.load(source, sha256)
         rows = []

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from coordinator.archive import Archive
+from coordinator.open_archive import open_archive
 
 _WRITER = """
 import hashlib, sys
 from pathlib import Path
-from coordinator.archive import Archive
-with Archive(Path(sys.argv[1])) as archive:
+from coordinator.open_archive import open_archive
+with open_archive(Path(sys.argv[1])) as archive:
     for index in range(int(sys.argv[2]), 100000):
         with archive.stage(index) as staged:
             for block in range(8):
@@ -44,7 +44,7 @@ def test_killed_writer_leaves_only_whole_episodes(tmp_path: Path) -> None:
         reported += [int(line) for line in writer.stdout if line.endswith("\n")]
         writer.stdout.close()
         writer.wait()
-        with Archive(tmp_path) as archive:
+        with open_archive(tmp_path) as archive:
             present = archive.present()
             assert list((tmp_path / ".staging").iterdir()) == []
         assert set(reported) <= set(present)

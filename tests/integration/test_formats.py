@@ -19,8 +19,8 @@ import yaml
 from mcap.reader import make_reader
 from PIL import Image
 
-from coordinator.archive import Archive
 from coordinator.dataset_tables import write_tables
+from coordinator.open_archive import open_archive
 from factory.dataset import Dataset
 from factory.export.registry import find_exporter
 from factory.export.run import ExportOrder, run_export
@@ -42,7 +42,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source = place / "office.scene"
     source.write_bytes(package)
     plan = small_plan(len(SPLITS))
-    with Archive(root) as archive:
+    with open_archive(root) as archive:
         archive.add_scene(source, "office", sha256)
         rows = [
             archive_episode(archive, episode_of(plan, index, sha256, len(package)).with_job(split=split))

@@ -10,10 +10,10 @@ import pytest
 from sqlalchemy import select
 
 from coordinator import ledger_claims
-from coordinator.archive import Archive
 from coordinator.draw import to_job
 from coordinator.ledger import planned_of
 from coordinator.ledger_outcomes import is_owned
+from coordinator.open_archive import open_archive
 from coordinator.protocol import Terms
 from coordinator.reconcile import reconcile
 from coordinator.tables import jobs
@@ -58,7 +58,7 @@ class Scene:
         return path
 
     def start(self):
-        with Archive(self.root) as archive:
+        with open_archive(self.root) as archive:
             return reconcile(archive, self.desk.engine, self.terms, self.validator, self.desk.now)
 
     def states(self) -> list[str]:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from coordinator.archive import Archive
 from coordinator.ledger_records import read_attempts
+from coordinator.open_archive import open_archive
 from coordinator.repair import repair
 from coordinator.repair_report import RepairReport
 from coordinator.validator import Validator
@@ -187,6 +187,6 @@ def test_lost_tables_are_written_anew_from_the_ledger(run, validator):
 def test_a_directory_in_use_is_not_touched(run, validator):
     flip(run.file(1))
     before = tree(run.root)
-    with Archive(run.root), pytest.raises(WorldError, match="another coordinator"):
+    with open_archive(run.root), pytest.raises(WorldError, match="another coordinator"):
         mend(run, validator)
     assert tree(run.root) == before

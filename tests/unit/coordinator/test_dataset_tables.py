@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from coordinator.archive import Archive
 from coordinator.dataset_meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta
 from coordinator.dataset_tables import SIDE_COLUMN, write_tables
 from coordinator.instances import Side
+from coordinator.open_archive import open_archive
 from coordinator.summary import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
 from schemas.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
@@ -28,7 +28,7 @@ def row(index: int) -> EpisodeSummary:
 
 
 def write(root: Path, episodes: int, planned: int) -> DatasetMeta:
-    with Archive(root) as archive:
+    with open_archive(root) as archive:
         rows = (row(index) for index in range(1, episodes + 1))
         return write_tables(archive, small_plan(planned), {"office": "b" * 64}, rows, [failure(2)], NOW)
 
@@ -75,7 +75,7 @@ def test_empty_dataset_can_be_read(tmp_path: Path) -> None:
 def test_description_comes_back_and_keeps_its_birthday(tmp_path: Path) -> None:
     first = write(tmp_path, 1, 3)
     assert read_dataset_meta(tmp_path) == first
-    with Archive(tmp_path) as archive:
+    with open_archive(tmp_path) as archive:
         later = write_tables(archive, small_plan(3), {}, [row(1)], [], NOW + timedelta(days=1))
     assert (later.created_at, later.updated_at) == (NOW, NOW + timedelta(days=1))
     assert later.plan.digest == later.plan_digest
@@ -102,7 +102,7 @@ def test_card_has_a_readable_front_matter(tmp_path: Path) -> None:
 def test_side_of_an_instance_stands_in_row_description_and_card(tmp_path: Path) -> None:
     plan = small_plan(2).model_copy(update={"disjoint_instances": True})
     sides = {"office": {"chair_001": Side.SHARED}}
-    with Archive(tmp_path) as archive:
+    with open_archive(tmp_path) as archive:
         write_tables(archive, plan, {}, [row(1), row(2)], [], NOW, sides, {"office": ("chair",)})
     assert pq.read_table(tmp_path / "metadata.parquet")[SIDE_COLUMN].to_pylist() == ["shared", "shared"]
     assert read_dataset_meta(tmp_path).shared_instances == {"office": ("chair",)}
@@ -113,7 +113,7 @@ def test_what_the_gate_said_outlives_later_writing(tmp_path: Path) -> None:
     gate = GateOutcome(
         scene="office", expert="proportional", attempts=50, succeeded=30, min_success=0.8, passed=False, reasons={}
     )
-    with Archive(tmp_path) as archive:
+    with open_archive(tmp_path) as archive:
         write_tables(archive, small_plan(2), {}, [row(1)], [], NOW, gate=[gate])
         write_tables(archive, small_plan(2), {}, [row(1), row(2)], [], NOW)
     assert read_dataset_meta(tmp_path).gate == (gate,)

@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from coordinator.archive import Archive
 from coordinator.dataset_tables import FailedAttempt, write_tables
+from coordinator.open_archive import open_archive
 from factory.cli.stats import command
 from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.errors import ArchiveCorrupt, WorldError
@@ -166,7 +166,7 @@ def test_a_partial_dataset_says_how_much_is_there(tmp_path: Path) -> None:
 
 
 def test_a_dataset_without_an_episode_says_so(tmp_path: Path) -> None:
-    with Archive(tmp_path / "data") as archive:
+    with open_archive(tmp_path / "data") as archive:
         write_tables(archive, small_plan(3), {}, [], [], NOW)
     found = measure_dataset(tmp_path / "data")
     assert found.is_sound

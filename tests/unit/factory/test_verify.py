@@ -13,8 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from coordinator.archive import Archive
 from coordinator.dataset_tables import write_tables
+from coordinator.open_archive import open_archive
 from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
 from factory.verify import Kind, Report, verify
@@ -213,7 +213,7 @@ def test_row_that_breaks_its_model_is_found(data: Path) -> None:
 def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Path) -> None:
     """Whoever rewrites episode and tables alike still cannot forge the laws of motion."""
     before = Dataset(data)
-    with Archive(data) as archive:
+    with open_archive(data) as archive:
         first = before[0]
         poses = first.poses.copy()
         poses[6:, 0] += 0.02
@@ -229,7 +229,7 @@ def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Pat
 
 def test_target_that_the_scene_places_elsewhere_is_found(data: Path) -> None:
     before = Dataset(data)
-    with Archive(data) as archive:
+    with open_archive(data) as archive:
         moved = parts_for(before[0].meta.job).with_meta(target_centroid_m=(1.59, 0.0, 0.5)).measured()
         archive.unpublish(1)
         rows = [archive_episode(archive, moved), before[1].summary, before[2].summary]
@@ -239,7 +239,7 @@ def test_target_that_the_scene_places_elsewhere_is_found(data: Path) -> None:
 
 def test_quota_of_the_plan_is_compared(data: Path) -> None:
     before = Dataset(data)
-    with Archive(data) as archive:
+    with open_archive(data) as archive:
         job = before[2].meta.job
         other = job_for(
             4, **{name: getattr(job, name) for name in ("run", "plan_digest", "scene_sha256", "scene_bytes")}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.archive import Archive
 from coordinator.dataset_tables import write_tables
+from coordinator.open_archive import open_archive
 from schemas.language import instruction
 from schemas.terms import Split
 from tests.builders.bundle import BundleParts, job_for, parts_for
@@ -36,6 +36,6 @@ def episode_parts(index: int) -> BundleParts:
 
 def make_varied(root: Path) -> None:
     """Writes the dataset."""
-    with Archive(root) as archive:
+    with open_archive(root) as archive:
         rows = [archive_episode(archive, episode_parts(index)) for index in range(1, len(STEPS) + 1)]
         write_tables(archive, small_plan(len(STEPS)), {"office": "b" * 64}, rows, [], NOW)
