@@ -6,7 +6,7 @@ Moves no job; that is the work of `ledger_claims`, `ledger_outcomes` and `ledger
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from itertools import islice
@@ -58,8 +58,23 @@ def ledger_url_of(root: Path, url: str | None = None) -> str:
     return url or sqlite_url(root / LEDGER_FILE)
 
 
-def open_run(engine: Engine, plan: Plan, catalog: Catalog, lease_ttl_s: float, now: datetime) -> bool:
+def open_run(
+    engine: Engine,
+    plan: Plan,
+    catalog: Catalog,
+    lease_ttl_s: float,
+    now: datetime,
+    planned: Sequence[PlannedJob] | None = None,
+) -> bool:
     """Creates the run in an empty database, or checks that the database holds this run.
+
+    Args:
+        engine: of the one writer.
+        plan: of the run.
+        catalog: the compiled scenes of the plan.
+        lease_ttl_s: how long a lease lasts.
+        now: when the run begins.
+        planned: the jobs of a new run; `None` draws them from the plan.
 
     Returns:
         Whether the run is new.
@@ -74,7 +89,7 @@ def open_run(engine: Engine, plan: Plan, catalog: Catalog, lease_ttl_s: float, n
             _check_is_ours(read_info(connection), plan, catalog)
             _write_info(connection, {"lease_ttl_s": str(lease_ttl_s)})
             return False
-        planned = expand(plan, catalog)
+        planned = expand(plan, catalog) if planned is None else planned
         METADATA.create_all(connection)
         insert_planned(connection, planned, now)
         _write_info(connection, _facts(plan, catalog, lease_ttl_s, now))

@@ -17,7 +17,7 @@ from coordinator.ledger import insert_planned, planned_of
 from coordinator.ledger_claims import HELD_STATES
 from coordinator.ledger_moves import FREED, UNDER_LEASE, Move, lease_parameters, record_attempt
 from coordinator.states import Event, State
-from coordinator.summary import EpisodeSummary
+from coordinator.summary import Receipt
 from coordinator.tables import attempts, episodes, jobs, workers
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
@@ -90,12 +90,12 @@ def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) ->
     return Announced(row is not None, row)
 
 
-def archive(connection: Connection, lease: Lease, summary: EpisodeSummary, now: datetime) -> bool:
+def archive(connection: Connection, lease: Lease, summary: Receipt, now: datetime) -> bool:
     """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
     return _own(connection, _ARCHIVE, lease_parameters(lease), summary, now)
 
 
-def adopt(connection: Connection, job_id: int, summary: EpisodeSummary, now: datetime) -> bool:
+def adopt(connection: Connection, job_id: int, summary: Receipt, now: datetime) -> bool:
     """Records an episode that was published before the coordinator died; its digest must be the announced one."""
     return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
 
@@ -138,7 +138,7 @@ def is_owned(connection: Connection, index: int) -> bool:
     return connection.execute(select(episodes.c.idx).where(episodes.c.idx == index)).first() is not None
 
 
-def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: EpisodeSummary, now: datetime) -> bool:
+def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Receipt, now: datetime) -> bool:
     announced = {"index": summary.index, "announced": summary.file_sha256}
     row = how.make(connection, {**job, **announced}, now)
     if row is None:

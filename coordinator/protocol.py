@@ -18,6 +18,7 @@ from sqlalchemy.engine import Connection
 from coordinator import ledger_admin, ledger_claims, ledger_outcomes, ledger_workers
 from coordinator.catalog import Catalog
 from coordinator.draw import PlannedJob, redraw, to_job
+from coordinator.errands import Errands
 from coordinator.ledger import planned_of
 from coordinator.ledger_claims import lease_of
 from schemas.base import Model
@@ -39,6 +40,7 @@ from schemas.wire import (
     HelloReply,
     Lease,
     Refusal,
+    Trade,
 )
 
 __all__ = ["Answer", "Pull", "Request", "Terms", "parse", "serve"]
@@ -60,6 +62,8 @@ class Terms:
     """Whether workers shall leave when done."""
     has_room: Callable[[], bool] = lambda: True
     """Whether the archive has room for what a new job would bring."""
+    errands: Errands | None = None
+    """In a run of errands, what each of them is; `None` where jobs are collected."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,8 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
             )
         )
     ledger_workers.introduce(connection, hello, now)
-    return Answer(HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s))
+    trade = Trade.COLLECTION if terms.errands is None else Trade.EVALUATION
+    return Answer(HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade))
 
 
 def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> Answer:
@@ -140,7 +145,8 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     row = ledger_claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-        return Answer(ClaimReply(job=job, lease=lease_of(row)))
+        errand = terms.errands.texts[row.idx] if terms.errands is not None else None
+        return Answer(ClaimReply(job=job, lease=lease_of(row), errand=errand))
     ledger_workers.note_alive(connection, claim.sid, host, now)
     finished = not ledger_claims.has_open_jobs(connection)
     return Answer(ClaimReply(retry_after_s=terms.retry_after_s, finished=finished))

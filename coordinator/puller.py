@@ -22,7 +22,7 @@ from coordinator.draw import redraw, to_job
 from coordinator.meters import Meter, Meters
 from coordinator.protocol import Pull, Terms
 from coordinator.settings import CoordinatorSettings
-from coordinator.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary, Receipt
 from coordinator.writer import Writer
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import FactoryError, InvalidBundle, TransientError
@@ -32,7 +32,7 @@ from schemas.scene import Target
 from schemas.terms import FailReason
 from schemas.wire import Fail, Lease
 
-__all__ = ["Checker", "Pullers"]
+__all__ = ["Checker", "Judge", "Pullers"]
 
 _VALIDATION_S = 120.0
 """Lease granted once a bundle is here whole: its worker may die now."""
@@ -43,14 +43,21 @@ log = structlog.get_logger(__name__)
 Fetch = Callable[[str, Lease, Chunk], bytes]
 
 
-class Checker(Protocol):
+class Judge(Protocol):
     """What judges bundles, from several threads at a time."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
-        """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
+    def check(self, path: Path, job: Job, target: Target | None = None) -> Receipt:
+        """Returns what the ledger keeps of it, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
         """Ends what runs for it; a check under way raises `TransientError`."""
+
+
+class Checker(Judge, Protocol):
+    """A judge of collected episodes."""
+
+    def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
+        """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
 class Pullers:
@@ -61,7 +68,7 @@ class Pullers:
         archive: Archive,
         writer: Writer,
         fetch: Fetch,
-        checker: Checker,
+        checker: Judge,
         terms: Terms,
         settings: CoordinatorSettings,
         clock: Callable[[], datetime],
@@ -170,7 +177,7 @@ class Pullers:
             self._meters.add(Meter.PULLED_BYTES, len(data))
             staged.write(data)
 
-    def _judge(self, pull: Pull, path: Path) -> EpisodeSummary | None:
+    def _judge(self, pull: Pull, path: Path) -> Receipt | None:
         terms = self._terms
         job = to_job(terms.plan, terms.catalog, pull.planned, pull.attempt)
         begun = time.monotonic()
@@ -198,7 +205,7 @@ class Pullers:
             )
         )
 
-    def _publish(self, pull: Pull, staged: Staged, summary: EpisodeSummary) -> None:
+    def _publish(self, pull: Pull, staged: Staged, summary: Receipt) -> None:
         index = pull.planned.index
         self._archive.publish(staged, index)
         owned = self._writer.call(

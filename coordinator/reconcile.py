@@ -19,7 +19,7 @@ from coordinator.ledger import planned_of
 from coordinator.ledger_claims import grant_grace
 from coordinator.ledger_outcomes import adopt, lose
 from coordinator.protocol import Terms
-from coordinator.puller import Checker
+from coordinator.puller import Judge
 from coordinator.states import State
 from coordinator.tables import episodes, jobs
 from schemas.errors import InvalidBundle, TransientError
@@ -43,7 +43,7 @@ class Reconciled:
     """Leases that have got their grace."""
 
 
-def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Checker, now: datetime) -> Reconciled:
+def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, now: datetime) -> Reconciled:
     """Brings ledger and archive to agree; the staging directory was emptied when the archive was opened.
 
     Args:
@@ -91,7 +91,7 @@ def _settle_strays(
     archive: Archive,
     engine: Engine,
     terms: Terms,
-    checker: Checker,
+    checker: Judge,
     now: datetime,
     strays: dict[int, Path],
     result: Reconciled,
@@ -105,7 +105,7 @@ def _settle_strays(
             result.adopted.append(index)
 
 
-def _adopt(connection: Connection, index: int, path: Path, terms: Terms, checker: Checker, now: datetime) -> str:
+def _adopt(connection: Connection, index: int, path: Path, terms: Terms, checker: Judge, now: datetime) -> str:
     """Records a stray file as its episode; returns why not, or nothing when it is done."""
     current = select(jobs).where(jobs.c.idx == index, jobs.c.superseded.is_(False))
     row = connection.execute(current).first()

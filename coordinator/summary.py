@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Protocol
 
 from pydantic import Field
 
@@ -15,7 +15,7 @@ from schemas.base import Model, Name, NonNegative, Sha256
 from schemas.episode import EpisodeMeta
 from schemas.terms import EndReason, ExpertName, Split, Tier
 
-__all__ = ["PUBLISHED_COLUMNS", "EpisodeSummary", "file_name_of", "summary_of"]
+__all__ = ["PUBLISHED_COLUMNS", "EpisodeSummary", "Receipt", "file_name_of", "summary_of"]
 
 PUBLISHED_COLUMNS = (
     "episode_id",
@@ -33,6 +33,33 @@ PUBLISHED_COLUMNS = (
     "template_id",
 )
 """The columns of the published data set, in its order; every other column stands behind them."""
+
+
+class Receipt(Protocol):
+    """What the ledger must know of a bundle that was found good; an `EpisodeSummary` is one."""
+
+    @property
+    def index(self) -> int:
+        """Number of the job's episode."""
+
+    @property
+    def num_steps(self) -> int:
+        """Simulated."""
+
+    @property
+    def content_digest(self) -> str:
+        """Of what the bundle says, 32 hexadecimal digits."""
+
+    @property
+    def file_sha256(self) -> str:
+        """Of the bundle."""
+
+    @property
+    def file_bytes(self) -> int:
+        """Of the bundle."""
+
+    def model_dump_json(self) -> str:
+        """Returns it as the ledger keeps it."""
 
 
 class EpisodeSummary(Model):

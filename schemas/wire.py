@@ -16,6 +16,7 @@ from schemas.job import Job
 from schemas.terms import FailReason
 
 __all__ = [
+    "MAX_ERRAND_CHARS",
     "MAX_MESSAGE_BYTES",
     "PROTOCOL",
     "Ack",
@@ -34,12 +35,14 @@ __all__ = [
     "LeaseProgress",
     "Progress",
     "Refusal",
+    "Trade",
     "WorkerStatus",
 ]
 
 PROTOCOL = 1
 """Version of keys and messages; it stands in every key."""
 MAX_MESSAGE_BYTES = 1 << 20
+MAX_ERRAND_CHARS = 1 << 18
 
 SessionId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,79}$")]
 Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
@@ -54,6 +57,13 @@ class Lease(Model):
     """Rises at every claim of the job; an older one is stale."""
     token: Token
     """Invented by the worker, so that a repeated claim finds its job again."""
+
+
+class Trade(StrEnum):
+    """What the jobs of a run are, and so which program carries them out."""
+
+    COLLECTION = "collection"  # an expert drives, and successes are archived
+    EVALUATION = "evaluation"  # a policy drives, and every result is archived
 
 
 class Hello(Model):
@@ -73,6 +83,7 @@ class HelloReply(Model):
     run: str
     version: str
     lease_ttl_s: Positive
+    trade: Trade = Trade.COLLECTION
 
 
 class Claim(Model):
@@ -87,6 +98,8 @@ class ClaimReply(Model):
 
     job: Job | None = None
     lease: Lease | None = None
+    errand: Annotated[str, Field(max_length=MAX_ERRAND_CHARS)] | None = None
+    """What a run of errands tells the simulation beside the job; nobody in between reads it."""
     retry_after_s: NonNegative = 0.0
     finished: bool = False
     """Whether every job has reached its end, so that the worker may leave."""

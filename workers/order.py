@@ -28,6 +28,8 @@ class Order(Model):
     """Where the finished bundle shall lie; nothing lies there before it is whole."""
     sid: str
     """Session id of the worker, for the provenance."""
+    errand: str | None = None
+    """What a run of errands says beside the job, as it came."""
 
 
 class ReportKind(StrEnum):
