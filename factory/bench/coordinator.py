@@ -20,7 +20,6 @@ from coordinator.engine import open_writer
 from coordinator.ledger import ledger_url_of, open_run
 from coordinator.ledger_claims import lease_of
 from coordinator.open_archive import open_archive
-from coordinator.open_archive import open_archive
 from coordinator.progress import read_progress
 from coordinator.summary import summary_of
 from coordinator.validator import Validator

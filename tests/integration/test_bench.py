@@ -9,7 +9,6 @@ import pytest
 
 from coordinator.catalog import read_entry
 from coordinator.open_archive import open_archive
-from coordinator.open_archive import open_archive
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
