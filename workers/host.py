@@ -73,6 +73,8 @@ class Host:
     sid: str
     """Name of this start of the worker; begins with the host's name."""
     run: str
+    command: tuple[str, ...]
+    """How to start a simulation of the run."""
     lease_ttl_s: float
     link: Link
     spool: Spool

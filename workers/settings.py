@@ -9,8 +9,10 @@ from pathlib import Path
 
 import platformdirs
 
+from schemas.errors import WorldError
 from schemas.identity import TlsFiles
 from schemas.terms import RendererKind
+from schemas.wire import Trade
 
 __all__ = ["WorkerSettings"]
 
@@ -53,11 +55,27 @@ class WorkerSettings:
     max_scene_bytes: int = 4 << 30
     command: tuple[str, ...] = ()
     """How to start a simulation; empty takes our own."""
+    errand_command: tuple[str, ...] = ()
+    """How to start what carries out errands; empty refuses runs of errands."""
 
     @property
     def simulation_command(self) -> tuple[str, ...]:
         """The command line of a simulation process."""
         return self.command or (sys.executable, "-m", "workers.simulate", "--renderer", self.renderer)
+
+    def command_for(self, trade: Trade) -> tuple[str, ...]:
+        """Returns the command line of a process that does the jobs of a run.
+
+        Raises:
+            WorldError: this worker cannot do such jobs.
+        """
+        if trade is Trade.COLLECTION:
+            return self.simulation_command
+        if not self.errand_command:
+            raise WorldError(
+                f"the run is an {trade}, and this worker was given no errand_command: use `factory worker`"
+            )
+        return self.errand_command
 
     @property
     def spool_limit(self) -> int:

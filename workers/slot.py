@@ -43,7 +43,7 @@ class Slot:
 
     def __init__(self, host: Host) -> None:
         self._host = host
-        self._simulation = Simulation(host.settings.simulation_command, host.settings.hang_s)
+        self._simulation = Simulation(host.command, host.settings.hang_s)
         self._trouble = Backoff(1.0, 60.0)
 
     def run(self) -> None:
@@ -67,7 +67,7 @@ class Slot:
         if reply is None:
             return
         if reply.job is not None and reply.lease is not None:
-            self._work(reply.job, reply.lease)
+            self._work(reply.job, reply.lease, reply.errand)
         elif reply.finished:
             self._host.phase.close()
         else:
@@ -84,7 +84,7 @@ class Slot:
                 return
             pause_s = starts.fail()
             if starts.failures >= _STARTS:
-                command = " ".join(self._host.settings.simulation_command)
+                command = " ".join(self._host.command)
                 raise WorldError(
                     f"a simulation does not start after {_STARTS} tries of `{command}`: {heard.detail}; run that "
                     "command by hand to see why, or choose another --renderer"
@@ -122,11 +122,11 @@ class Slot:
             host.pause(away.fail())
         return None
 
-    def _work(self, job: Job, lease: Lease) -> None:
+    def _work(self, job: Job, lease: Lease, errand: str | None) -> None:
         begun = time.monotonic()
         with self._host.leases.held(lease):
             try:
-                report = self._attempt(job, lease)
+                report = self._attempt(job, lease, errand)
             except LeaseLost:
                 self._give_up(lease)
                 log.info("lease_lost", job=lease.job_id, fence=lease.fence, episode=job.episode_id)
@@ -145,7 +145,7 @@ class Slot:
         self._simulation.kill()
         self._host.spool.clear(lease)
 
-    def _attempt(self, job: Job, lease: Lease) -> Report:
+    def _attempt(self, job: Job, lease: Lease, errand: str | None) -> Report:
         host = self._host
         try:
             scene = self._scene(job, lease)
@@ -154,7 +154,8 @@ class Slot:
                 raise
             return failure(FailReason.RELEASED, f"no scene: {error}")
         bundle = host.spool.path_for(lease)
-        self._simulation.order(Order(job=job, scene_path=scene, bundle_path=bundle, sid=host.sid))
+        order = Order(job=job, scene_path=scene, bundle_path=bundle, sid=host.sid, errand=errand)
+        self._simulation.order(order)
         step = 0
         while True:
             heard = self._simulation.hear(_POLL_S)

@@ -89,6 +89,7 @@ def _work_for(
             name=name,
             sid=sid,
             run=terms.run,
+            command=settings.command_for(terms.trade),
             lease_ttl_s=terms.lease_ttl_s,
             link=link,
             spool=spool,

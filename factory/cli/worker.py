@@ -62,6 +62,7 @@ def command(
         cores=cores,
         renderer=cast(RendererKind, renderer),
         wait_s=wait_s,
+        errand_command=(sys.executable, "-m", "factory.eval.station", "--renderer", renderer),
         **given,
     )
     with stop_on_signals() as (stop, at_once):
