@@ -1,6 +1,7 @@
 """Who may ask, answer and be seen under which keys, as zenoh reads it: default deny, by common name. Pure.
 
 A host asks under its own name and answers in its own subtree; nobody but the router itself answers for the coordinator.
+A gateway also passes on what the workers behind it ask, under their names: it has let them in by their certificates.
 """
 
 from __future__ import annotations
@@ -9,14 +10,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from schemas.identity import Role
-from schemas.keys import Verb, bundle_key, scene_pattern, verb_key, verb_pattern
+from schemas.keys import Verb, alive_pattern, bundle_key, scene_pattern, verb_key, verb_pattern
 
 __all__ = ["access_control"]
 
-_ANY_RUN = "*"
+_ANY_RUN, _ANY_HOST = "*", "*"
 _VERBS: Mapping[Role, Sequence[Verb]] = {
     Role.WORKER: (Verb.HELLO, Verb.CLAIM, Verb.BEAT, Verb.DONE, Verb.FAIL, Verb.PROGRESS),
     Role.OPERATOR: (Verb.PROGRESS, Verb.ADMIN),
+    Role.GATEWAY: (Verb.JOIN, Verb.ORDERS, Verb.HOLD, Verb.ARCHIVED, Verb.REFUSED, Verb.INVENTORY),
 }
 _SERVING = ["declare_queryable", "reply", "liveliness_token"]
 
@@ -25,27 +27,14 @@ def access_control(admitted: Mapping[str, Role]) -> dict[str, Any]:
     """Returns zenoh's `access_control` section.
 
     Args:
-        admitted: common name of a certificate -> what it may do.
+        admitted: common name of a certificate -> what it may do. A coordinator is named by its gateways only.
     """
-    scenes = [scene_pattern(_ANY_RUN)]
-    rules = [
-        _rule("see-coordinator", "egress", ["declare_queryable"], [verb_pattern(_ANY_RUN), *scenes]),
-        _rule("ask-scene", "ingress", ["query"], scenes),
-        _rule("tell-scene", "egress", ["reply"], scenes),
-    ]
+    rules = list(_SHARED)
     policies = []
     for name, role in sorted(admitted.items()):
-        verbs = [verb_key(_ANY_RUN, name, verb) for verb in _VERBS[role]]
-        rules += [_rule(f"ask-{name}", "ingress", ["query"], verbs), _rule(f"tell-{name}", "egress", ["reply"], verbs)]
-        granted = ["see-coordinator", f"ask-{name}", f"tell-{name}"]
-        if role is Role.WORKER:
-            mine = [_subtree(name)]
-            rules += [
-                _rule(f"serve-{name}", "ingress", _SERVING, mine),
-                _rule(f"fetch-{name}", "egress", ["query"], mine),
-            ]
-            granted += ["ask-scene", "tell-scene", f"serve-{name}", f"fetch-{name}"]
-        policies.append({"rules": granted, "subjects": [name]})
+        own, shared = _granted(name, role)
+        rules += own
+        policies.append({"rules": [*shared, *(rule["id"] for rule in own)], "subjects": [name]})
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -55,6 +44,21 @@ def access_control(admitted: Mapping[str, Role]) -> dict[str, Any]:
     }
 
 
+def _granted(name: str, role: Role) -> tuple[list[dict[str, Any]], Sequence[str]]:
+    """Returns the rules of one name, and the shared ones that hold for it too."""
+    if role is Role.COORDINATOR:
+        return [], _OF_CORE
+    verbs = [verb_key(_ANY_RUN, name, verb) for verb in _VERBS[role]]
+    own = [_rule(f"ask-{name}", "ingress", ["query"], verbs), _rule(f"tell-{name}", "egress", ["reply"], verbs)]
+    if role is Role.OPERATOR:
+        return own, _OF_ALL
+    if role is Role.GATEWAY:
+        return own, (*_OF_ALL, *_OF_SCENES, *_OF_GATEWAYS)
+    mine = [_subtree(name)]
+    own += [_rule(f"serve-{name}", "ingress", _SERVING, mine), _rule(f"fetch-{name}", "egress", ["query"], mine)]
+    return own, (*_OF_ALL, *_OF_SCENES)
+
+
 def _subtree(name: str) -> str:
     """Returns all keys of all sessions of a host: `HOST.` and whatever tells its starts apart."""
     return bundle_key(_ANY_RUN, f"{name}.$*").rpartition("/")[0] + "/**"
@@ -62,3 +66,24 @@ def _subtree(name: str) -> str:
 
 def _rule(name: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
     return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
+
+
+_SCENES = [scene_pattern(_ANY_RUN)]
+_ANSWERED = [verb_pattern(_ANY_RUN), *_SCENES]
+_PASSED_ON = [verb_key(_ANY_RUN, _ANY_HOST, verb) for verb in _VERBS[Role.WORKER]]
+_TOKENS = [alive_pattern(_ANY_RUN)]
+_SHARED = (
+    _rule("see-coordinator", "egress", ["declare_queryable"], _ANSWERED),
+    _rule("ask-scene", "ingress", ["query"], _SCENES),
+    _rule("tell-scene", "egress", ["reply"], _SCENES),
+    _rule("pass-on", "ingress", ["query"], _PASSED_ON),
+    _rule("pass-back", "egress", ["reply"], _PASSED_ON),
+    _rule("see-workers", "ingress", ["liveliness_token"], _TOKENS),
+    _rule("believe-core", "ingress", ["declare_queryable", "reply"], _ANSWERED),
+    _rule("ask-core", "egress", ["query"], _ANSWERED),
+    _rule("show-workers", "egress", ["liveliness_token"], _TOKENS),
+)
+_OF_ALL = ("see-coordinator",)
+_OF_SCENES = ("ask-scene", "tell-scene")
+_OF_GATEWAYS = ("pass-on", "pass-back", "see-workers")
+_OF_CORE = ("believe-core", "ask-core", "show-workers")

@@ -12,20 +12,23 @@ from schemas.identity import Role, TlsFiles, parse_admitted, tls_files
 __all__ = ["Guard", "read_credentials"]
 
 _WORLD_BITS = 0o007
+_AT_GATEWAY = frozenset({Role.WORKER, Role.COORDINATOR})
 
 
 @dataclass(frozen=True)
 class Guard:
-    """The door of a coordinator; `admitted` is read anew whenever asked.
+    """The door of a coordinator or gateway; `admitted` is read anew whenever asked.
 
     Args:
-        folder: as `factory keys host DIR NAME --role coordinator` makes it.
+        folder: as `factory keys host DIR NAME --role coordinator` makes it, or `--role gateway`.
+        of_gateway: whether it is a gateway's: that knows workers and its coordinator, and nobody else.
 
     Raises:
         UsageError: a file is missing, or the key can be read by everybody.
     """
 
     folder: Path
+    of_gateway: bool = False
     files: TlsFiles = field(init=False)
 
     def __post_init__(self) -> None:
@@ -42,13 +45,14 @@ class Guard:
             text = self.files.admitted.read_text(encoding="ascii")
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(
-                f"{self.files.admitted} cannot be read ({error}): a coordinator's --tls is a folder made by "
-                "`factory keys host DIR NAME --role coordinator`"
+                f"{self.files.admitted} cannot be read ({error}): the --tls of one who listens is a folder made by "
+                f"`factory keys host DIR NAME --role {Role.GATEWAY if self.of_gateway else Role.COORDINATOR}`"
             ) from error
         try:
-            return parse_admitted(text)
+            named = parse_admitted(text, of_gateway=self.of_gateway)
         except UsageError as error:
             raise UsageError(f"{self.files.admitted}: {error}") from error
+        return {name: role for name, role in named.items() if role in _AT_GATEWAY} if self.of_gateway else named
 
 
 def read_credentials(folder: Path) -> tuple[TlsFiles, str]:

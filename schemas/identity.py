@@ -36,6 +36,7 @@ class Role(StrEnum):
 
     WORKER = "worker"  # claims jobs under its own name and serves its own spool
     OPERATOR = "operator"  # asks for progress, retries and cancels
+    GATEWAY = "gateway"  # listens to workers, vouches for them to its coordinator, and archives what they bring
     COORDINATOR = "coordinator"  # listens; nobody else may pass for it
 
 
@@ -49,7 +50,7 @@ class TlsFiles(NamedTuple):
     name: Path
     """One line: the common name in the certificate."""
     admitted: Path
-    """Of a coordinator only."""
+    """Of a coordinator or gateway only."""
 
 
 def tls_files(folder: Path) -> TlsFiles:
@@ -76,20 +77,25 @@ def require_host_name(name: str) -> str:
     return name
 
 
-def parse_admitted(text: str) -> Mapping[str, Role]:
+def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]:
     """Reads `hosts.txt`: one `NAME ROLE` a line, the role `worker` when left out; `#` begins a remark.
+
+    Args:
+        text: of the file.
+        of_gateway: whether coordinators may be named: a gateway must know whom to believe, nobody else believes any.
 
     Raises:
         UsageError: a line cannot be understood.
     """
+    known = [role for role in Role if of_gateway or role is not Role.COORDINATOR]
     found: dict[str, Role] = {}
     for number, line in enumerate(text.splitlines(), 1):
         words = line.partition("#")[0].split()
         if not words:
             continue
         name, role = (*words, Role.WORKER)[:2]
-        if len(words) > 2 or role not in (Role.WORKER, Role.OPERATOR) or not is_host_name(name):
-            raise UsageError(f"line {number} is {line[:80]!r}, wanted: NAME, NAME worker or NAME operator")
+        if len(words) > 2 or role not in known or not is_host_name(name):
+            raise UsageError(f"line {number} is {line[:80]!r}, wanted: NAME, or NAME and one of: {', '.join(known)}")
         found[name] = Role(role)
     return found
 

@@ -34,7 +34,7 @@ MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
 
 
 class Verb(StrEnum):
-    """What a worker may ask of the coordinator."""
+    """What may be asked of the coordinator."""
 
     HELLO = "hello"
     CLAIM = "claim"
@@ -43,6 +43,13 @@ class Verb(StrEnum):
     FAIL = "fail"
     PROGRESS = "progress"
     ADMIN = "admin"
+
+    JOIN = "join"  # from here on what gateways ask
+    ORDERS = "orders"
+    HOLD = "hold"
+    ARCHIVED = "archived"
+    REFUSED = "refused"
+    INVENTORY = "inventory"
 
 
 class Chunk(NamedTuple):

@@ -32,8 +32,9 @@ def command() -> None:
     \b
     factory keys ca pki
     factory keys host pki hub --role coordinator --address 10.0.0.1 --address hub.example.org
+    factory keys host pki gw1 --role gateway --address 10.0.1.1
     factory keys host pki node-07
-    Then copy pki/hub and pki/node-07 to those machines, and give them as --tls.
+    Then copy pki/hub, pki/gw1 and pki/node-07 to those machines, and give them as --tls.
     """
 
 
@@ -55,7 +56,9 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
 @_folder_argument
 @click.argument("name")
 @click.option("--role", type=click.Choice([str(role) for role in Role]), default=str(Role.WORKER), show_default=True)
-@click.option("--address", multiple=True, help="Name or IP address under which a coordinator is reached; repeatable.")
+@click.option(
+    "--address", multiple=True, help="Name or IP address under which one who listens is reached; repeatable."
+)
 @_days_option(365)
 @click.option("--renew", is_flag=True, help="Replace the certificate that is there.")
 @json_option
@@ -73,12 +76,14 @@ def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int
 @click.argument("name")
 @json_option
 def revoke_(folder: Path, name: str, as_json: bool) -> None:
-    """Admit the host NAME no longer; coordinators notice within seconds."""
+    """Admit the host NAME no longer; coordinators and gateways notice within seconds."""
     lists = [str(path) for path in revoke(folder, name)]
     if as_json:
         print_json({"revoked": name, "lists": lists})
     else:
-        click.echo(f"{name} is out; where a coordinator runs on another machine copy there: {', '.join(lists) or '-'}")
+        click.echo(
+            f"{name} is out; where those who listen are other machines copy there: {', '.join(lists) or '-'}"
+        )
 
 
 @command.command("list")

@@ -76,7 +76,7 @@ def issue(
     Args:
         authority: that signs.
         name: of the host.
-        role: a coordinator's certificate can only listen, the others' can only connect.
+        role: a coordinator's certificate can only listen, a gateway's listen and connect, the others' only connect.
         addresses: names and IP addresses under which others reach the host; loopback is always among them.
         days: of validity.
         now: the beginning, less a few minutes for clocks that differ.
@@ -91,12 +91,13 @@ def issue(
 
     signer, signer_key = _read(authority)
     key = _new_key()
-    purpose = ExtendedKeyUsageOID.SERVER_AUTH if role is Role.COORDINATOR else ExtendedKeyUsageOID.CLIENT_AUTH
-    reached = dict.fromkeys((name, *_LOOPBACK, *addresses) if role is Role.COORDINATOR else (name, *addresses))
+    listens, connects = role in {Role.COORDINATOR, Role.GATEWAY}, role is not Role.COORDINATOR
+    purposes = [ExtendedKeyUsageOID.SERVER_AUTH] * listens + [ExtendedKeyUsageOID.CLIENT_AUTH] * connects
+    reached = dict.fromkeys((name, *_LOOPBACK, *addresses) if listens else (name, *addresses))
     signed = (
         _builder(_name(name), signer.subject, key, days, now)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(purposes), critical=True)
         .add_extension(x509.SubjectAlternativeName([_alternative(address) for address in reached]), critical=False)
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signer_key.public_key()), critical=False)
         .sign(signer_key, hashes.SHA256())

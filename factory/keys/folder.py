@@ -57,7 +57,7 @@ def admit(
         folder: of the authority.
         name: of the host; becomes the common name.
         role: what the certificate is for.
-        addresses: under which a coordinator is reached, besides its name and loopback.
+        addresses: under which a coordinator or gateway is reached, besides its name and loopback.
         days: of validity.
         now: the beginning.
         renew: whether a certificate that is there is replaced.
@@ -85,7 +85,7 @@ def admit(
     admitted.pop(name, None)
     if role is not Role.COORDINATOR:
         admitted[name] = role
-    _tell_coordinators(folder, admitted)
+    _tell_listeners(folder, admitted)
     return place
 
 
@@ -93,7 +93,7 @@ def revoke(folder: Path, name: str) -> tuple[Path, ...]:
     """Takes a host from the lists of those admitted; its certificate is of no use from then on.
 
     Returns:
-        The lists that coordinators read; those on other machines have to be copied there.
+        The lists that coordinators and gateways read; those on other machines have to be copied there.
 
     Raises:
         UsageError: it is not admitted.
@@ -103,7 +103,7 @@ def revoke(folder: Path, name: str) -> tuple[Path, ...]:
     if admitted.pop(name, None) is None:
         known = ", ".join(admitted) or "nobody"
         raise UsageError(f"{name!r} is not admitted; admitted: {known}")
-    return _tell_coordinators(folder, admitted)
+    return _tell_listeners(folder, admitted)
 
 
 def list_hosts(folder: Path) -> list[HostKeys]:
@@ -136,18 +136,16 @@ def _admitted(folder: Path) -> Mapping[str, Role]:
     return parse_admitted(path.read_text(encoding="ascii")) if path.exists() else {}
 
 
-def _tell_coordinators(folder: Path, admitted: Mapping[str, Role]) -> tuple[Path, ...]:
-    coordinators = [place for place in folder.iterdir() if _is_coordinator(place)]
-    lists = tuple(sorted(place / ADMITTED_FILE for place in coordinators))
+def _tell_listeners(folder: Path, admitted: Mapping[str, Role]) -> tuple[Path, ...]:
+    roles = {path.parent: path.read_text().strip() for path in folder.glob(f"*/{_ROLE_FILE}")}
+    coordinators = {place.name: Role.COORDINATOR for place, role in roles.items() if role == Role.COORDINATOR}
+    told = {folder: admitted}
+    told |= {place: admitted for place, role in roles.items() if role == Role.COORDINATOR}
+    told |= {place: {**admitted, **coordinators} for place, role in roles.items() if role == Role.GATEWAY}
     with translated("write", folder):
-        for path in (folder / ADMITTED_FILE, *lists):
-            _write_open(path, spell_admitted(admitted).encode())
-    return lists
-
-
-def _is_coordinator(place: Path) -> bool:
-    path = place / _ROLE_FILE
-    return path.is_file() and path.read_text().strip() == Role.COORDINATOR
+        for place, names in told.items():
+            _write_open(place / ADMITTED_FILE, spell_admitted(names).encode())
+    return tuple(sorted(place / ADMITTED_FILE for place in told.keys() - {folder}))
 
 
 def _write_secret(path: Path, data: bytes) -> None:
