@@ -5,7 +5,7 @@ Holds them; what the texts say is read by those who wrote them and by the simula
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from coordinator.draw import PlannedJob
@@ -19,5 +19,5 @@ class Errands:
 
     planned: tuple[PlannedJob, ...]
     """The jobs that a new ledger is begun with."""
-    texts: Mapping[int, str]
-    """Job index -> what its simulation is told; also of jobs that need no longer be done."""
+    text_of: Callable[[int], str]
+    """Returns what the simulation of a job is told, by the job's index."""

@@ -145,7 +145,7 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     row = ledger_claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-        errand = terms.errands.texts[row.idx] if terms.errands is not None else None
+        errand = terms.errands.text_of(row.idx) if terms.errands is not None else None
         return Answer(ClaimReply(job=job, lease=lease_of(row), errand=errand))
     ledger_workers.note_alive(connection, claim.sid, host, now)
     finished = not ledger_claims.has_open_jobs(connection)
