@@ -18,12 +18,13 @@ from factory.cli.eval_tables import print_evaluation
 from factory.cli.output import json_option, print_json, stderr
 from factory.dataset import Dataset
 from factory.eval.ablation import ABLATIONS
+from factory.eval.campaign import Campaign
 from factory.eval.from_dataset import specs_of_dataset
 from factory.eval.message import Setup
 from factory.eval.policies import check_name
 from factory.eval.publish import publish
 from factory.eval.result import Variant
-from factory.eval.run import Campaign, Pace, run_campaign
+from factory.eval.run import Pace, run_campaign
 from factory.eval.spec import SpecSet
 from factory.eval.spec_file import read_specs
 from factory.eval.store import Manifest, Store
@@ -92,13 +93,11 @@ def command(
     setup = Setup(
         settings=specs.settings,
         renderer=cast(RendererKind, renderer),
-        root=root.resolve(),
-        with_pose=with_pose,
         act_timeout_s=act_timeout,
         load_timeout_s=load_timeout,
     )
     processes = min(workers or os.cpu_count() or 1, len(specs.specs))
-    campaign = Campaign(specs, root, tuple(dict.fromkeys(policies)), variants, setup, processes)
+    campaign = Campaign(specs, root, tuple(dict.fromkeys(policies)), variants, setup, processes, with_pose)
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         manifest = Manifest(

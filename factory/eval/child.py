@@ -27,7 +27,7 @@ from factory.eval.message import Order, Report, ReportKind, Setup, to_line
 from factory.eval.policies import Outside, describe_knowledge, make_policy
 from factory.eval.policy import Policy, ServerAway
 from factory.eval.result import EpisodeResult, EvalEnd
-from factory.eval.rollout import Question, describe_error, run_episode
+from factory.eval.rollout import describe_error, run_episode
 from factory.eval.sheet import Busy, Sheet, State
 from factory.eval.simulator import Simulator, View
 from schemas.errors import FactoryError, UsageError
@@ -121,24 +121,17 @@ class _Driver:
         return True
 
     def _drive(self, order: Order) -> EpisodeResult:
-        policy = self._policy_of(order.policy)
+        policy = self._policy_of(order)
         self._watch.begin(Busy.SIMULATING)
-        place = self._stage.load(order.package, order.spec.scene_sha256)
-        question = Question(
-            spec=order.spec,
-            spec_digest=order.spec_digest,
-            instruction=order.instruction,
-            variant=order.variant,
-            recorded=order.recorded,
-            with_pose=self._setup.with_pose,
-        )
-        result = run_episode(question, policy, order.policy, self._simulator, place, self._watch)
+        place = self._stage.load(order.package, order.question.spec.scene_sha256)
+        result = run_episode(order, policy, self._simulator, place, self._watch)
         if result.end is EvalEnd.POLICY_LOST:
             # the server may have been started again: its episode begins anew, once
-            result = run_episode(question, policy, order.policy, self._simulator, place, self._watch)
+            result = run_episode(order, policy, self._simulator, place, self._watch)
         return result
 
-    def _policy_of(self, name: str) -> Policy:
+    def _policy_of(self, order: Order) -> Policy:
+        name = order.policy
         if self._policy is None or name != self._name:
             self._watch.begin(Busy.MAKING)
             close = getattr(self._policy, "close", None)
@@ -147,14 +140,13 @@ class _Driver:
                     close()
             self._policy, self._name = None, name
             outside = Outside(
-                root=self._setup.root,
                 act_timeout_s=self._setup.act_timeout_s,
                 load_timeout_s=self._setup.load_timeout_s,
                 reconnect_s=self._setup.reconnect_s,
             )
             self._policy = make_policy(name, outside)
             self._watch.is_warm = False
-            self._tell(Report(kind=ReportKind.POLICY, detail=describe_knowledge(self._policy)))
+            self._tell(Report(kind=ReportKind.POLICY, number=order.number, detail=describe_knowledge(self._policy)))
         return self._policy
 
 

@@ -8,12 +8,13 @@ from typing import Annotated, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from factory.eval.result import EpisodeResult, Variant
-from factory.eval.spec import EvalSettings, EvalSpec
-from schemas.base import Model, Name, Positive, Sha256
+from factory.eval.question import Actions, Question
+from factory.eval.result import EpisodeResult
+from factory.eval.spec import EvalSettings
+from schemas.base import Model, Positive
 from schemas.terms import RendererKind
 
-__all__ = ["Order", "Report", "ReportKind", "Setup", "read_report", "to_line"]
+__all__ = ["Errand", "Order", "Report", "ReportKind", "Setup", "read_report", "to_line"]
 
 
 class Setup(Model):
@@ -21,9 +22,6 @@ class Setup(Model):
 
     settings: EvalSettings
     renderer: RendererKind = "auto"
-    root: Path | None = None
-    """The dataset."""
-    with_pose: bool = False
     act_timeout_s: Positive = 10.0
     load_timeout_s: Positive = 300.0
     reconnect_s: Positive = 30.0
@@ -34,14 +32,24 @@ class Order(Model):
 
     number: Annotated[int, Field(ge=0)]
     policy: str
-    spec: EvalSpec
-    spec_digest: Sha256
+    question: Question
     package: Path
     """The compiled scene."""
-    variant: Variant
-    instruction: str
-    recorded: Name | None = None
-    """The archived episode that `replay` or `playback` carries out."""
+    actions: Actions | None = None
+    """Those of the recorded episode, where the question names one."""
+
+
+class Errand(Model):
+    """One episode to drive, as it goes to a worker of another machine."""
+
+    setup: Setup
+    policy: str
+    question: Question
+    actions: Actions | None = None
+
+    def order(self, number: int, package: Path) -> Order:
+        """Returns the order for a driving process there."""
+        return Order(number=number, policy=self.policy, question=self.question, package=package, actions=self.actions)
 
 
 class ReportKind(StrEnum):

@@ -12,6 +12,7 @@ from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from factory.eval.question import Actions
 from factory.eval.simulator import Simulator
 from schemas.job import Job
 
@@ -78,8 +79,8 @@ class Situation:
     simulator: Simulator
     job: Job
     """The episode as the experts take it."""
-    recorded: str | None
-    """The archived episode whose actions a playback carries out, where there is one."""
+    actions: Actions | None
+    """Those of an archived episode, for policies that carry them out."""
 
 
 @runtime_checkable

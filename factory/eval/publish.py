@@ -8,10 +8,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from factory.eval.campaign import Campaign
 from factory.eval.from_dataset import Places
 from factory.eval.page import Failure, write_page
 from factory.eval.result import EpisodeResult, Variant
-from factory.eval.run import Campaign
 from factory.eval.score import Evaluation, score_policy
 from factory.eval.store import Store
 from factory.eval.video import choose_failures, draw_video

@@ -97,6 +97,11 @@ class EpisodeResult(Model):
     """x, y in metres (to 1 mm) and yaw in radians (to 1 mrad), every tenth of a second, the last frame included."""
 
     @property
+    def key(self) -> tuple[str, Variant, str]:
+        """By which it is known among the results of its policy, as its question is."""
+        return self.spec_id, self.variant, self.instruction
+
+    @property
     def is_grounded(self) -> bool:
         """Whether at least two categories were in view at the start, so that the words were needed."""
         return self.categories_in_view >= 2

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from factory.eval import measure
 from factory.eval.action import read_actions
+from factory.eval.message import Order
 from factory.eval.odometry import odometry, yaws_of
 from factory.eval.policy import (
     EpisodeInfo,
@@ -28,29 +29,17 @@ from factory.eval.policy import (
     is_built_in,
     kind_of_actions,
 )
-from factory.eval.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.question import Question
+from factory.eval.result import EpisodeResult, EvalEnd
 from factory.eval.simulator import Simulator, View
 from factory.eval.spec import EvalSpec
 from schemas.config import TaskConfig
 from schemas.terms import ExpertName
 from workers.stage import LoadedScene
 
-__all__ = ["Question", "Watch", "run_episode", "thin_track"]
+__all__ = ["Watch", "run_episode", "thin_track"]
 
 _TRACK_HZ = 10
-
-
-@dataclass(frozen=True)
-class Question:
-    """What is asked of a policy: an episode under one instruction."""
-
-    spec: EvalSpec
-    spec_digest: str
-    instruction: str
-    variant: Variant = Variant.ORIGINAL
-    recorded: str | None = None
-    """The archived episode that `replay` or `playback` carries out."""
-    with_pose: bool = False
 
 
 class Watch(Protocol):
@@ -63,15 +52,12 @@ class Watch(Protocol):
         """The policy has answered, or failed to."""
 
 
-def run_episode(
-    question: Question, policy: Policy, name: str, simulator: Simulator, place: LoadedScene, watch: Watch
-) -> EpisodeResult:
+def run_episode(order: Order, policy: Policy, simulator: Simulator, place: LoadedScene, watch: Watch) -> EpisodeResult:
     """Drives an episode to its end and measures it.
 
     Args:
-        question: what is asked.
+        order: what is asked, and of whom.
         policy: who drives; an `Insider` is let in.
-        name: of the policy, for the result.
         simulator: open, with the settings of the set.
         place: the scene of the spec.
         watch: told before and after each call of the policy.
@@ -81,23 +67,28 @@ def run_episode(
         ServerAway: the policy's server cannot be reached; nothing is known about the episode.
     """
     begun = time.monotonic()
-    drive = _Drive(question, policy, simulator, watch)
-    view = simulator.reset(question.spec, place)
+    drive = _Drive(order, policy, simulator, watch)
+    view = simulator.reset(order.question.spec, place)
     end, detail = drive.run(view)
-    return _measured(question, name, simulator, end, detail, drive, time.monotonic() - begun)
+    return _measured(order, simulator, end, detail, drive, time.monotonic() - begun)
 
 
 @dataclass
 class _Drive:
     """A policy at the wheel; keeps the clock and the count of its answers."""
 
-    question: Question
+    order: Order
     policy: Policy
     simulator: Simulator
     watch: Watch
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
+
+    @property
+    def question(self) -> Question:
+        """What is asked."""
+        return self.order.question
 
     def run(self, view: View) -> tuple[EvalEnd, str]:
         """Returns how the episode ended."""
@@ -125,7 +116,7 @@ class _Drive:
         with self._asking(view):
             if isinstance(self.policy, Insider) and is_built_in(self.policy):
                 expert = getattr(self.policy, "expert", ExpertName.PROPORTIONAL)
-                self.policy.enter(Situation(self.simulator, spec.job(settings, expert), self.question.recorded))
+                self.policy.enter(Situation(self.simulator, spec.job(settings, expert), self.order.actions))
             self.policy.reset(self.question.instruction, info)
 
     def _turn(self, view: View) -> View:
@@ -189,21 +180,20 @@ def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float
 
 
 def _measured(
-    question: Question,
-    name: str,
+    order: Order,
     simulator: Simulator,
     end: EvalEnd,
     detail: str,
     drive: _Drive,
     seconds: float,
 ) -> EpisodeResult:
-    spec, task, track = question.spec, simulator.settings.task, simulator.track
+    spec, task, track = order.question.spec, simulator.settings.task, simulator.track
     gaps = np.linalg.norm(track[:, :2] - np.asarray(simulator.target.centroid_m[:2]), axis=1)
     start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
     return EpisodeResult(
-        **describe_question(question, name),
+        **describe_question(order),
         end=end,
         detail=detail,
         success=is_success,
@@ -224,13 +214,13 @@ def _measured(
     )
 
 
-def describe_question(question: Question, name: str) -> dict[str, Any]:
+def describe_question(order: Order) -> dict[str, Any]:
     """Returns the fields of a result that are known before the drive."""
-    spec = question.spec
+    question, spec = order.question, order.question.spec
     return {
         "spec_id": spec.spec_id,
         "spec_digest": question.spec_digest,
-        "policy": name,
+        "policy": order.policy,
         "variant": question.variant,
         "instruction": question.instruction,
         "split": spec.split,

@@ -10,8 +10,8 @@ from typing import Annotated
 from pydantic import Field
 
 from factory.eval.estimate import Estimate, mcnemar_p, means_of
+from factory.eval.note import PolicyNote
 from factory.eval.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
-from factory.eval.store import PolicyNote
 from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model, Sha256

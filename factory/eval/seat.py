@@ -16,7 +16,7 @@ import threading
 import time
 from typing import IO, NamedTuple
 
-from factory.eval.message import Order, Report, Setup, read_report, to_line
+from factory.eval.message import Order, Report, ReportKind, Setup, read_report, to_line
 from factory.eval.policy import PolicyFault
 from factory.eval.sheet import Busy, Sheet, State
 
@@ -52,6 +52,10 @@ class Seat:
         self._stderr: IO[bytes] | None = None
         self.order_at_hand: Order | None = None
         """What it is driving."""
+        self.made: dict[str, str] = {}
+        """What the policies that could be made here go by."""
+        self.renderer = ""
+        """What draws here, once it is known."""
 
     @property
     def pid(self) -> int | None:
@@ -66,14 +70,16 @@ class Seat:
         self._write(to_line(order))
 
     def hear(self, timeout_s: float) -> Report | Ended | None:
-        """Returns what it says next, its end, or `None` after `timeout_s` without news."""
+        """Returns what came of its order, its end, or `None` after `timeout_s` or news on the way."""
         if self._process is None:
             return None
         try:
             report = self._reports.get(timeout=timeout_s)
         except queue.Empty:
             return self._end_if_late()
-        return self._bury() if report is None else report
+        if report is None:
+            return self._bury()
+        return report if self._is_outcome(report) else None
 
     def kill(self) -> None:
         """Ends the process at once, if there is one."""
@@ -110,6 +116,15 @@ class Seat:
         self._reports = queue.Queue()
         threading.Thread(target=_read, args=(self._process.stdout, self._reports), daemon=True).start()
         self._write(to_line(self._setup))
+
+    def _is_outcome(self, report: Report) -> bool:
+        if report.kind is ReportKind.READY:
+            self.renderer = report.detail
+        elif report.kind is ReportKind.POLICY and self.order_at_hand is not None:
+            self.made[self.order_at_hand.policy] = report.detail
+        else:
+            return True
+        return False
 
     def _write(self, line: bytes) -> None:
         if self._process is not None and self._process.stdin is not None:

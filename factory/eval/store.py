@@ -15,13 +15,14 @@ from typing import IO, Self
 
 from pydantic import ValidationError
 
+from factory.eval.note import PolicyNote
 from factory.eval.result import RESULTS_FORMAT, EpisodeResult, Variant
 from factory.eval.spec import SpecSet
 from factory.eval.spec_file import read_specs, write_specs
 from schemas.base import Model, NonNegative, Sha256
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["Manifest", "PolicyNote", "Store", "folder_name", "read_policy_folder"]
+__all__ = ["Manifest", "Store", "folder_name", "read_policy_folder"]
 
 _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "policies", "episodes.jsonl", "policy.json"
 
@@ -35,16 +36,6 @@ class Manifest(Model):
     specs_digest: Sha256
     with_pose: bool
     act_timeout_s: NonNegative
-
-
-class PolicyNote(Model):
-    """What is known of a policy beside its results."""
-
-    policy: str
-    knows: str
-    reads_instruction: bool
-    renderer: str
-    software: dict[str, str]
 
 
 class Store:

@@ -11,12 +11,13 @@ import pytest
 
 from factory.dataset import Dataset
 from factory.eval.ablation import donors
+from factory.eval.campaign import Campaign
 from factory.eval.from_dataset import Places, specs_of_dataset
 from factory.eval.message import Setup
 from factory.eval.publish import publish
 from factory.eval.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.rollout import thin_track
-from factory.eval.run import Campaign, run_campaign
+from factory.eval.run import run_campaign
 from factory.eval.simulator import Simulator
 from factory.eval.spec import SpecSet
 from factory.eval.store import Manifest, Store
@@ -45,7 +46,7 @@ def campaign_of(
     variants: Sequence[Variant] = (Variant.ORIGINAL,),
     processes: int = 1,
 ) -> Campaign:
-    limits = Setup(settings=specs.settings, root=drives.root, act_timeout_s=2.0)
+    limits = Setup(settings=specs.settings, act_timeout_s=2.0)
     return Campaign(specs, drives.root, policies, tuple(variants), limits, processes)
 
 

@@ -1,9 +1,8 @@
-"""What policies may need of their surroundings: the dataset's directory and the time limits. Holds values only."""
+"""What policies may need of their surroundings: the time limits. Holds values only."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 __all__ = ["Outside"]
 
@@ -12,8 +11,6 @@ __all__ = ["Outside"]
 class Outside:
     """Given to every policy when it is made."""
 
-    root: Path | None = None
-    """The dataset, for policies that carry out recorded actions."""
     act_timeout_s: float = 10.0
     """Longest time for an answer."""
     load_timeout_s: float = 300.0

@@ -47,7 +47,7 @@ def test_a_directory_that_is_no_dataset_is_named(tmp_path: Path) -> None:
 
 
 def test_freshly_drawn_episodes_have_nothing_to_replay() -> None:
-    from factory.eval.run import require_recordings
+    from factory.eval.campaign import require_recordings
     from tests.builders.eval_results import spec_of, specs_of
 
     drawn = specs_of(spec_of(1, source_episode=None, spawn_source="drawn"))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 
+from factory.eval.note import PolicyNote
 from factory.eval.page import write_page
 from factory.eval.result import EvalEnd, Variant
 from factory.eval.score import Evaluation, score_policy
-from factory.eval.store import PolicyNote
 from factory.eval.video import choose_failures
 from tests.builders.eval_results import result_of
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from factory.eval.compare import compare
+from factory.eval.note import PolicyNote
 from factory.eval.result import EvalEnd, Variant
 from factory.eval.score import score_policy
-from factory.eval.store import PolicyNote
 from schemas.errors import UsageError
 from schemas.terms import Split, Tier
 from tests.builders.eval_results import result_of

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from factory.eval.note import PolicyNote
 from factory.eval.result import RESULTS_FORMAT, Variant
-from factory.eval.store import Manifest, PolicyNote, Store, folder_name, read_policy_folder
+from factory.eval.store import Manifest, Store, folder_name, read_policy_folder
 from schemas.errors import UsageError, WorldError
 from tests.builders.eval_results import result_of, spec_of, specs_of
 
