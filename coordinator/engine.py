@@ -16,7 +16,7 @@ from sqlalchemy.engine import Connection
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
-from coordinator.tables import METADATA
+from coordinator.tables import ADDED_LATER, METADATA
 from schemas.errors import UsageError, WorldError
 
 __all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "sqlite_files", "sqlite_url"]
@@ -89,7 +89,7 @@ def ledger_trouble(url: str) -> str:
                 if said != "ok":
                     return f"is damaged: {said}"
             tables = set(inspect(connection).get_table_names())
-            missing = sorted(METADATA.tables.keys() - tables)
+            missing = sorted(METADATA.tables.keys() - tables - ADDED_LATER)
             return f"lacks the tables {', '.join(missing)}" if missing else ""
     except DatabaseError as error:
         return f"cannot be read: {error.orig}"

@@ -16,8 +16,11 @@ from typing import Self
 import structlog
 
 from coordinator import ledger_claims
+from coordinator.dispatch import Dispatch
 from coordinator.meters import Meter, Meters
-from coordinator.protocol import Answer, Pull, Request, Terms, parse, serve
+from coordinator.protocol import Answer, Request, Terms, parse, serve
+from coordinator.relay import Archived, Duty, Inventory
+from coordinator.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.router import Inquiry
 from coordinator.writer import Writer
 from schemas.errors import TransientError
@@ -40,7 +43,8 @@ class Front:
         terms: of the run.
         clock: the time.
         read_progress: a slow look at the ledger; runs in a thread of its own.
-        on_bundle: takes a bundle that waits to be pulled.
+        dispatch: takes a bundle that waits to be pulled, and tells gateways what is theirs.
+        on_archived: a gateway has archived, or lost, an episode.
         on_drain: an operator wants the workers to leave.
         backlog: requests that may wait; further ones get no answer and are asked again.
         meters: where questions are counted.
@@ -53,7 +57,8 @@ class Front:
         clock: Callable[[], datetime],
         *,
         read_progress: Callable[[], Progress],
-        on_bundle: Callable[[Pull], None],
+        dispatch: Dispatch,
+        on_archived: Callable[[], None],
         on_drain: Callable[[], None],
         backlog: int,
         meters: Meters | None = None,
@@ -62,7 +67,8 @@ class Front:
         self._terms = terms
         self._clock = clock
         self._read_progress = read_progress
-        self._on_bundle = on_bundle
+        self._dispatch = dispatch
+        self._on_archived = on_archived
         self._on_drain = on_drain
         self._backlog = backlog
         self._meters = meters or Meters()
@@ -79,12 +85,18 @@ class Front:
         if self._writer.backlog > self._backlog:
             inquiry.drop()
             return
-        request = parse(inquiry.verb, inquiry.host, inquiry.payload)
+        is_relay = inquiry.verb in RELAY_MESSAGES
+        request = parse(inquiry.verb, inquiry.host, inquiry.payload, RELAY_MESSAGES if is_relay else None)
         if isinstance(request, Refusal):
             log.info("refused", host=inquiry.host, verb=inquiry.verb, reason=request.error)
             inquiry.answer(request)
             return
-        future = self._writer.submit(lambda connection: serve(connection, request, self._terms, self._clock()))
+        if isinstance(request.message, Duty):
+            duty = request.message
+            inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most)))
+            return
+        do = serve_gateway if is_relay else serve
+        future = self._writer.submit(lambda connection: do(connection, request, self._terms, self._clock()))
         future.add_done_callback(partial(self._reply, inquiry, request))
 
     def note_gone(self, sid: str) -> None:
@@ -115,11 +127,13 @@ class Front:
             answer = future.result()
             if isinstance(request.message, AdminRequest):
                 self._note_operator(request.message)
+            if isinstance(request.message, Archived | Inventory):
+                self._on_archived()
             if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
                 self._meters.add(Meter.CLAIMS)
             inquiry.answer(answer.reply)
             for pull in answer.pulls:
-                self._on_bundle(pull)
+                self._dispatch.offer(pull)
 
     def _note_operator(self, request: AdminRequest) -> None:
         log.info("operator", action=request.action, episodes=len(request.indices) or "all")

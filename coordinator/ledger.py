@@ -87,7 +87,8 @@ def open_run(
     with engine.begin() as connection:
         if holds_run(connection):
             _check_is_ours(read_info(connection), plan, catalog)
-            _write_info(connection, {"lease_ttl_s": str(lease_ttl_s)})
+            METADATA.create_all(connection)  # what a ledger of an older format lacks
+            _write_info(connection, {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)})
             return False
         planned = expand(plan, catalog) if planned is None else planned
         METADATA.create_all(connection)

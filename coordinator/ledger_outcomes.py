@@ -18,7 +18,7 @@ from coordinator.ledger_claims import HELD_STATES
 from coordinator.ledger_moves import FREED, UNDER_LEASE, Move, lease_parameters, record_attempt
 from coordinator.states import Event, State
 from coordinator.summary import Receipt
-from coordinator.tables import attempts, episodes, jobs, workers
+from coordinator.tables import attempts, episodes, jobs, keepers, workers
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
 
@@ -130,12 +130,14 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
     succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)
     connection.execute(update(attempts).where(*succeeded).values(outcome=_LOST, settles=False, detail=detail))
     connection.execute(delete(episodes).where(episodes.c.idx == index))
+    connection.execute(delete(keepers).where(keepers.c.idx == index))
     return True
 
 
 def is_owned(connection: Connection, index: int) -> bool:
-    """Returns whether the file of an episode is the ledger's, so that no late loser may delete it."""
-    return connection.execute(select(episodes.c.idx).where(episodes.c.idx == index)).first() is not None
+    """Returns whether the file of an episode in the core's directory is the ledger's: no late loser may delete it."""
+    at_home = select(episodes.c.idx).outerjoin(keepers, keepers.c.idx == episodes.c.idx).where(keepers.c.idx.is_(None))
+    return connection.execute(at_home.where(episodes.c.idx == index)).first() is not None
 
 
 def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Receipt, now: datetime) -> bool:

@@ -14,6 +14,7 @@ class Meter(StrEnum):
     """What is counted."""
 
     CLAIMS = "claims"  # jobs given out
+    ARCHIVED = "archived"  # episodes archived here
     PULLED_BYTES = "pulled_bytes"  # of bundles, as they came
     PULLS_FAILED = "pulls_failed"  # bundles that did not come whole; the next beat announces them again
     REFUSED = "refused"  # bundles that validation refused

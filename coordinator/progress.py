@@ -11,6 +11,7 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger import read_info
 from coordinator.ledger_claims import HELD_STATES
+from coordinator.ledger_keepers import count_by_gateway
 from coordinator.ledger_outcomes import SUCCESS
 from coordinator.states import OPEN_STATES, State
 from coordinator.tables import attempts, episodes, jobs, workers
@@ -59,6 +60,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         redrawn=connection.execute(_REDRAWN).scalar_one(),
         attempts={row[0]: row[1] for row in connection.execute(_BY_OUTCOME)},
         workers=_workers(connection, now, facts.lease_ttl_s),
+        by_gateway=dict(count_by_gateway(connection)),
         episodes_per_hour=pace.per_hour,
         eta_s=pace.eta_s,
         finished=left == 0,

@@ -17,13 +17,15 @@ from sqlalchemy.engine import Connection
 
 from coordinator import ledger_admin, ledger_claims, ledger_outcomes, ledger_workers
 from coordinator.catalog import Catalog
-from coordinator.draw import PlannedJob, redraw, to_job
+from coordinator.draw import redraw, to_job
 from coordinator.errands import Errands
 from coordinator.ledger import planned_of
 from coordinator.ledger_claims import lease_of
 from schemas.base import Model
+from schemas.job import Job
 from schemas.keys import Verb, sid_belongs_to
 from schemas.plan import Plan
+from schemas.scene import Target
 from schemas.wire import (
     MAX_MESSAGE_BYTES,
     Ack,
@@ -74,8 +76,10 @@ class Pull:
     sid: str
     sha256: str
     size: int
-    planned: PlannedJob
-    attempt: int
+    job: Job
+    target: Target
+    via: str | None = None
+    """Router that its worker is connected to, as far as that is known."""
 
 
 @dataclass(frozen=True)
@@ -97,25 +101,27 @@ class Request:
 Handler = Callable[[Connection, Any, str, Terms, datetime], Answer]
 
 
-def parse(verb: str, host: str, payload: bytes) -> Request | Refusal:
+def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]] | None = None) -> Request | Refusal:
     """Reads a message as it came; everything wrong with it ends in a refusal that says so.
 
     Args:
         verb: last part of the key.
         host: who asks, by the key.
         payload: at most `MAX_MESSAGE_BYTES` of JSON.
+        known: what each verb carries; by default the verbs of workers and operators.
     """
-    if verb not in _MESSAGES:
-        return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(_MESSAGES)}")
+    known = known or _MESSAGES
+    if verb not in known:
+        return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(known)}")
     if len(payload) > MAX_MESSAGE_BYTES:
         return Refusal(error=f"{verb}: {len(payload)} bytes, more than {MAX_MESSAGE_BYTES}")
     try:
-        message = _MESSAGES[Verb(verb)].model_validate_json(payload)
+        message = known[Verb(verb)].model_validate_json(payload)
     except ValidationError as error:
         places = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:10])
         return Refusal(error=f"{verb}: not understood ({places}); do both sides run the same version?")
     sid = getattr(message, "sid", None)
-    if sid is not None and not sid_belongs_to(sid, host):
+    if known is _MESSAGES and sid is not None and not sid_belongs_to(sid, host):
         return Refusal(error=f"{verb}: session {sid!r} is not of host {host!r}; session ids begin with their host")
     return Request(host, message)
 
@@ -156,12 +162,12 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
     ledger_workers.note_alive(connection, beat.sid, host, now)
     outcome = ledger_claims.beat(connection, beat, now, terms.lease_ttl_s)
     reply = BeatReply(lost=outcome.lost, drop=outcome.drop, drain=terms.is_draining())
-    return Answer(reply, tuple(_pull_of(row, beat.sid) for row in outcome.waiting))
+    return Answer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
 
 
 def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
     accepted, waiting = ledger_outcomes.announce(connection, done, now, terms.lease_ttl_s)
-    pulls = (_pull_of(waiting, done.sid),) if waiting is not None else ()
+    pulls = (_pull_of(waiting, done.sid, done.via, terms),) if waiting is not None else ()
     return Answer(Ack(accepted=accepted), pulls)
 
 
@@ -182,8 +188,10 @@ def _admin(connection: Connection, request: AdminRequest, host: str, terms: Term
             return Answer(AdminReply(changed=()))
 
 
-def _pull_of(row: Row[Any], sid: str) -> Pull:
-    return Pull(lease_of(row), sid, row.sha256, row.size, planned_of(row), row.attempt)
+def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:
+    job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+    target = terms.catalog[job.scene].info.target(job.target_id)
+    return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via)
 
 
 _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(

@@ -1,4 +1,4 @@
-"""Fetches announced bundles chunk by chunk, has them validated, publishes them and commits them to the ledger.
+"""Fetches announced bundles chunk by chunk, has them validated, publishes them and has the ledger own them.
 
 Fails fast and forgets: whatever goes wrong on the way, the worker's next beat announces the bundle again.
 """
@@ -9,34 +9,28 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
 import structlog
 
-from coordinator import ledger_claims, ledger_outcomes
 from coordinator.archive import Archive, Staged
-from coordinator.draw import redraw, to_job
 from coordinator.meters import Meter, Meters
-from coordinator.protocol import Pull, Terms
+from coordinator.protocol import Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.summary import EpisodeSummary, Receipt
-from coordinator.writer import Writer
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job, episode_id
 from schemas.keys import Chunk
 from schemas.scene import Target
-from schemas.terms import FailReason
-from schemas.wire import Fail, Lease
+from schemas.wire import Lease
 
-__all__ = ["Checker", "Judge", "Pullers"]
+__all__ = ["Book", "Checker", "Judge", "Pullers"]
 
 _VALIDATION_S = 120.0
 """Lease granted once a bundle is here whole: its worker may die now."""
-_DETAIL_CHARS = 2000
 
 log = structlog.get_logger(__name__)
 
@@ -60,28 +54,43 @@ class Checker(Judge, Protocol):
         """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
+class Book(Protocol):
+    """The ledger as pullers need it: at hand in a coordinator, asked from afar in a gateway.
+
+    All but `refuse` may be said twice; all of it raises `TransientError` when the ledger cannot be had.
+    """
+
+    def keep(self, pull: Pull, seconds: float) -> bool:
+        """Lets the lease last at least so long from now; returns whether it is in force."""
+
+    def is_owned(self, index: int) -> bool:
+        """Returns whether the episode that lies here is the ledger's, so that nobody may delete it."""
+
+    def own(self, pull: Pull, receipt: Receipt) -> bool:
+        """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
+
+    def refuse(self, pull: Pull, detail: str) -> None:
+        """Reports a bundle that is not what was asked for."""
+
+
 class Pullers:
     """A few threads that bring bundles home, one of an episode at a time; a context manager."""
 
     def __init__(
         self,
         archive: Archive,
-        writer: Writer,
+        book: Book,
         fetch: Fetch,
         checker: Judge,
-        terms: Terms,
         settings: CoordinatorSettings,
-        clock: Callable[[], datetime],
         on_archived: Callable[[], None],
         meters: Meters | None = None,
     ) -> None:
         self._archive = archive
-        self._writer = writer
+        self._book = book
         self._fetch = fetch
         self._checker = checker
-        self._terms = terms
         self._settings = settings
-        self._clock = clock
         self._on_archived = on_archived
         self._meters = meters or Meters()
         self._queue: queue.SimpleQueue[Pull | None] = queue.SimpleQueue()
@@ -97,9 +106,9 @@ class Pullers:
     def offer(self, pull: Pull) -> None:
         """Queues a bundle; one of an episode that is queued or under way already is left to the next beat."""
         with self._guard:
-            if pull.planned.index in self._busy or self._stop.is_set():
+            if pull.job.index in self._busy or self._stop.is_set():
                 return
-            self._busy.add(pull.planned.index)
+            self._busy.add(pull.job.index)
         self._queue.put(pull)
 
     def close(self) -> None:
@@ -125,40 +134,35 @@ class Pullers:
                     self._bring(pull)
             except FactoryError as error:
                 self._meters.add(Meter.PULLS_FAILED)
-                log.warning("pull_failed", episode=episode_id(pull.planned.index), worker=pull.sid, error=str(error))
+                log.warning("pull_failed", episode=episode_id(pull.job.index), worker=pull.sid, error=str(error))
             except Exception:
-                log.exception("pull_crashed", episode=episode_id(pull.planned.index), worker=pull.sid)
+                log.exception("pull_crashed", episode=episode_id(pull.job.index), worker=pull.sid)
             finally:
                 with self._guard:
-                    self._busy.discard(pull.planned.index)
+                    self._busy.discard(pull.job.index)
 
     def _bring(self, pull: Pull) -> None:
-        if not self._keep_lease(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.planned.index):
+        if not self._book.keep(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
             return
         if pull.size > MAX_BUNDLE_BYTES:
             self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
             return
         self._demand_room(pull.size)
-        with self._archive.stage(pull.planned.index) as staged:
+        with self._archive.stage(pull.job.index) as staged:
             self._transfer(pull, staged)
             if staged.sha256 != pull.sha256:
                 self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
                 return
-            self._keep_lease(pull, _VALIDATION_S)
+            self._book.keep(pull, _VALIDATION_S)
             summary = self._judge(pull, staged.path)
             if summary is not None:
                 self._publish(pull, staged, summary)
-
-    def _keep_lease(self, pull: Pull, seconds: float) -> bool:
-        return self._writer.call(
-            lambda connection: ledger_claims.extend(connection, pull.lease, self._clock(), seconds)
-        )
 
     def _is_way_clear(self, index: int) -> bool:
         """Whether the episode's place is free; what an unfinished commit left there is removed."""
         if not self._archive.path_of(index).exists():
             return True
-        if self._writer.call(lambda connection: ledger_outcomes.is_owned(connection, index)):
+        if self._book.is_owned(index):
             return False
         self._archive.unpublish(index)
         return True
@@ -178,11 +182,9 @@ class Pullers:
             staged.write(data)
 
     def _judge(self, pull: Pull, path: Path) -> Receipt | None:
-        terms = self._terms
-        job = to_job(terms.plan, terms.catalog, pull.planned, pull.attempt)
         begun = time.monotonic()
         try:
-            return self._checker.check(path, job, terms.catalog[job.scene].info.target(job.target_id))
+            return self._checker.check(path, pull.job, pull.target)
         except InvalidBundle as error:
             self._refuse(pull, str(error))
             return None
@@ -192,30 +194,15 @@ class Pullers:
 
     def _refuse(self, pull: Pull, detail: str) -> None:
         self._meters.add(Meter.REFUSED)
-        log.warning("bundle_refused", episode=episode_id(pull.planned.index), worker=pull.sid, detail=detail)
-        report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.INVALID, detail=detail[:_DETAIL_CHARS])
-        terms = self._terms
-        self._writer.call(
-            lambda connection: ledger_outcomes.fail(
-                connection,
-                report,
-                self._clock(),
-                terms.plan.budget,
-                lambda planned: redraw(terms.plan, terms.catalog, planned),
-            )
-        )
+        log.warning("bundle_refused", episode=episode_id(pull.job.index), worker=pull.sid, detail=detail)
+        self._book.refuse(pull, detail)
 
-    def _publish(self, pull: Pull, staged: Staged, summary: Receipt) -> None:
-        index = pull.planned.index
+    def _publish(self, pull: Pull, staged: Staged, receipt: Receipt) -> None:
+        index = pull.job.index
         self._archive.publish(staged, index)
-        owned = self._writer.call(
-            lambda connection: (
-                ledger_outcomes.archive(connection, pull.lease, summary, self._clock())
-                or ledger_outcomes.is_owned(connection, index)
-            )
-        )
-        if owned:
-            log.info("archived", episode=episode_id(pull.planned.index), worker=pull.sid, steps=summary.num_steps)
+        if self._book.own(pull, receipt):
+            self._meters.add(Meter.ARCHIVED)
+            log.info("archived", episode=episode_id(index), worker=pull.sid, steps=receipt.num_steps)
             self._on_archived()
         else:
             self._archive.unpublish(index)  # the lease was lost meanwhile, and nobody else has brought it

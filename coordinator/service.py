@@ -21,11 +21,13 @@ from coordinator.beacon import light, quench
 from coordinator.catalog import Catalog
 from coordinator.checkpoint import write_checkpoint
 from coordinator.dataset_meta import GateOutcome
+from coordinator.dispatch import Dispatch
 from coordinator.engine import open_reader, open_writer
 from coordinator.errands import Errands
 from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import ledger_url_of, open_run
+from coordinator.ledger_book import LedgerBook
 from coordinator.meters import Meter, Meters
 from coordinator.open_archive import open_archive
 from coordinator.progress import count_frames, read_progress
@@ -202,12 +204,10 @@ class Coordinator:
     def _open_pullers(self, checker: Judge) -> Pullers:
         return Pullers(
             self._archive,
-            self._writer,
+            LedgerBook(self._writer, self._terms, self._clock),
             lambda sid, lease, chunk: self._router.fetch(sid, lease, chunk),
             checker,
-            self._terms,
             self._settings,
-            self._clock,
             self._changed.set,
             self._meters,
         )
@@ -218,7 +218,8 @@ class Coordinator:
             self._terms,
             self._clock,
             read_progress=self.progress,
-            on_bundle=self._pullers.offer,
+            dispatch=Dispatch(self._pullers.offer),
+            on_archived=self._changed.set,
             on_drain=self.drain,
             backlog=self._settings.backlog,
             meters=self._meters,

@@ -8,9 +8,24 @@ from __future__ import annotations
 from sqlalchemy import BigInteger, Boolean, Column, Double, ForeignKey, Index, Integer, MetaData, String, Table, Text
 from sqlalchemy import text as sql
 
-__all__ = ["LEDGER_FORMAT", "METADATA", "attempts", "episodes", "events", "info", "jobs", "workers"]
+__all__ = [
+    "ADDED_LATER",
+    "LEDGER_FORMAT",
+    "METADATA",
+    "attempts",
+    "episodes",
+    "events",
+    "info",
+    "jobs",
+    "keepers",
+    "workers",
+]
 
-LEDGER_FORMAT = 1
+LEDGER_FORMAT = 2
+"""2: episodes may lie at gateways, which an older coordinator would take for lost."""
+
+ADDED_LATER = frozenset({"keepers"})
+"""Tables that a whole ledger of an older format lacks; opening it for writing adds them."""
 
 METADATA = MetaData()
 
@@ -127,6 +142,14 @@ episodes = Table(
     Column("summary", Text, nullable=False, comment="EpisodeSummary as JSON"),
     Column("archived_at", Double, nullable=False),
     Index("ix_episodes_at", "archived_at"),
+)
+
+keepers = Table(
+    "keepers",
+    METADATA,
+    Column("idx", Integer, primary_key=True, autoincrement=False),
+    Column("gateway", String(80), nullable=False),
+    comment="Archived episodes that lie at a gateway; the others lie in the coordinator's own directory.",
 )
 
 workers = Table(

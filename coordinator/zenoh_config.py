@@ -1,4 +1,4 @@
-"""The settings of zenoh sessions, measured in notes/zenoh.md: router for the coordinator, client for its operators.
+"""The settings of zenoh sessions, measured in notes/zenoh.md: router for those who listen, client for operators.
 
 Builds configurations; opens nothing. Bulk travels in chunks, so that no message needs to be large.
 """
@@ -21,23 +21,32 @@ _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
 
 
 def router_config(
-    listen: Sequence[str], lease_s: float, tls: TlsFiles | None = None, admitted: Mapping[str, Role] | None = None
+    listen: Sequence[str],
+    lease_s: float,
+    tls: TlsFiles | None = None,
+    admitted: Mapping[str, Role] | None = None,
+    connect: Sequence[str] = (),
 ) -> zenoh.Config:
-    """Returns the configuration of the coordinator's session, which is the router of the run.
+    """Returns the configuration of a session that is a router: the coordinator's, or a gateway's.
 
     Args:
         listen: endpoints such as `tcp/0.0.0.0:7447`.
         lease_s: silence after which a link is closed.
         tls: certificate to listen with, asking for one of the same authority; `None` for plain TCP.
         admitted: with TLS, who may do what; everybody else nothing.
+        connect: endpoints of the core that a gateway connects to, and again whenever the link is lost.
     """
     values = _common("router", lease_s) | {
         "listen/endpoints": json.dumps(list(listen)),
+        "connect/endpoints": json.dumps(list(connect)),
+        "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "transport/unicast/max_sessions": str(_MAX_SESSIONS),
         "transport/unicast/accept_pending": str(_MAX_ARRIVING),
     }
     if tls is not None:
         values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
+    if tls is not None and connect:
+        values |= _tls(tls, "connect")
     return _config(values)
 
 

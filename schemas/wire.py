@@ -46,6 +46,7 @@ MAX_ERRAND_CHARS = 1 << 18
 
 SessionId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,79}$")]
 Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
+RouterId = Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
 
 
 class Lease(Model):
@@ -121,6 +122,8 @@ class Beat(Model):
     """Leases in simulation."""
     spool: tuple[Lease, ...] = ()
     """Leases whose bundle waits in the spool."""
+    via: RouterId | None = None
+    """Zenoh's id of the router the worker is connected to; a gateway of that id pulls its bundles."""
 
 
 class BeatReply(Model):
@@ -142,6 +145,8 @@ class Done(Model):
     sha256: Sha256
     size: Annotated[int, Field(ge=1)]
     """Bytes of the bundle."""
+    via: RouterId | None = None
+    """As in `Beat`."""
 
 
 class Fail(Model):
@@ -226,6 +231,8 @@ class Progress(Model):
     attempts: dict[str, int]
     """Attempts by outcome: `success` and every fail reason."""
     workers: tuple[WorkerStatus, ...]
+    by_gateway: dict[str, int] = Field(default_factory=dict)
+    """Archived episodes that lie at a gateway, by its name; those not counted here lie in the core's directory."""
     episodes_per_hour: float | None
     """Over the last ten minutes of archiving; `None` before the second episode."""
     eta_s: float | None

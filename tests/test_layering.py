@@ -18,7 +18,13 @@ ALLOWED = {
 DOORS = {
     "pybullet": {"workers/bullet.py"},
     "moderngl": {"workers/render/"},
-    "zenoh": {"workers/link.py", "coordinator/router.py", "coordinator/zenoh_config.py", "coordinator/ask.py"},
+    "zenoh": {
+        "workers/link.py",
+        "coordinator/node.py",
+        "coordinator/router.py",
+        "coordinator/zenoh_config.py",
+        "coordinator/ask.py",
+    },
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
     "prometheus_client": {"coordinator/http/exposition.py"},

@@ -16,6 +16,7 @@ __all__ = ["Exposition"]
 
 _COUNTERS = (
     (Meter.CLAIMS, "minivla_claims", "Jobs given out by this process."),
+    (Meter.ARCHIVED, "minivla_archived", "Episodes archived by this process."),
     (Meter.PULLED_BYTES, "minivla_pull_bytes", "Bytes of bundles fetched by this process."),
     (Meter.PULLS_FAILED, "minivla_pulls_failed", "Fetches that broke off; they are repeated."),
     (Meter.REFUSED, "minivla_bundles_refused", "Bundles that validation refused."),

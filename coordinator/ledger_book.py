@@ -1,0 +1,60 @@
+"""The ledger as the coordinator's own pullers need it: each call is one commit of the writer's. Decides nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+
+from coordinator import ledger_claims, ledger_outcomes
+from coordinator.draw import redraw
+from coordinator.protocol import Pull, Terms
+from coordinator.summary import Receipt
+from coordinator.writer import Writer
+from schemas.terms import FailReason
+from schemas.wire import Fail
+
+__all__ = ["MAX_DETAIL_CHARS", "LedgerBook"]
+
+MAX_DETAIL_CHARS = 2000
+
+
+class LedgerBook:
+    """A `Book` beside the ledger."""
+
+    def __init__(self, writer: Writer, terms: Terms, clock: Callable[[], datetime]) -> None:
+        self._writer = writer
+        self._terms = terms
+        self._clock = clock
+
+    def keep(self, pull: Pull, seconds: float) -> bool:
+        """See `Book`."""
+        return self._writer.call(
+            lambda connection: ledger_claims.extend(connection, pull.lease, self._clock(), seconds)
+        )
+
+    def is_owned(self, index: int) -> bool:
+        """See `Book`."""
+        return self._writer.call(lambda connection: ledger_outcomes.is_owned(connection, index))
+
+    def own(self, pull: Pull, receipt: Receipt) -> bool:
+        """See `Book`."""
+        return self._writer.call(
+            lambda connection: (
+                ledger_outcomes.archive(connection, pull.lease, receipt, self._clock())
+                or ledger_outcomes.is_owned(connection, pull.job.index)
+            )
+        )
+
+    def refuse(self, pull: Pull, detail: str) -> None:
+        """See `Book`."""
+        report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.INVALID, detail=detail[:MAX_DETAIL_CHARS])
+        terms = self._terms
+        self._writer.call(
+            lambda connection: ledger_outcomes.fail(
+                connection,
+                report,
+                self._clock(),
+                terms.plan.budget,
+                lambda planned: redraw(terms.plan, terms.catalog, planned),
+            )
+        )
