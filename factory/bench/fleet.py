@@ -30,6 +30,8 @@ _ASK_S = 30.0
 _BEAT_S = 0.5
 _PARALLEL = 64
 """Members that act at a time."""
+_ARRIVING, _TRIES = 8, 10
+"""Sessions that are opened at a time, and how often: a connection gives up after two seconds on a busy machine."""
 _NO_DIGEST = "c" * 64
 
 
@@ -52,7 +54,7 @@ class Member:
         self._host = f"bench-{secrets.token_hex(4)}"
         self.sid = f"{self._host}.1"
         self._run, self._bundle = run, bundle
-        self._session = zenoh.open(client_config(endpoints, _LINK_LEASE_S))
+        self._session = _connect(endpoints)
         self._session.declare_queryable(bundle_key(run, self.sid), self._serve)
         self._token = self._session.liveliness().declare_token(alive_key(run, self.sid))
 
@@ -173,8 +175,15 @@ def stay_connected(pipe: Connection, endpoints: Sequence[str], run: str, members
     _all(Member.close, fleet)
 
 
+def _connect(endpoints: Sequence[str]) -> zenoh.Session:
+    for _ in range(_TRIES - 1):
+        with contextlib.suppress(zenoh.ZError):
+            return zenoh.open(client_config(endpoints, _LINK_LEASE_S))
+    return zenoh.open(client_config(endpoints, _LINK_LEASE_S))
+
+
 def _open(endpoints: Sequence[str], run: str, members: int, bundle: bytes = b"") -> list[Member]:
-    with ThreadPoolExecutor(_PARALLEL) as pool:
+    with ThreadPoolExecutor(_ARRIVING) as pool:
         return list(pool.map(lambda _: Member(endpoints, run, bundle), range(members)))
 
 
