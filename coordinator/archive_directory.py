@@ -6,29 +6,23 @@ Never overwrites an episode, never derives a path from a name it was given, neve
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import secrets
-import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import structlog
-
-from coordinator.archive import EPISODES, QUARANTINE, SCENES, STAGING, index_of_file
-from coordinator.disk import copy_hashed, sync_directory, sync_file, translated, world_error
+from coordinator.archive import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
+from coordinator.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error
+from coordinator.place import Place
 from coordinator.staged import Staged
+from coordinator.staging import Staging
 from coordinator.summary import file_name_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 
 __all__ = ["DirectoryArchive"]
-
-_LOCK = ".lock"
-log = structlog.get_logger(__name__)
 
 
 class DirectoryArchive:
@@ -41,31 +35,19 @@ class DirectoryArchive:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._publishing = threading.Lock()
+        self._staging = Staging(root, str(root))
         try:
-            root.mkdir(parents=True, exist_ok=True)
-            self._lock = _lock(root / _LOCK)
-        except OSError as error:
-            raise world_error("open", root, error) from error
-        try:
-            for name in (EPISODES, SCENES, STAGING, QUARANTINE):
-                (root / name).mkdir(exist_ok=True)
-            _clear(root / STAGING)
-            sync_directory(root)
-        except OSError as error:
-            os.close(self._lock)
-            raise world_error("open", root, error) from error
+            with translated("open", root):
+                for name in (EPISODES, SCENES, QUARANTINE):
+                    (root / name).mkdir(exist_ok=True)
+                sync_directory(root)
+        except WorldError:
+            self.close()
+            raise
 
     def stage(self, index: int) -> Staged:
-        """Opens a new part file for an episode; several may be open for one episode.
-
-        Raises:
-            WorldError: the directory cannot be written.
-        """
-        path = self.root / STAGING / f"{episode_id(index)}.{secrets.token_hex(8)}.part"
-        try:
-            return Staged(path, path.open("xb", buffering=0))
-        except OSError as error:
-            raise world_error("write", path.parent, error) from error
+        """See `Archive.stage`."""
+        return self._staging.stage(index)
 
     def publish(self, staged: Staged, index: int) -> Path:
         """Gives a part file its final name: fsync, rename, fsync directory. The ledger commits after this.
@@ -112,25 +94,14 @@ class DirectoryArchive:
             path.unlink(missing_ok=True)
             sync_directory(path.parent)
 
-    def quarantine(self, path: Path, reason: str) -> Path:
-        """Moves a file or directory out of the dataset, keeps it, and writes beside it why.
-
-        Returns:
-            Where it lies now.
-        """
-        place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
-        with translated("move into", place.parent):
-            path.rename(place)
-            place.with_name(f"{place.name}.reason.txt").write_text(f"{path}\n{reason}\n", encoding="utf-8")
-            sync_directory(place.parent)
-            sync_directory(path.parent)
-        log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
-        return place
+    def quarantine(self, path: Place, reason: str) -> Path:
+        """See `Archive.quarantine`."""
+        assert isinstance(path, Path), path
+        return set_aside(path, self.root / QUARANTINE, reason)
 
     def free_bytes(self) -> int:
-        """Returns the bytes an ordinary user can still write to the archive's file system."""
-        with translated("ask the free space of", self.root):
-            return shutil.disk_usage(self.root).free
+        """See `Archive.free_bytes`."""
+        return self._staging.free_bytes()
 
     def add_scene(self, source: Path, name: str, sha256: str) -> Path:
         """Keeps a compiled scene beside the episodes made in it; does nothing when it lies there already.
@@ -146,7 +117,7 @@ class DirectoryArchive:
         final = self.scene_path(name, sha256)
         if final.exists():
             return final
-        part = self.root / STAGING / f"scene.{secrets.token_hex(8)}.part"
+        part = self._staging.part("scene")
         try:
             with translated("write", part.parent):
                 found = copy_hashed(source, part)
@@ -160,7 +131,7 @@ class DirectoryArchive:
 
     def scene_path(self, name: str, sha256: str) -> Path:
         """Returns where a compiled scene lies, or will lie."""
-        return self.root / SCENES / f"{name}-{sha256[:16]}.scene.zip"
+        return self.root / SCENES / scene_file(name, sha256)
 
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
@@ -172,7 +143,7 @@ class DirectoryArchive:
         Raises:
             WorldError: the disk is full or gone; the former file is still there, whole.
         """
-        part = self.root / STAGING / f"{name}.{secrets.token_hex(8)}.part"
+        part = self._staging.part(name)
         try:
             with translated("write", self.root / name):
                 yield part
@@ -184,7 +155,7 @@ class DirectoryArchive:
 
     def close(self) -> None:
         """Lets another coordinator open the directory."""
-        os.close(self._lock)
+        self._staging.close()
 
     def __enter__(self) -> Self:
         return self
@@ -193,23 +164,3 @@ class DirectoryArchive:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _lock(path: Path) -> int:
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        owner = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip() or "unknown"
-        os.close(descriptor)
-        message = f"another coordinator works on {path.parent} (pid {owner}): stop it first, or choose another --out"
-        raise WorldError(message) from error
-    os.ftruncate(descriptor, 0)
-    os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-    return descriptor
-
-
-def _clear(directory: Path) -> None:
-    for path in directory.iterdir():
-        if path.is_file() or path.is_symlink():
-            path.unlink()

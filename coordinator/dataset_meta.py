@@ -14,6 +14,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
+from coordinator.place import Place
 from schemas.base import Fraction, Model, Sha256
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
@@ -86,7 +87,7 @@ class DatasetMeta(Model):
     """Pilots that ran before the plan was handed out; none where the gate was skipped."""
 
 
-def read_dataset_meta(root: Path) -> DatasetMeta:
+def read_dataset_meta(root: Place) -> DatasetMeta:
     """Reads the description of a dataset.
 
     Raises:
@@ -109,7 +110,7 @@ def read_dataset_meta(root: Path) -> DatasetMeta:
         raise ArchiveCorrupt(f"{path} is damaged at {where!r}: {first['msg']}; a resumed run writes it anew") from error
 
 
-def _refuse_newer(path: Path, text: str) -> None:
+def _refuse_newer(path: Place, text: str) -> None:
     try:
         found = json.loads(text)
     except ValueError:

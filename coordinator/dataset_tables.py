@@ -28,6 +28,7 @@ from coordinator.dataset_meta import (
     software_versions,
 )
 from coordinator.instances import Sides
+from coordinator.place import Place
 from coordinator.summary import EpisodeSummary
 from coordinator.tally import Tally
 from schemas.base import Model, Name, NonNegative
@@ -171,7 +172,7 @@ def _write_text(archive: Archive, name: str, text: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
-def _former(root: Path) -> DatasetMeta | None:
+def _former(root: Place) -> DatasetMeta | None:
     try:
         return read_dataset_meta(root)
     except WorldError:

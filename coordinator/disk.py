@@ -6,15 +6,19 @@ import contextlib
 import errno
 import hashlib
 import os
+import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import structlog
+
 from schemas.errors import WorldError
 
-__all__ = ["copy_hashed", "require_room", "sync_directory", "sync_file", "translated", "world_error"]
+__all__ = ["copy_hashed", "require_room", "set_aside", "sync_directory", "sync_file", "translated", "world_error"]
 
 _COPY_BYTES = 1 << 20
+log = structlog.get_logger(__name__)
 _REMEDIES = {
     errno.ENOSPC: "free some space or choose another --out; the run resumes where it stopped",
     errno.EDQUOT: "the quota is used up: free some space or choose another --out",
@@ -52,6 +56,25 @@ def copy_hashed(source: Path, target: Path) -> str:
         writer.flush()
         os.fsync(writer.fileno())
     return digest.hexdigest()
+
+
+def set_aside(path: Path, folder: Path, reason: str) -> Path:
+    """Moves a file or directory into a folder, durably and under a name of its own, and writes beside it why.
+
+    Returns:
+        Where it lies now.
+
+    Raises:
+        WorldError: it cannot be moved.
+    """
+    place = folder / f"{path.name}.{secrets.token_hex(4)}"
+    with translated("move into", folder):
+        path.rename(place)
+        place.with_name(f"{place.name}.reason.txt").write_text(f"{path}\n{reason}\n", encoding="utf-8")
+        sync_directory(folder)
+        sync_directory(path.parent)
+    log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
+    return place
 
 
 def sync_file(path: Path) -> None:

@@ -19,7 +19,7 @@ from sqlalchemy.pool import NullPool
 from coordinator.tables import ADDED_LATER, METADATA
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "sqlite_files", "sqlite_url"]
+__all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "shown_url", "sqlite_files", "sqlite_url"]
 
 _EXAMPLES = "give e.g. sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
@@ -129,14 +129,14 @@ def _create(url: str, **options: Any) -> Engine:
         return create_engine(url, **options)
     except ImportError as error:
         raise UsageError(
-            f"cannot open ledger {_shown(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and write "
+            f"cannot open ledger {shown_url(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and write "
             "postgresql+psycopg://"
         ) from error
     except (ArgumentError, NoSuchModuleError) as error:
-        raise UsageError(f"cannot open ledger {_shown(url)}: {error}; {_EXAMPLES}") from error
+        raise UsageError(f"cannot open ledger {shown_url(url)}: {error}; {_EXAMPLES}") from error
 
 
-def _shown(url: str) -> str:
+def shown_url(url: str) -> str:
     """Returns a URL without its password."""
     return make_url(url).render_as_string(hide_password=True)
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
 import structlog
 from sqlalchemy import Engine, select
@@ -18,6 +17,7 @@ from coordinator.draw import to_job
 from coordinator.ledger import planned_of
 from coordinator.ledger_claims import grant_grace
 from coordinator.ledger_outcomes import adopt, lose
+from coordinator.place import Place, at_hand
 from coordinator.protocol import Terms
 from coordinator.puller import Judge
 from coordinator.states import State
@@ -35,7 +35,7 @@ class Reconciled:
 
     adopted: list[int]
     """Published, but the commit was lost."""
-    quarantined: list[Path]
+    quarantined: list[Place]
     """Not the ledger's, or not what the ledger says."""
     requeued: list[int]
     """Archived, but the file is gone or of another size."""
@@ -93,7 +93,7 @@ def _settle_strays(
     terms: Terms,
     checker: Judge,
     now: datetime,
-    strays: dict[int, Path],
+    strays: dict[int, Place],
     result: Reconciled,
 ) -> None:
     for index, path in strays.items():
@@ -105,7 +105,7 @@ def _settle_strays(
             result.adopted.append(index)
 
 
-def _adopt(connection: Connection, index: int, path: Path, terms: Terms, checker: Judge, now: datetime) -> str:
+def _adopt(connection: Connection, index: int, path: Place, terms: Terms, checker: Judge, now: datetime) -> str:
     """Records a stray file as its episode; returns why not, or nothing when it is done."""
     current = select(jobs).where(jobs.c.idx == index, jobs.c.superseded.is_(False))
     row = connection.execute(current).first()
@@ -116,7 +116,9 @@ def _adopt(connection: Connection, index: int, path: Path, terms: Terms, checker
         return f"{size} bytes, {row.size} were announced"
     try:
         target = terms.catalog[row.scene].info.target(row.target_id)
-        summary = checker.check(path, to_job(terms.plan, terms.catalog, planned_of(row), row.attempt), target)
+        job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+        with at_hand(path) as file:
+            summary = checker.check(file, job, target)
     except (InvalidBundle, TransientError) as error:
         return str(error)
     if not adopt(connection, row.id, summary, now):

@@ -25,7 +25,9 @@ from coordinator.ledger import holds_run, open_run, read_info
 from coordinator.ledger_outcomes import lose
 from coordinator.ledger_records import read_summaries
 from coordinator.ledger_repair import recall, record_whole
+from coordinator.object_path import ObjectPath
 from coordinator.open_archive import open_archive
+from coordinator.place import Place, relative_name
 from coordinator.puller import Checker
 from coordinator.repair_report import Action, RepairKind, RepairReport
 from coordinator.repair_survey import Survey, Tell, survey_archive
@@ -45,7 +47,10 @@ _LISTED_CHARS = 500
 class Patient:
     """A dataset directory and what is known of it beforehand."""
 
-    root: Path
+    root: Place
+    """Where the dataset lies."""
+    home: Path
+    """Its directory, or for a dataset in object storage that of its ledger, part files and lock."""
     url: str
     """Of the ledger."""
     plan: Plan
@@ -56,7 +61,13 @@ class Patient:
 
 
 def repair(
-    patient: Patient, checker: Checker, now: datetime, *, apply: bool, tell: Tell = lambda _done, _all: None
+    patient: Patient,
+    checker: Checker,
+    now: datetime,
+    *,
+    apply: bool,
+    take_over: bool = False,
+    tell: Tell = lambda _done, _all: None,
 ) -> RepairReport:
     """Finds what is wrong and, unless it is a dry run, puts it right.
 
@@ -65,6 +76,7 @@ def repair(
         checker: validates what might be adopted.
         now: of the repair.
         apply: whether to carry out what is found; else nothing is changed.
+        take_over: whether to take a dataset in object storage from a home whose coordinator is gone for good.
         tell: told how many episodes of how many are looked at.
 
     Raises:
@@ -72,7 +84,7 @@ def repair(
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
-        archive = stack.enter_context(open_archive(patient.root)) if apply else None
+        archive = stack.enter_context(_open(patient, take_over)) if apply else None
         trouble = ledger_trouble(patient.url)
         with _reading(patient.url, trouble) as ledger:
             survey = survey_archive(patient.root, patient.plan, patient.catalog, ledger, checker, tell)
@@ -88,6 +100,11 @@ def repair(
             episodes=survey.whole + len(survey.adopt),
             planned=patient.plan.episodes,
         )
+
+
+def _open(patient: Patient, take_over: bool) -> Archive:
+    store = patient.root if isinstance(patient.root, ObjectPath) else None
+    return open_archive(patient.home, store, take_over=take_over)
 
 
 @contextmanager
@@ -113,13 +130,13 @@ def _of_scenes(patient: Patient) -> Iterator[Action]:
         yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
 
 
-def _of(root: Path, survey: Survey) -> Iterator[Action]:
+def _of(root: Place, survey: Survey) -> Iterator[Action]:
     for summary in survey.adopt:
         why = f"whole, draw {summary.draw}, attempt {summary.attempt}, and the ledger does not own it"
         yield Action(kind=RepairKind.ADOPT, what=summary.file_name, why=why)
     for path, why in survey.quarantine:
         yield Action(
-            kind=RepairKind.QUARANTINE, what=str(path.relative_to(root)), why=" ".join(why.split())[:_LISTED_CHARS]
+            kind=RepairKind.QUARANTINE, what=relative_name(path, root), why=" ".join(why.split())[:_LISTED_CHARS]
         )
     for index, why in survey.requeue:
         yield Action(kind=RepairKind.REQUEUE, what=episode_id(index), why=why)
@@ -133,7 +150,7 @@ def _of_tables(patient: Patient, ledger: Connection | None, *, changes: bool) ->
         yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="follows the actions above")
 
 
-def _table_findings(root: Path, ledger: Connection | None) -> dict[str, str]:
+def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     found: dict[str, str] = {}
     digests = read_column(root / METADATA_FILE, "content_digest")
     if isinstance(digests, str):

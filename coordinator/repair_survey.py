@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Row, select
@@ -14,7 +12,10 @@ from sqlalchemy.engine import Connection
 from coordinator.archive import EPISODES, index_of_file
 from coordinator.catalog import Catalog
 from coordinator.draw import PlannedJob, expand, redraw, to_job
+from coordinator.ledger_keepers import all_keepers
 from coordinator.ledger_repair import current_job
+from coordinator.object_path import ObjectPath
+from coordinator.place import Place, at_hand, children, digest_of
 from coordinator.puller import Checker
 from coordinator.states import State
 from coordinator.summary import EpisodeSummary
@@ -36,12 +37,12 @@ class Survey:
     whole: int = 0
     """Episodes on disk that the ledger owns, bit for bit."""
     adopt: list[EpisodeSummary] = field(default_factory=list)
-    quarantine: list[tuple[Path, str]] = field(default_factory=list)
+    quarantine: list[tuple[Place, str]] = field(default_factory=list)
     requeue: list[tuple[int, str]] = field(default_factory=list)
 
 
 def survey_archive(
-    root: Path, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: Tell
+    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: Tell
 ) -> Survey:
     """Compares every file of a dataset with the ledger, and what the ledger does not own with the plan.
 
@@ -55,16 +56,17 @@ def survey_archive(
     """
     result = Survey()
     owned = _owned(ledger)
+    away = all_keepers(ledger) if ledger is not None else {}
     files, foreign = _listing(root)
     result.quarantine += [(path, "no episode by its name") for path in foreign]
     draws = _Draws(plan, catalog)
     for done, (index, path) in enumerate(files.items(), 1):
         if index in owned:
-            _compare(index, path, owned[index], result)
+            _compare(index, path, owned[index], result, is_kept=index in away)
         else:
             _judge(path, index, draws, ledger, checker, result)
         tell(done, len(files))
-    result.requeue += [(index, "its file is gone") for index in sorted(owned.keys() - files.keys())]
+    result.requeue += [(index, "its file is gone") for index in sorted(owned.keys() - files.keys() - away.keys())]
     return result
 
 
@@ -94,34 +96,38 @@ def _owned(ledger: Connection | None) -> Mapping[int, Row[Any]]:
     return {row.idx: row for row in rows}
 
 
-def _listing(root: Path) -> tuple[dict[int, Path], list[Path]]:
+def _listing(root: Place) -> tuple[dict[int, Place], list[Place]]:
     folder = root / EPISODES
-    paths = sorted(folder.iterdir()) if folder.is_dir() else []
-    found = {path: index_of_file(path.name) if path.is_file() and not path.is_symlink() else None for path in paths}
+    paths = sorted(folder.walk()) if isinstance(folder, ObjectPath) else children(folder)
+    found = {path: index_of_file(path.name) if _is_episode(path, folder) else None for path in paths}
     files = {index: path for path, index in found.items() if index is not None}
     return dict(sorted(files.items())), [path for path, index in found.items() if index is None]
 
 
-def _compare(index: int, path: Path, row: Row[Any], result: Survey) -> None:
+def _is_episode(path: Place, folder: Place) -> bool:
+    return path.parent == folder and path.is_file() and not path.is_symlink()
+
+
+def _compare(index: int, path: Place, row: Row[Any], result: Survey, *, is_kept: bool) -> None:
     size = path.stat().st_size
     reason = f"{size} bytes, the ledger says {row.size}" if size != row.size else _digest_finding(path, row.sha256)
     if reason:
         result.quarantine.append((path, reason))
-        result.requeue.append((index, reason))
+        if not is_kept:  # else a gateway has it still
+            result.requeue.append((index, reason))
     else:
         result.whole += 1
 
 
-def _digest_finding(path: Path, sha256: str) -> str:
+def _digest_finding(path: Place, sha256: str) -> str:
     try:
-        with path.open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
+        found = digest_of(path)
     except OSError as error:
         return f"cannot be read: {error.strerror}"
     return "" if found == sha256 else f"SHA-256 {found}, the ledger says {sha256}"
 
 
-def _judge(path: Path, index: int, draws: _Draws, ledger: Connection | None, checker: Checker, result: Survey) -> None:
+def _judge(path: Place, index: int, draws: _Draws, ledger: Connection | None, checker: Checker, result: Survey) -> None:
     verdict = _verdict(path, index, draws, ledger, checker)
     if isinstance(verdict, str):
         result.quarantine.append((path, verdict))
@@ -130,19 +136,20 @@ def _judge(path: Path, index: int, draws: _Draws, ledger: Connection | None, che
 
 
 def _verdict(
-    path: Path, index: int, draws: _Draws, ledger: Connection | None, checker: Checker
+    path: Place, index: int, draws: _Draws, ledger: Connection | None, checker: Checker
 ) -> EpisodeSummary | str:
     """Returns the row that a file nobody owns deserves, or why it deserves none."""
     try:
-        with path.open("rb") as file, BundleReader(file) as bundle:
-            said = bundle.meta.job
-        job = draws.job(index, said.draw, said.attempt)
-        if job is None:
-            return f"the plan has no draw {said.draw} of {episode_id(index)}"
-        obstacle = next(_obstacles(ledger, index, said), "")
-        if obstacle:
-            return obstacle
-        return checker.check(path, job, draws.catalog[job.scene].info.target(job.target_id))
+        with at_hand(path) as local:
+            with local.open("rb") as file, BundleReader(file) as bundle:
+                said = bundle.meta.job
+            job = draws.job(index, said.draw, said.attempt)
+            if job is None:
+                return f"the plan has no draw {said.draw} of {episode_id(index)}"
+            obstacle = next(_obstacles(ledger, index, said), "")
+            if obstacle:
+                return obstacle
+            return checker.check(local, job, draws.catalog[job.scene].info.target(job.target_id))
     except InvalidBundle as error:
         return str(error)
     except OSError as error:

@@ -28,7 +28,9 @@ from coordinator.front import Front
 from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import ledger_url_of, open_run
 from coordinator.ledger_book import LedgerBook
+from coordinator.ledger_guard import require_ledger
 from coordinator.meters import Meter, Meters
+from coordinator.object_path import ObjectPath
 from coordinator.open_archive import open_archive
 from coordinator.progress import count_frames, read_progress
 from coordinator.protocol import Terms
@@ -40,6 +42,7 @@ from coordinator.tls import Guard
 from coordinator.validator import Validator
 from coordinator.vitals import Vitals
 from coordinator.writer import Writer
+from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.wire import Progress
 
@@ -60,7 +63,7 @@ class Coordinator:
     """A running coordinator; a context manager whose exit loses nothing.
 
     Args:
-        root: dataset directory; it is created, or resumed.
+        root: dataset directory, or with `store` the home of what cannot lie there; it is created, or resumed.
         plan: what to make.
         catalog: the compiled scenes of the plan.
         listen: zenoh endpoints; port 0 takes a free one.
@@ -70,6 +73,7 @@ class Coordinator:
         checker: judges bundles and is closed with the coordinator; by default sandboxed children, one a puller.
         clock: the time; an argument, so that a test can let leases run out.
         gate: what a pilot found before a new run; goes into the dataset's description.
+        store: where the dataset lies, when in object storage.
         errands: jobs in the place of the plan's draws; what they bring is kept, and no tables of episodes are written.
 
     Raises:
@@ -90,6 +94,7 @@ class Coordinator:
         checker: Judge | None = None,
         clock: Callable[[], datetime] = utc_now,
         gate: Sequence[GateOutcome] = (),
+        store: ObjectPath | None = None,
         errands: Errands | None = None,
     ) -> None:
         self._gate = tuple(gate)
@@ -113,7 +118,8 @@ class Coordinator:
         checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
             stack.callback(checker.close)
-            self._archive = stack.enter_context(open_archive(root))
+            self._archive = stack.enter_context(open_archive(root, store))
+            require_ledger(self._archive, url)
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
             stack.callback(self._write_tables)
@@ -129,7 +135,7 @@ class Coordinator:
             light(root, plan.run, router.endpoints)
             stack.callback(quench, root)
             self._stack = stack.pop_all()
-        log.info("coordinator_started", run=plan.run, endpoints=router.endpoints, directory=str(root))
+        log.info("coordinator_started", run=plan.run, endpoints=router.endpoints, directory=str(store or root))
 
     @property
     def endpoints(self) -> tuple[str, ...]:
@@ -277,7 +283,11 @@ class Coordinator:
     def _write_tables(self) -> None:
         if self._changed.is_set() and self._terms.errands is None:
             self._changed.clear()
-            with self._reader.connect() as connection:
-                write_checkpoint(
-                    self._archive, connection, self._terms.plan, self._terms.catalog, self._clock(), self._gate
-                )
+            try:
+                with self._reader.connect() as connection:
+                    write_checkpoint(
+                        self._archive, connection, self._terms.plan, self._terms.catalog, self._clock(), self._gate
+                    )
+            except WorldError:
+                self._changed.set()  # they are still owed
+                raise

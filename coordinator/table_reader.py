@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from coordinator.dataset_tables import FailedAttempt
+from coordinator.place import Place, table_of
 
 __all__ = ["read_column", "read_failed_attempts"]
 
 
-def read_column(path: Path, name: str) -> list[str] | str:
+def read_column(path: Place, name: str) -> list[str] | str:
     """Returns a column of text, or why it cannot be read, in words."""
     try:
-        return [str(value) for value in pq.read_table(path, columns=[name])[name].to_pylist()]
+        return [str(value) for value in pq.read_table(table_of(path), columns=[name])[name].to_pylist()]
     except FileNotFoundError:
         return "is not there"
     except (pa.ArrowException, OSError, KeyError) as error:
         return f"cannot be read: {error}"
 
 
-def read_failed_attempts(path: Path) -> list[FailedAttempt]:
+def read_failed_attempts(path: Place) -> list[FailedAttempt]:
     """Returns the rows of `attempts.parquet` that can be understood; none when the file cannot be read."""
     try:
-        rows = pq.read_table(path).to_pylist()
+        rows = pq.read_table(table_of(path)).to_pylist()
     except (pa.ArrowException, OSError):
         return []
     found = []

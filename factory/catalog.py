@@ -12,6 +12,9 @@ from coordinator.archive import SCENES, STAGING
 from coordinator.catalog import Catalog, SceneEntry, read_entry
 from coordinator.draw import find_impossible
 from coordinator.nearest import find_nearest
+from coordinator.object_path import ObjectPath
+from coordinator.place import Place
+from factory.packages import package_file
 from factory.scenes.build import build_scene, import_scene, load_edits
 from factory.scenes.limits import StageLimits
 from factory.scenes.target_list import list_file_name, spell_target_list
@@ -23,7 +26,7 @@ __all__ = ["collect_scenes", "find_package", "open_catalog", "write_target_lists
 Listener = Callable[[str], None]
 
 
-def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _: None) -> Catalog:
+def open_catalog(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _: None) -> Catalog:
     """Returns the scenes of a plan that they can fulfil; see `collect_scenes`.
 
     Raises:
@@ -40,7 +43,7 @@ def open_catalog(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _:
     return entries
 
 
-def collect_scenes(plan: Plan, root: Path, cache: Path, tell: Listener = lambda _: None) -> Catalog:
+def collect_scenes(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _: None) -> Catalog:
     """Returns the scenes of a plan, whatever they hold.
 
     Args:
@@ -51,27 +54,27 @@ def collect_scenes(plan: Plan, root: Path, cache: Path, tell: Listener = lambda 
     """
     entries: dict[str, SceneEntry] = {}
     for scene in plan.scenes:
-        kept = sorted((root / SCENES).glob(f"{scene.name}-*.scene.zip"))
+        kept = _packages(root, scene.name)
         if not kept:
             tell(scene.name)
-        entries[scene.name] = read_entry(kept[0] if kept else _make(scene, cache))
+        entries[scene.name] = read_entry(package_file(kept[0]) if kept else _make(scene, cache))
     return entries
 
 
-def find_package(root: Path, name: str, sha256: str) -> SceneEntry:
+def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
     """Returns the package an episode was made with.
 
     Raises:
         ArchiveCorrupt: the dataset does not hold it.
     """
-    for path in sorted((root / SCENES).glob(f"{name}-*.scene.zip")):
-        entry = read_entry(path)
+    for path in _packages(root, name):
+        entry = read_entry(package_file(path))
         if entry.sha256 == sha256:
             return entry
     raise ArchiveCorrupt(f"{root / SCENES} holds no package of {name} with SHA-256 {sha256}; run `factory verify`")
 
 
-def write_target_lists(catalog: Catalog, root: Path) -> None:
+def write_target_lists(catalog: Catalog, root: Place) -> None:
     """Writes `targets_<scene>.yaml` beside the packages of a dataset, for people; leaves those that are there alone.
 
     Raises:
@@ -81,12 +84,21 @@ def write_target_lists(catalog: Catalog, root: Path) -> None:
         path = root / SCENES / list_file_name(name)
         if path.exists():
             continue
-        beside = root / STAGING / path.name
+        text = spell_target_list(entry.info)
+        if isinstance(path, ObjectPath):
+            path.objects.put(path.key, text.encode())
+            continue
+        beside = path.parents[1] / STAGING / path.name
         try:
-            beside.write_text(spell_target_list(entry.info), encoding="utf-8")
+            beside.write_text(text, encoding="utf-8")
             beside.replace(path)
         except OSError as error:
             raise WorldError(f"cannot write {path} ({error.strerror}); free space and run the command again") from error
+
+
+def _packages(root: Place, name: str) -> list[Place]:
+    """Returns the packages of a scene that a dataset holds."""
+    return sorted((root / SCENES).glob(f"{name}-*.scene.zip"), key=str)
 
 
 def _make(scene: ScenePlan, cache: Path) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -14,6 +13,7 @@ from pydantic import ValidationError
 
 from coordinator.dataset_meta import DatasetMeta, read_dataset_meta
 from coordinator.dataset_tables import METADATA_FILE
+from coordinator.place import Place, place_of, table_of
 from coordinator.summary import EpisodeSummary, file_name_of
 from factory.episode import Episode, Frame
 from schemas.digest import dataset_digest
@@ -36,7 +36,7 @@ _COLUMNS = list(EpisodeSummary.model_fields)
 
 
 class Dataset:
-    """A dataset directory, or the part of it that a filter left; a sequence of episodes in the order of the plan.
+    """A dataset in a directory or by URL, or what a filter left of it; a sequence of episodes in the order of the plan.
 
     >>> data = Dataset("dataset").filter(split="train_id", tier=("near", "mid"))  # doctest: +SKIP
     >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
@@ -46,8 +46,8 @@ class Dataset:
         ArchiveCorrupt: its tables are damaged.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.root = Path(path)
+    def __init__(self, path: str | Place) -> None:
+        self.root = place_of(path)
         self.meta: DatasetMeta = read_dataset_meta(self.root)
         """What the dataset is and what made it."""
         self.metadata: pa.Table = _read_table(self.root / METADATA_FILE)
@@ -116,9 +116,9 @@ def _as_strings(values: str | Iterable[str]) -> pa.Array:
     return pa.array([value.value if isinstance(value, StrEnum) else value for value in found], pa.string())
 
 
-def _read_table(path: Path) -> pa.Table:
+def _read_table(path: Place) -> pa.Table:
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(table_of(path))
         return table.select(_COLUMNS)  # columns that a later version added are not ours to know
     except FileNotFoundError as error:
         raise ArchiveCorrupt(f"{path} is missing: a resumed run writes it anew") from error
@@ -126,7 +126,7 @@ def _read_table(path: Path) -> pa.Table:
         raise ArchiveCorrupt(f"{path} is damaged ({error}): a resumed run writes it anew") from error
 
 
-def _parse(root: Path, row: dict[str, Any]) -> EpisodeSummary:
+def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:
     try:
         return EpisodeSummary.model_validate(row)
     except ValidationError as error:

@@ -6,13 +6,13 @@ import os
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.place import Place
 from coordinator.summary import EpisodeSummary
 from schemas.bundle import BundleReader
 from schemas.episode import EpisodeMeta
@@ -41,7 +41,7 @@ class Episode:
         ArchiveCorrupt: at access, when the file is missing or damaged; the message names it.
     """
 
-    def __init__(self, path: Path, summary: EpisodeSummary) -> None:
+    def __init__(self, path: Place, summary: EpisodeSummary) -> None:
         self.path = path
         self.summary = summary
         """Its row of the metadata."""
@@ -152,7 +152,7 @@ class Episode:
 class _Opened:
     """A bundle, its file and the process that opened it; the file is closed when this is forgotten."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Place) -> None:
         try:
             file: BinaryIO = path.open("rb")
         except FileNotFoundError as error:
@@ -168,5 +168,5 @@ class _Opened:
             raise _corrupt(path, error) from error
 
 
-def _corrupt(path: Path, error: InvalidBundle) -> ArchiveCorrupt:
+def _corrupt(path: Place, error: InvalidBundle) -> ArchiveCorrupt:
     return ArchiveCorrupt(f"{path} is damaged ({'; '.join(error.findings)}): run `factory verify --deep`")

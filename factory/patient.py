@@ -15,8 +15,10 @@ from coordinator.dataset_meta import read_dataset_meta
 from coordinator.engine import ledger_trouble
 from coordinator.ledger import ledger_url_of, read_info
 from coordinator.look import look_into
+from coordinator.place import Place
 from coordinator.repair import Patient
 from factory.catalog import open_catalog
+from factory.packages import package_file
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
 
@@ -34,11 +36,12 @@ class _Record:
     """Scene name -> SHA-256 of its package; empty when only the plan is known."""
 
 
-def examine(root: Path, plan: Plan | None, url: str | None, cache: Path, tell: Listener) -> Patient:
+def examine(root: Place, home: Path, plan: Plan | None, url: str | None, cache: Path, tell: Listener) -> Patient:
     """Returns what a repair has to know.
 
     Args:
         root: of the dataset.
+        home: where its ledger lies, unless `url` says so: the directory itself, or the home of one in object storage.
         plan: as the user gives it; `None` takes what ledger or `dataset_meta.json` say.
         url: of the ledger, when not in the directory.
         cache: where missing scenes are built.
@@ -50,7 +53,7 @@ def examine(root: Path, plan: Plan | None, url: str | None, cache: Path, tell: L
     """
     if not root.is_dir():
         raise UsageError(f"no directory {root}; give the --out of a run")
-    ledger = ledger_url_of(root, url)
+    ledger = ledger_url_of(home, url)
     record = _from_ledger(ledger) or _from_meta(root)
     if plan is not None:
         record = _Record(plan, record.scenes if record is not None and record.plan.digest == plan.digest else {})
@@ -60,7 +63,7 @@ def examine(root: Path, plan: Plan | None, url: str | None, cache: Path, tell: L
             "with, by --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
-    return Patient(root, ledger, record.plan, catalog, troubles)
+    return Patient(root, home, ledger, record.plan, catalog, troubles)
 
 
 def _from_ledger(url: str) -> _Record | None:
@@ -71,7 +74,7 @@ def _from_ledger(url: str) -> _Record | None:
     return _Record(info.plan, info.scenes)
 
 
-def _from_meta(root: Path) -> _Record | None:
+def _from_meta(root: Place) -> _Record | None:
     try:
         meta = read_dataset_meta(root)
     except WorldError:
@@ -79,7 +82,7 @@ def _from_meta(root: Path) -> _Record | None:
     return _Record(meta.plan, meta.scenes)
 
 
-def _catalog(record: _Record, root: Path, cache: Path, tell: Listener) -> tuple[Catalog, Mapping[str, str]]:
+def _catalog(record: _Record, root: Place, cache: Path, tell: Listener) -> tuple[Catalog, Mapping[str, str]]:
     if not record.scenes:
         return open_catalog(record.plan, root, cache, tell), {}
     kept: dict[str, SceneEntry] = {}
@@ -95,9 +98,9 @@ def _catalog(record: _Record, root: Path, cache: Path, tell: Listener) -> tuple[
     return kept, troubles
 
 
-def _kept(path: Path, sha256: str) -> SceneEntry | str:
+def _kept(path: Place, sha256: str) -> SceneEntry | str:
     try:
-        entry = read_entry(path)
+        entry = read_entry(package_file(path))
     except FileNotFoundError:
         return f"{path.name} is not there"
     except (InvalidBundle, OSError) as error:

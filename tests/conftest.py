@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
 
 
@@ -31,10 +32,28 @@ def postgres_server() -> Iterator[Postgres]:
         yield server
 
 
+@pytest.fixture(scope="session")
+def object_store() -> Iterator[ObjectServer]:
+    """An S3 server on loopback shared by the tests of one session."""
+    with object_server() as server:
+        yield server
+
+
+@pytest.fixture
+def bucket_url(object_store: ObjectServer, monkeypatch: pytest.MonkeyPatch) -> Callable[[], str]:
+    """Makes fresh buckets that this process and those it starts can reach, and returns their URLs."""
+    for name, value in object_store.variables().items():
+        monkeypatch.setenv(name, value)
+    return lambda: f"s3://{object_store.new_bucket()}"
+
+
 @pytest.fixture(autouse=True)
 def guarded_home(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Points HOME and every cache at a folder that only the test sees."""
     home = tmp_path_factory.mktemp("home")
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.setenv("MINIVLA_CACHE", str(home / "cache"))
+    monkeypatch.setenv("MINIVLA_STATE", str(home / "state"))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    for name in ENVIRONMENT:
+        monkeypatch.delenv(name, raising=False)

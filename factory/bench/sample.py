@@ -10,10 +10,10 @@ from io import BytesIO
 from pathlib import Path
 
 from coordinator.archive import Archive
+from coordinator.archive_directory import DirectoryArchive
 from coordinator.catalog import Catalog
 from coordinator.dataset_tables import write_tables
 from coordinator.draw import expand, to_job
-from coordinator.open_archive import open_archive
 from coordinator.summary import EpisodeSummary, summary_of
 from schemas.errors import WorldError
 from schemas.job import Job
@@ -48,7 +48,7 @@ def make_sample(root: Path, plan: Plan, catalog: Catalog, stage: Stage, tell: Ca
     """
     rows: list[EpisodeSummary] = []
     samples: list[Sample] = []
-    with open_archive(root) as archive:
+    with DirectoryArchive(root) as archive:
         for planned in expand(plan, catalog):
             job = to_job(plan, catalog, planned, attempt=1)
             entry = catalog[job.scene]

@@ -40,7 +40,7 @@ def command(root: Path, dry_run: bool, plan_name: str | None, ledger: str | None
     plan = load_plan(plan_name) if plan_name is not None else None
     with Progress(console=stderr, transient=True) as bar, Validator() as validator:
         task = bar.add_task("examining", total=None)
-        patient = examine(root, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        patient = examine(root, root, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
         report = repair(
             patient,
             validator,

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.place import Place
 from factory.catalog import find_package
 from factory.dataset import Dataset
 from factory.episode import Episode
@@ -34,7 +35,7 @@ Tell = Callable[[int, int], None]
 class Places:
     """The scenes of a dataset, found and loaded when first asked for; keeps the last few."""
 
-    def __init__(self, root: Path, keep: int = 4) -> None:
+    def __init__(self, root: Place, keep: int = 4) -> None:
         self._root = root
         self._keep = keep
         self._paths: dict[str, Path] = {}

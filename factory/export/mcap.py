@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coordinator.dataset_meta import DatasetMeta
+from coordinator.place import Place
 from factory.catalog import find_package
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Requirement
@@ -148,6 +149,6 @@ class _Recording:
 
 
 @functools.lru_cache(maxsize=2)
-def _scene_of(root: Path, name: str, sha256: str) -> CompiledScene:
+def _scene_of(root: Place, name: str, sha256: str) -> CompiledScene:
     with find_package(root, name, sha256).path.open("rb") as package:
         return decode_scene(package)

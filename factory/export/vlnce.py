@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from coordinator.place import Place
 from factory.catalog import find_package
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Options, Piece
@@ -119,7 +120,7 @@ def _read_piece(piece: Piece[Facts]) -> dict[str, Any]:
     return found
 
 
-def _write_scene(out: Output, root: Path, name: str, sha256: str) -> None:
+def _write_scene(out: Output, root: Place, name: str, sha256: str) -> None:
     target = f"scene_datasets/{scene_file(name)}"
     if out.has(target):
         return
@@ -130,6 +131,6 @@ def _write_scene(out: Output, root: Path, name: str, sha256: str) -> None:
 
 
 @functools.lru_cache(maxsize=64)
-def _scene_of(root: Path, name: str, sha256: str) -> SceneInfo:
+def _scene_of(root: Place, name: str, sha256: str) -> SceneInfo:
     with find_package(root, name, sha256).path.open("rb") as package:
         return decode_scene(package).info

@@ -71,7 +71,7 @@ class ArchivedRun:
 
     def patient(self, scenes: Sequence[str] = ()) -> Patient:
         """Returns the directory as a repair is told of it."""
-        return Patient(self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
+        return Patient(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
 
     def file(self, index: int) -> Path:
         return self.root / "episodes" / f"ep_{index:06d}.zip"

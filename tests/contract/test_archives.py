@@ -1,0 +1,238 @@
+"""What every archive promises, held against each kind: a directory, and a bucket of a real S3 server."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from coordinator.archive import Archive
+from coordinator.object_path import ObjectPath
+from coordinator.open_archive import open_archive
+from coordinator.place import Place
+from schemas.errors import ArchiveCorrupt, WorldError
+from tests.builders.object_server import ObjectServer
+
+_HOLD = """
+import sys
+from pathlib import Path
+from coordinator.open_archive import open_archive
+from coordinator.object_path import ObjectPath
+archive = open_archive(Path(sys.argv[1]), ObjectPath.at(sys.argv[2]) if len(sys.argv) > 2 else None)
+"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of archive, and how a test reaches behind it."""
+
+    home: Path
+    store: ObjectPath | None
+
+    def open(self) -> Archive:
+        return open_archive(self.home, self.store)
+
+    @property
+    def root(self) -> Place:
+        return self.store or self.home
+
+    def lay(self, name: str, data: bytes) -> None:
+        """Puts a file where it does not belong."""
+        if self.store is not None:
+            self.store.objects.put(name, data)
+            return
+        path = self.home / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+
+    def names(self, folder: str) -> list[str]:
+        return sorted(path.name for path in (self.root / folder).iterdir())
+
+    def run(self, script: str) -> subprocess.CompletedProcess[str]:
+        arguments = [str(self.home)] if self.store is None else [str(self.home), str(self.store)]
+        command = [sys.executable, "-c", _HOLD + script, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(params=["directory", "bucket"])
+def kind(request: pytest.FixtureRequest, tmp_path: Path) -> Kind:
+    if request.param == "directory":
+        return Kind(tmp_path / "data", None)
+    new_bucket: Callable[[], str] = request.getfixturevalue("bucket_url")
+    return Kind(tmp_path / "home", ObjectPath.at(f"{new_bucket()}/run"))
+
+
+def publish(archive: Archive, index: int, data: bytes) -> Place:
+    with archive.stage(index) as staged:
+        staged.write(data)
+        return archive.publish(staged, index)
+
+
+def parts_of(kind: Kind) -> list[Path]:
+    return list((kind.home / ".staging").iterdir())
+
+
+def test_published_episode_has_its_bytes_and_its_name(kind: Kind) -> None:
+    with kind.open() as archive:
+        place = publish(archive, 123, b"bundle")
+        assert str(place) == f"{kind.root}/episodes/ep_000123.zip"
+        assert place.read_bytes() == b"bundle"
+        assert archive.present() == {123: place}
+        assert archive.present()[123].stat().st_size == 6
+        assert parts_of(kind) == []
+
+
+def test_episodes_are_listed_in_ascending_order(kind: Kind) -> None:
+    with kind.open() as archive:
+        for index in (1_000_000, 2, 10):
+            publish(archive, index, b"x")
+        assert list(archive.present()) == [2, 10, 1_000_000]
+
+
+def test_nothing_is_published_before_it_is_asked_for(kind: Kind) -> None:
+    with kind.open() as archive:
+        with archive.stage(1) as staged:
+            staged.write(b"half")
+            assert archive.present() == {}
+        assert archive.present() == {}
+        assert not archive.path_of(1).exists()
+        assert parts_of(kind) == []
+
+
+def test_archived_episode_is_never_overwritten(kind: Kind) -> None:
+    with kind.open() as archive:
+        place = publish(archive, 1, b"first")
+        with pytest.raises(ArchiveCorrupt, match="there already and is not overwritten"):
+            publish(archive, 1, b"other")
+        assert place.read_bytes() == b"first"
+        assert parts_of(kind) == []
+
+
+def test_unpublishing_deletes_and_may_be_repeated(kind: Kind) -> None:
+    with kind.open() as archive:
+        place = publish(archive, 1, b"late")
+        archive.unpublish(1)
+        archive.unpublish(1)
+        assert archive.present() == {}
+        assert not place.exists()
+        publish(archive, 1, b"again")
+
+
+def test_quarantined_file_is_kept_with_its_reason(kind: Kind) -> None:
+    with kind.open() as archive:
+        place = archive.quarantine(publish(archive, 1, b"torn"), "5 bytes, the ledger says 9")
+        assert place.read_bytes() == b"torn"
+        reason = (place.parent / f"{place.name}.reason.txt").read_text(encoding="utf-8")
+        assert "ep_000001.zip" in reason
+        assert "5 bytes, the ledger says 9" in reason
+        assert archive.present() == {}
+
+
+def test_same_name_is_quarantined_twice_without_loss(kind: Kind) -> None:
+    with kind.open() as archive:
+        places = [archive.quarantine(publish(archive, 1, data), "torn") for data in (b"one", b"two")]
+        assert [place.read_bytes() for place in places] == [b"one", b"two"]
+
+
+def test_foreign_files_are_told_from_episodes(kind: Kind) -> None:
+    with kind.open() as archive:
+        publish(archive, 2, b"two")
+        kind.lay("episodes/notes.txt", b"mine")
+        kind.lay("episodes/ep_0000001.zip", b"too many digits")
+        assert list(archive.present()) == [2]
+        foreign = archive.foreign()
+        assert [path.name for path in foreign] == ["ep_0000001.zip", "notes.txt"]
+        for path in foreign:
+            archive.quarantine(path, "no episode by its name")
+        assert archive.foreign() == []
+
+
+def test_leftover_part_files_are_removed_at_the_next_start(kind: Kind) -> None:
+    with kind.open():
+        (kind.home / ".staging/ep_000001.00.part").write_bytes(b"half")
+    with kind.open():
+        assert parts_of(kind) == []
+
+
+def test_scene_is_kept_once_under_its_digest(kind: Kind, tmp_path: Path) -> None:
+    source = tmp_path / "office.scene"
+    source.write_bytes(b"package")
+    sha256 = hashlib.sha256(b"package").hexdigest()
+    with kind.open() as archive:
+        place = archive.add_scene(source, "office", sha256)
+        source.unlink()
+        assert archive.add_scene(source, "office", sha256) == place
+        assert place.read_bytes() == b"package"
+        assert place.name == f"office-{sha256[:16]}.scene.zip"
+
+
+def test_scene_with_another_digest_is_refused(kind: Kind, tmp_path: Path) -> None:
+    source = tmp_path / "office.scene"
+    source.write_bytes(b"package")
+    with kind.open() as archive:
+        with pytest.raises(ArchiveCorrupt, match="expected 0000"):
+            archive.add_scene(source, "office", "0" * 64)
+        assert kind.names("scenes") == []
+        assert parts_of(kind) == []
+
+
+def test_table_is_replaced_whole_or_not_at_all(kind: Kind) -> None:
+    with kind.open() as archive:
+        with archive.replacing("metadata.parquet") as path:
+            path.write_bytes(b"old")
+        with pytest.raises(TypeError), archive.replacing("metadata.parquet") as path:
+            path.write_bytes("no bytes")  # type: ignore[arg-type]
+        assert (kind.root / "metadata.parquet").read_bytes() == b"old"
+        with archive.replacing("metadata.parquet") as path:
+            path.write_bytes(b"new")
+        assert (kind.root / "metadata.parquet").read_bytes() == b"new"
+        assert parts_of(kind) == []
+
+
+def test_second_coordinator_is_told_who_works_there(kind: Kind) -> None:
+    with kind.open():
+        other = kind.run("")
+    assert other.returncode == 1
+    assert f"another coordinator works on {kind.root} (pid {os.getpid()})" in other.stderr
+    with kind.open():
+        pass
+
+
+def test_lock_is_free_again_when_the_holder_was_killed(kind: Kind) -> None:
+    killed = kind.run("import os; os.kill(os.getpid(), 9)")
+    assert killed.returncode == -9, killed.stderr
+    with kind.open():
+        pass
+
+
+def test_episode_whose_writer_was_killed_after_publishing_is_there_whole(kind: Kind) -> None:
+    killed = kind.run(
+        "staged = archive.stage(7); staged.write(b'x' * 100_000); archive.publish(staged, 7);"
+        "other = archive.stage(8); other.write(b'half'); import os; os.kill(os.getpid(), 9)"
+    )
+    assert killed.returncode == -9, killed.stderr
+    with kind.open() as archive:
+        assert [(index, place.read_bytes()) for index, place in archive.present().items()] == [(7, b"x" * 100_000)]
+        assert parts_of(kind) == []
+
+
+def test_free_space_is_that_of_the_disk_where_part_files_grow(kind: Kind) -> None:
+    with kind.open() as archive:
+        status = os.statvfs(kind.home)
+        assert 0 < archive.free_bytes() <= status.f_blocks * status.f_frsize
+
+
+def test_file_in_place_of_the_directory_is_named_with_the_remedy(kind: Kind) -> None:
+    kind.home.write_text("a file")
+    with pytest.raises(WorldError, match=r"cannot open .*; a file stands where a directory is wanted"):
+        kind.open()
+
+
+def test_bucket_fixture_talks_to_a_server_of_its_own(object_store: ObjectServer) -> None:
+    assert object_store.endpoint.startswith("http://127.0.0.1:")
