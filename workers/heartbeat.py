@@ -56,7 +56,7 @@ class Heartbeat:
         host = self._host
         live = host.leases.live()  # before the spool: an attempt that ends meanwhile is in both, never in neither
         spooled = host.spool.entries()
-        beat = Beat(sid=host.sid, live=live, spool=tuple(entry.lease for entry in spooled))
+        beat = Beat(sid=host.sid, live=live, spool=tuple(entry.lease for entry in spooled), via=host.link.via)
         reply = host.link.ask(Verb.BEAT, beat, BeatReply, host.phase.ask_timeout_s)
         if reply is None:
             self._note_silence()
@@ -76,7 +76,7 @@ class Heartbeat:
     def _announce(self, entry: Spooled) -> None:
         """Repeats what the slot has announced already: the coordinator, or this worker, may have been restarted."""
         host = self._host
-        done = Done(sid=host.sid, lease=entry.lease, sha256=entry.sha256, size=entry.size)
+        done = Done(sid=host.sid, lease=entry.lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
         host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
 
     def _note_silence(self) -> None:

@@ -6,6 +6,7 @@ Never decides what to do about silence: an answer that did not come is `None`, w
 from __future__ import annotations
 
 import json
+import random
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -50,7 +51,8 @@ class Link:
     """A session that can be opened again and again; a context manager.
 
     Args:
-        endpoints: where a coordinator or gateway may listen.
+        endpoints: where a coordinator or gateways of it may listen; any one will do, and each opening begins with
+            another, so that many workers spread over them.
         host: this machine's name, under which every verb is asked.
         tls: to connect with; `None` for plain TCP.
     """
@@ -74,12 +76,22 @@ class Link:
         """Seconds since anything was last answered, or since the session was opened."""
         return time.monotonic() - self._answered
 
+    @property
+    def via(self) -> str | None:
+        """Zenoh's id of the router that the session is connected to now: a gateway of that id pulls what waits here."""
+        session = self._session
+        try:
+            routers = session.info.routers_zid() if session is not None else []
+        except zenoh.ZError:  # closed meanwhile
+            return None
+        return str(routers[0]) if routers else None
+
     def open(self) -> bool:
         """Opens a new session in place of any old one; gives up after two seconds and returns whether it is open."""
         self.close()
         opening = self._closings
         try:
-            session = zenoh.open(_config(self.endpoints, self._tls))
+            session = zenoh.open(_config(random.sample(self.endpoints, len(self.endpoints)), self._tls))
         except zenoh.ZError as error:
             self.last_error = str(error).split(" at /")[0]  # without zenoh's source paths
             log.debug("connect_failed", endpoints=self.endpoints, error=str(error))

@@ -203,7 +203,7 @@ class Slot:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         log.info("bundle_spooled", episode=job.episode_id, steps=report.step, seconds=round(report.seconds, 1))
         # once is enough: the heartbeat repeats it until the coordinator says drop
-        done = Done(sid=host.sid, lease=lease, sha256=entry.sha256, size=entry.size)
+        done = Done(sid=host.sid, lease=lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
         host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
         return report
 

@@ -26,7 +26,8 @@ __all__ = ["command"]
     "--connect",
     multiple=True,
     metavar="ENDPOINT",
-    help="A coordinator; several are tried in turn. Default tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447.",
+    help="A coordinator or gateway; repeat it, or write a comma between, for several: the worker takes any and changes "
+    "over by itself when that one is gone. Default tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447.",
 )
 @click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
 @click.option("--spool", type=click.Path(path_type=Path), help="Where finished bundles wait; default: user's cache.")
@@ -53,17 +54,18 @@ def command(
 ) -> int:
     """Simulate jobs for the coordinator until its run is finished; SIGTERM gives back what is under way."""
     configure_logs(verbose)
-    given: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
+    connect = tuple(part.strip() for given in connect for part in given.split(","))
+    more: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
     if tls is not None:
         require_tls_endpoints(connect)
-        given["tls"], given["host"] = read_credentials(tls)
+        more["tls"], more["host"] = read_credentials(tls)
     settings = WorkerSettings(
         connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),
         cores=cores,
         renderer=cast(RendererKind, renderer),
         wait_s=wait_s,
         errand_command=(sys.executable, "-m", "factory.eval.station", "--renderer", renderer),
-        **given,
+        **more,
     )
     with stop_on_signals() as (stop, at_once):
         if until_eof:
