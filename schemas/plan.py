@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     Field,
@@ -185,21 +185,23 @@ class Plan(Model):
         """Number of episodes over all scenes."""
         return sum(scene.episodes for scene in self.scenes)
 
-    @property
+    @functools.cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the plan; two plans with one digest ask for the same dataset."""
-        return _digest(self.model_dump_json())
+        # kept, because it is asked for with every job that is given out; read anew, so that 1 and 1.0 are one number
+        spelled = canonical_json(Plan.model_validate_json(self.model_dump_json()))
+        return hashlib.sha256(spelled.encode()).hexdigest()
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Returns a copy with other values; the digest that is kept is not theirs."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy.__dict__.pop("digest", None)
+        return copy
 
     @property
     def run(self) -> str:
         """Name of the run in keys and records."""
         return f"{self.name}-{self.digest[:8]}"
-
-
-@functools.lru_cache(maxsize=64)
-def _digest(plan_json: str) -> str:
-    # asked for with every job that is given out, and sorting a plan costs ten times as much as writing it
-    return hashlib.sha256(canonical_json(Plan.model_validate_json(plan_json)).encode()).hexdigest()
 
 
 def canonical_json(model: Model, exclude: set[str] | None = None) -> str:

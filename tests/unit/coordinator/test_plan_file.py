@@ -113,3 +113,13 @@ def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
     assert not {"rules", "targets", "allow_outside"} & set(plan.model_dump()["scenes"][0])
     other = plan.scenes[0].model_copy(update={"targets": "t.yaml"})
     assert plan.model_copy(update={"scenes": (other, plan.scenes[1])}).digest != plan.digest
+
+
+def test_a_copy_with_other_values_has_a_digest_of_its_own() -> None:
+    plan = load_plan("demo")
+    before = plan.digest
+    other = plan.model_copy(update={"seed": plan.seed + 1})
+    assert other.digest != before
+    assert other.model_copy(update={"seed": plan.seed}).digest == before
+    one, same = (plan.model_copy(update={"tiers": {Tier.NEAR: share}}) for share in (1, 1.0))
+    assert one.digest == same.digest
