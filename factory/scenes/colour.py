@@ -24,9 +24,12 @@ _TO_XYZ = np.array(
 )
 _D65 = np.array([0.95047, 1.0, 1.08883])
 MIN_SHARE = 0.5
-"""Share of the samples that a name needs; below it a thing has no one colour."""
+"""Share of the votes that a name needs; below it a thing has no one colour."""
 MAX_RIVAL = 0.36
-"""Share of the samples from which on a second name makes the first one doubtful."""
+"""Share of the votes from which on a second name makes the first one doubtful."""
+_NEUTRALS = [_BLACK, _GRAY, _WHITE]
+_NEUTRAL_VOTE = 0.5
+"""What a sample of black, gray or white counts: a blue chair on a black base is a blue chair."""
 _BLACK_BELOW = 30.0
 """Lightness under which a colour without chroma is called black: charcoal is, once a room's light falls on it."""
 
@@ -80,16 +83,22 @@ def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool
     """Dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
     orange = (hue >= 48) & (hue < 72) & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
-    yellow = (hue >= 72) & (hue < 98) & (lightness < 85) & (chroma < 45)
+    yellow = (hue >= 72) & (hue < 98) & (lightness < 88) & (chroma < 45)
     return np.asarray(orange | red | yellow)
 
 
 def dominant_name(srgb: ArrayLike) -> str:
-    """Returns the name that at least half of the samples (N, 3) carry and no other comes near to, or `unknown`."""
+    """Returns the name that has at least half of the votes and no other comes near to, or `unknown`.
+
+    Args:
+        srgb: samples (N, 3), 0..1; each is a vote, one without hue half a vote.
+    """
     names = name_indices(srgb)
     if names.size == 0:
         return "unknown"
-    votes = np.bincount(names.ravel(), minlength=len(COLOUR_NAMES) + 1)
+    votes = np.bincount(names.ravel(), minlength=_NAMELESS + 1).astype(float)
+    votes[_NEUTRALS] *= _NEUTRAL_VOTE
+    votes /= votes.sum()
     rival, winner = np.argsort(votes, kind="stable")[-2:]
-    is_clear = winner != _NAMELESS and votes[winner] >= MIN_SHARE * names.size and votes[rival] < MAX_RIVAL * names.size
+    is_clear = winner != _NAMELESS and votes[winner] >= MIN_SHARE and votes[rival] < MAX_RIVAL
     return COLOUR_NAMES[winner] if is_clear else "unknown"

@@ -1,6 +1,7 @@
 """Solid building blocks of the authored scenes: boxes, cushions, lathes, rods, cards, as polygon meshes in metres.
 
-Every solid is closed, wound counter-clockwise seen from outside. Never draws a random number, never knows a material.
+All are wound counter-clockwise seen from outside; solids are closed, unless a name says what is left out. Never draws
+a random number, never knows a material.
 """
 
 from __future__ import annotations
@@ -26,12 +27,14 @@ __all__ = [
     "loft",
     "merge",
     "moved",
+    "open_block",
     "pad",
     "quad",
     "rod",
     "standing_block",
     "triangle_count",
     "tube",
+    "uncapped",
 ]
 
 Floats = npt.NDArray[np.float64]
@@ -95,12 +98,29 @@ def fitted_block(low: Vector, high: Vector) -> Mesh:
     return Mesh(plain.points, plain.counts, plain.indices, np.array(wall * 6))
 
 
-def standing_block(low: Vector, high: Vector, fitted: bool = False, lid: bool = True) -> Mesh:
-    """A box that stands on something: without the bottom that nobody sees and, covered itself, without a lid."""
+def open_block(low: Vector, high: Vector, faces: str, fitted: bool = False) -> Mesh:
+    """A box of some of its faces, where nobody sees the others.
+
+    Args:
+        low: corner, metres.
+        high: the corner opposite, metres.
+        faces: of S (towards -y), E (+x), N (+y), W (-x), B (below), T (above).
+        fitted: each face shows the whole texture once.
+    """
     whole = fitted_block(low, high) if fitted else block(low, high)
-    corners = 4 * np.array([0, 1, 2, 3, 5] if lid else [0, 1, 2, 3])[:, None] + np.arange(4)
+    corners = 4 * np.array(["SENWBT".index(face) for face in faces])[:, None] + np.arange(4)
     st = None if whole.st is None else whole.st[corners.ravel()]
     return Mesh(whole.points, whole.counts[: len(corners)], whole.indices[corners.ravel()], st)
+
+
+def standing_block(low: Vector, high: Vector, fitted: bool = False, lid: bool = True) -> Mesh:
+    """A box that stands on something: without the bottom that nobody sees and, covered itself, without a lid."""
+    return open_block(low, high, "SENWT" if lid else "SENW", fitted)
+
+
+def uncapped(mesh: Mesh) -> Mesh:
+    """A loft, cylinder, rod or tube without its two ends, where they end in something else."""
+    return Mesh(mesh.points, mesh.counts[:-2], mesh.indices[: -int(mesh.counts[-2:].sum())])
 
 
 def cushion(low: Vector, high: Vector, bevel: float) -> Mesh:

@@ -10,7 +10,20 @@ import math
 import numpy as np
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import Mesh, block, cushion, cylinder, fitted_block, loft, moved, pad, rod, tube
+from factory.scenes.author.geometry import (
+    Mesh,
+    block,
+    cushion,
+    cylinder,
+    fitted_block,
+    loft,
+    moved,
+    open_block,
+    pad,
+    rod,
+    tube,
+    uncapped,
+)
 from factory.scenes.author.materials import Piece, glowing, painted, textured
 
 __all__ = ["bed", "curtain", "drip_stand", "head_panel", "nightstand", "trolley", "wash_unit", "wheelchair"]
@@ -63,9 +76,9 @@ def _end_board(y: float, top: float) -> Mesh:
 
 def nightstand(_variant: int, rng: Generator) -> list[Piece]:
     """A bedside unit with two drawers, a cup and a lamp."""
-    body = block((-0.22, -0.2, 0.08), (0.22, 0.2, 0.72))
-    fronts = [block((-0.2, -0.215, z), (0.2, -0.2, z + 0.26)) for z in (0.12, 0.42)]
-    feet = [cylinder(0.025, 0.0, 0.08, (x, y), 4) for x in (-0.17, 0.17) for y in (-0.15, 0.15)]
+    body = open_block((-0.22, -0.2, 0.08), (0.22, 0.2, 0.72), "SENWB")
+    fronts = [open_block((-0.2, -0.215, z), (0.2, -0.2, z + 0.26), "SEWBT") for z in (0.12, 0.42)]
+    feet = [uncapped(cylinder(0.025, 0.0, 0.08, (x, y), 4)) for x in (-0.17, 0.17) for y in (-0.15, 0.15)]
     top = block((-0.24, -0.22, 0.72), (0.24, 0.22, 0.75))
     cup = cylinder(0.035, 0.75, 0.85, (0.1, -0.05), 8)
     return [Piece(WHITE, body), *(Piece(PALE, m) for m in (*fronts, top)), *(Piece(BLACK, m) for m in feet),
@@ -80,8 +93,8 @@ def drip_stand(_variant: int, _rng: Generator) -> list[Piece]:
         for x, y in ((1, 0), (0.31, 0.95), (-0.81, 0.59), (-0.81, -0.59), (0.31, -0.95))
     ]
     arm = rod((-0.14, 0.0, 1.95), (0.14, 0.0, 1.95), 0.01)
-    bag = cushion((-0.20, -0.03, 1.62), (-0.08, 0.03, 1.88), 0.015)
-    unit = cushion((-0.09, -0.12, 1.05), (0.09, -0.01, 1.3), 0.02)
+    bag = pad((-0.20, -0.03, 1.62), (-0.08, 0.03, 1.88), 0.015, is_loose=True)
+    unit = pad((-0.09, -0.12, 1.05), (0.09, -0.01, 1.3), 0.02, is_loose=True)
     return [
         *(Piece(CHROME, m) for m in (pole, arm, *feet)),
         Piece(painted("SkyBlue", 0.2), bag),

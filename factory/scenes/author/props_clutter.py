@@ -18,6 +18,7 @@ from factory.scenes.author.geometry import (
     quad,
     rod,
     tube,
+    uncapped,
 )
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 from factory.scenes.author.props_storage import CARTON, CARTONS, ROUGH, carton_stack, pallet
@@ -185,7 +186,7 @@ def pallet_truck(variant: int, _rng: Generator) -> list[Piece]:
 def cone(_variant: int, _rng: Generator) -> list[Piece]:
     """An orange traffic cone with a white band."""
     body = cylinder(0.13, 0.03, 0.55, sides=14, top=0.025)
-    band = cylinder(0.098, 0.22, 0.34, sides=14, top=0.069)
+    band = uncapped(cylinder(0.098, 0.22, 0.34, sides=14, top=0.069))
     return [
         Piece(painted("Orange"), body),
         Piece(WHITE, band),
@@ -195,7 +196,7 @@ def cone(_variant: int, _rng: Generator) -> list[Piece]:
 
 def protection_post(_variant: int, _rng: Generator) -> list[Piece]:
     """A yellow impact post with black bands, as they guard rack ends."""
-    bands = [cylinder(0.062, z, z + 0.12, sides=8) for z in (0.25, 0.55)]
+    bands = [uncapped(cylinder(0.062, z, z + 0.12, sides=8)) for z in (0.25, 0.55)]
     return [
         Piece(painted("Yellow"), cylinder(0.06, 0.0, 0.8, sides=8)),
         *(Piece(BLACK, band) for band in bands),

@@ -19,9 +19,12 @@ from factory.scenes.author.geometry import (
     fitted_block,
     lathe,
     moved,
+    pad,
     quad,
     rod,
+    standing_block,
     tube,
+    uncapped,
 )  # fmt: skip
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 
@@ -55,13 +58,14 @@ def _end_frames(half_x: float, half_y: float, height: float, metal: Material) ->
 
 
 def desk(variant: int, rng: Generator) -> list[Piece]:
-    """A work desk 1.3-1.5 m wide on an open steel frame, partly with a drawer pedestal hung under the top."""
+    """A work desk 1.3-1.5 m wide on an open frame, partly with drawers hung under the top; all white, or of wood."""
     half_x, half_y = (0.70, 0.35) if variant % 2 == 0 else (0.65, 0.34)
-    metal = (BLACK, WHITE, STEEL)[variant % 3]
-    top = cushion((-half_x, -half_y, 0.715), (half_x, half_y, 0.745), 0.006)
-    pieces = [Piece(WOODS[variant % 4], top), *_end_frames(half_x - 0.05, half_y - 0.05, 0.715, metal)]
+    board = WOODS[variant % 4]
+    metal = WHITE if board is WHITE else (BLACK, WHITE, STEEL)[variant % 3]
+    top = block((-half_x, -half_y, 0.715), (half_x, half_y, 0.745))
+    pieces = [Piece(board, top), *_end_frames(half_x - 0.05, half_y - 0.05, 0.715, metal)]
     if variant % 4 < 2:  # slim drawers under the top: 0.62 m above the floor, so that nothing catches a robot
-        pieces.append(Piece(metal, block((half_x - 0.5, -half_y + 0.03, 0.63), (half_x - 0.1, half_y - 0.1, 0.715))))
+        pieces.append(Piece(board, block((half_x - 0.5, -half_y + 0.03, 0.63), (half_x - 0.1, half_y - 0.1, 0.715))))
     mug = cylinder(0.04, 0.745, 0.84, (-half_x + 0.14, -0.05), 10, top=0.045)
     cup = painted(("Red", "Yellow", "Teal", "White")[int(rng.integers(4))], 0.4)
     sheet_z, sheet_x = 0.748, -half_x + 0.33
@@ -98,7 +102,7 @@ def coffee_table(variant: int, rng: Generator) -> list[Piece]:
     if variant % 2 == 0:
         top = cylinder(0.34, 0.40, 0.44, sides=18)
     else:
-        top = cushion((-0.38, -0.27, 0.38), (0.38, 0.27, 0.42), 0.01)
+        top = pad((-0.38, -0.27, 0.38), (0.38, 0.27, 0.42), 0.01)
     z = 0.44 if variant % 2 == 0 else 0.42
     legs = [rod((x, y, z - 0.03), (x * 1.25, y * 1.25, 0.0), 0.018, 5) for x in (-0.2, 0.2) for y in (-0.15, 0.15)]
     magazine = block((-0.1, -0.12, z), (0.11, 0.14, z + 0.015))
@@ -115,9 +119,9 @@ def monitor(variant: int, _rng: Generator) -> list[Piece]:
     left, right = -half + 0.016, half - 0.016
     screen = quad([(left, -0.0215, low), (right, -0.0215, low), (right, -0.0215, high), (left, -0.0215, high)])
     neck = block((-0.03, 0.025, 0.01), (0.03, 0.05, lift + 0.15))
-    foot = cushion((-0.12, -0.07, 0.0), (0.12, 0.10, 0.014), 0.004)
+    foot = standing_block((-0.12, -0.07, 0.0), (0.12, 0.10, 0.014))
     stand = STEEL if variant % 3 == 2 else case
-    hump = cushion((-half * 0.6, 0.02, lift + 0.06), (half * 0.6, 0.05, lift + height - 0.06), 0.012)
+    hump = pad((-half * 0.6, 0.02, lift + 0.06), (half * 0.6, 0.05, lift + height - 0.06), 0.012, is_loose=True)
     return [
         Piece(case, body),
         Piece(case, hump),
@@ -195,14 +199,14 @@ def trash_can(variant: int, _rng: Generator) -> list[Piece]:
     """An open paper bin, a pedal bin with lid, a swing-top bin, or a mesh-grey office bin."""
     kind = variant % 4
     if kind == 0:
-        rim = lathe([(0.12, 0.0), (0.16, 0.40), (0.165, 0.41), (0.15, 0.41), (0.12, 0.06)], sides=16)
+        rim = lathe([(0.12, 0.0), (0.16, 0.40), (0.165, 0.41), (0.15, 0.41), (0.12, 0.06)], sides=14)
         return [
             Piece(painted("Charcoal"), rim),
-            Piece(WHITE, lathe([(0.12, 0.1), (0.14, 0.33), (0.05, 0.37)], sides=9)),
+            Piece(WHITE, lathe([(0.14, 0.33), (0.05, 0.37)], sides=9)),
         ]
     if kind == 1:
-        can = lathe([(0.15, 0.0), (0.15, 0.03), (0.145, 0.03), (0.145, 0.50)], sides=18)
-        lid = lathe([(0.15, 0.50), (0.15, 0.53), (0.10, 0.57), (0.02, 0.58)], sides=18)
+        can = uncapped(lathe([(0.15, 0.0), (0.15, 0.03), (0.145, 0.03), (0.145, 0.50)], sides=16))
+        lid = lathe([(0.15, 0.50), (0.15, 0.53), (0.10, 0.57), (0.02, 0.58)], sides=16)
         pedal = block((-0.05, -0.20, 0.02), (0.05, -0.13, 0.04))
         return [Piece(painted("Steel", 0.3, 1.0), can), Piece(BLACK, lid), Piece(BLACK, pedal)]
     if kind == 2:
@@ -217,7 +221,7 @@ def trash_can(variant: int, _rng: Generator) -> list[Piece]:
         ]
     body = lathe(
         [(0.20, 0.0), (0.22, 0.62), (0.235, 0.62), (0.235, 0.66), (0.16, 0.70), (0.12, 0.70), (0.12, 0.62)],
-        sides=16,
+        sides=14,
     )
     return [
         Piece(painted(("Blue", "Grey", "Yellow")[variant // 4 % 3]), body),
@@ -228,5 +232,5 @@ def trash_can(variant: int, _rng: Generator) -> list[Piece]:
 def keys_pad(_variant: int, _rng: Generator) -> list[Piece]:
     """A computer's typing pad and mouse, lying on a desk top at z = 0."""
     keys = Material("Keys", "#2c2f34", "Keys")
-    pad = fitted_block((-0.22, -0.07, 0.0), (0.22, 0.07, 0.022))
-    return [Piece(keys, pad), Piece(BLACK, cushion((0.28, -0.05, 0.0), (0.34, 0.05, 0.03), 0.012))]
+    board = fitted_block((-0.22, -0.07, 0.0), (0.22, 0.07, 0.022))
+    return [Piece(keys, board), Piece(BLACK, pad((0.28, -0.05, 0.0), (0.34, 0.05, 0.03), 0.012))]

@@ -44,7 +44,7 @@ def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
             (radius * 0.75, top - 0.03),
             (0.03, top),
         ],
-        sides=14,
+        sides=12,
     )
     valve = cylinder(0.022, top, top + 0.05, sides=8)
     levers = [
@@ -57,7 +57,7 @@ def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
         ),
         moved(block((-0.012, -0.02, 0.0), (0.012, 0.12, 0.015)), (0.0, -0.02, top + 0.03), yaw=1.57, roll=-0.1),
     ]
-    gauge = moved(cylinder(0.022, 0.0, 0.015, sides=10), (0.0, -0.02, top + 0.02), roll=1.57)
+    gauge = moved(cylinder(0.022, 0.0, 0.015, sides=8), (0.0, -0.02, top + 0.02), roll=1.57)
     x = radius + 0.025
     path: list[Vector] = [
         (0.02, 0.0, top + 0.03),
@@ -80,7 +80,7 @@ def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
         Piece(BRIGHT, gauge),
     ]
     pieces += [
-        Piece(BLACK, tube(path, 0.011, 6)),
+        Piece(BLACK, tube(path, 0.011, 4)),
         Piece(BLACK, horn),
         *(Piece(BRIGHT, mesh) for mesh in plain),
     ]
@@ -90,14 +90,14 @@ def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
 def _mount(kind: int, radius: float, bottom: float, top: float) -> list[Piece]:
     """What carries the bottle: a floor stand with a pole, a wall plate, or wheels."""
     if kind == 0:
-        tray = lathe([(0.13, 0.0), (0.13, 0.02), (0.10, 0.05)], sides=16)
+        tray = lathe([(0.13, 0.0), (0.13, 0.02), (0.10, 0.05)], sides=12)
         pole = rod((0.0, radius + 0.02, 0.02), (0.0, radius + 0.02, 0.95), 0.012)
         face = [(-0.11, radius, 0.80), (0.11, radius, 0.80), (0.11, radius, 1.02), (-0.11, radius, 1.02)]
         sign = block((-0.12, radius + 0.002, 0.79), (0.12, radius + 0.03, 1.03))
         return [Piece(BLACK, tray), Piece(STEEL, pole), Piece(RED, sign), Piece(_sign(), quad(face))]
     if kind == 1:
         return [Piece(BRIGHT, block((-0.03, radius, bottom + 0.04), (0.03, radius + 0.02, top + 0.02)))]
-    meshes = [moved(cylinder(0.05, -0.015, 0.015, sides=12), (x, 0.06, 0.05), pitch=1.5708) for x in (-0.13, 0.13)]
+    meshes = [moved(cylinder(0.05, -0.015, 0.015, sides=10), (x, 0.06, 0.05), pitch=1.5708) for x in (-0.13, 0.13)]
     handle = tube([(-0.06, 0.11, 0.1), (-0.06, 0.13, 0.85), (0.06, 0.13, 0.85), (0.06, 0.11, 0.1)], 0.011, 5)
     axle = rod((-0.13, 0.06, 0.05), (0.13, 0.06, 0.05), 0.012)
     return [*(Piece(BLACK, mesh) for mesh in meshes), Piece(STEEL, handle), Piece(STEEL, axle)]

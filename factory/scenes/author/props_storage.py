@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import numpy as np
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import (
@@ -14,11 +15,13 @@ from factory.scenes.author.geometry import (
     Vector,
     block,
     cylinder,
-    fitted_block,
     lathe,
+    loft,
     moved,
+    open_block,
     rod,
     standing_block,
+    uncapped,
 )
 from factory.scenes.author.materials import PAINTS, Material, Piece, painted, textured, tinted
 
@@ -42,12 +45,12 @@ FRAMES = tuple(
 
 # fmt: off
 TIGHT_HEAD = (
-    (0.25, 0.0), (0.285, 0.05), (0.29, 0.28), (0.275, 0.30), (0.275, 0.33), (0.29, 0.35), (0.29, 0.62),
-    (0.275, 0.64), (0.275, 0.67), (0.285, 0.69), (0.28, 0.86), (0.24, 0.92), (0.21, 0.92), (0.205, 0.90),
+    (0.25, 0.0), (0.29, 0.05), (0.29, 0.28), (0.273, 0.315), (0.29, 0.35), (0.29, 0.62), (0.273, 0.655), (0.29, 0.69),
+    (0.28, 0.86), (0.24, 0.92), (0.21, 0.92), (0.205, 0.90),
 )
 RINGED = (
-    (0.285, 0.0), (0.295, 0.015), (0.285, 0.03), (0.285, 0.28), (0.30, 0.30), (0.285, 0.32), (0.285, 0.57),
-    (0.30, 0.59), (0.285, 0.61), (0.285, 0.86), (0.295, 0.875), (0.285, 0.89), (0.27, 0.89), (0.27, 0.875),
+    (0.295, 0.0), (0.285, 0.03), (0.285, 0.28), (0.30, 0.30), (0.285, 0.32), (0.285, 0.57), (0.30, 0.59),
+    (0.285, 0.61), (0.285, 0.86), (0.295, 0.875), (0.275, 0.89), (0.27, 0.875),
 )
 KEG = (
     (0.19, 0.0), (0.22, 0.04), (0.22, 0.46), (0.20, 0.50), (0.20, 0.53), (0.225, 0.53), (0.225, 0.57), (0.02, 0.59),
@@ -88,7 +91,7 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[Piece]:
     kind = float(rng.random())
     if kind < 0.10:
         return []
-    base = pallet(x, 0.0, z, half_y=0.38)
+    base = [Piece(ROUGH, standing_block((x - 0.58, -0.38, z), (x + 0.58, 0.38, z + 0.14)))]  # its front hides its gaps
     top, height = z + 0.14, float(rng.uniform(0.55, 0.85)) * (room - 0.2)
     if kind < 0.68:
         return [*base, *carton_stack(x, 0.0, top, (1.08, 0.72, height), rng)]
@@ -98,7 +101,11 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[Piece]:
     tote = TOTES[int(rng.integers(len(TOTES)))]
     size = height / 2
     boxes = [
-        fitted_block((x + side - 0.24, -0.35, top + level * size), (x + side + 0.24, 0.35, top + (level + 0.94) * size))
+        standing_block(
+            (x + side - 0.24, -0.35, top + level * size),
+            (x + side + 0.24, 0.35, top + (level + 0.94) * size),
+            fitted=True,
+        )
         for side in (-0.26, 0.26)
         for level in range(2)
     ]
@@ -113,17 +120,17 @@ def rack(variant: int, rng: Generator) -> list[Piece]:
     steel: list[Mesh] = []
     for x in (-1.30, 1.30):
         for y in (-0.38, 0.38):
-            steel.append(block((x - 0.045, y - 0.04, 0.0), (x + 0.045, y + 0.04, top)))
+            steel.append(standing_block((x - 0.045, y - 0.04, 0.0), (x + 0.045, y + 0.04, top)))
         zigzag = [0.15 + step * (top - 0.3) / 4 for step in range(5)]
         for step, (z0, z1) in enumerate(pairwise(zigzag)):
             side = 0.35 if step % 2 else -0.35
-            steel.append(rod((x, -side, z0), (x, side, z1), 0.018, 3))
+            steel.append(uncapped(rod((x, -side, z0), (x, side, z1), 0.018, 3)))
     pieces = [Piece(upright, mesh) for mesh in steel]
     for y in (-0.38, 0.38):
         for z in levels[1:]:
-            pieces.append(Piece(beam, block((-1.255, y - 0.025, z - 0.12), (1.255, y + 0.025, z))))
+            pieces.append(Piece(beam, open_block((-1.255, y - 0.025, z - 0.12), (1.255, y + 0.025, z), "SNBT")))
     for z in levels[1:]:
-        pieces.append(Piece(STEEL, block((-1.255, -0.355, z - 0.03), (1.255, 0.355, z - 0.005))))
+        pieces.append(Piece(STEEL, open_block((-1.255, -0.355, z - 0.03), (1.255, 0.355, z - 0.005), "BT")))
     ceilings = [*(level - 0.15 for level in levels[1:]), top]
     for z, ceiling in zip(levels, ceilings, strict=True):
         for x in (-0.63, 0.63):
@@ -143,7 +150,7 @@ def shelf(variant: int, rng: Generator) -> list[Piece]:
     frame = (painted("Grey", 0.5), painted("Blue", 0.5), ROUGH, STEEL)[kind]
     plank = (ROUGH, painted("LightGrey", 0.5), ROUGH, STEEL)[kind]
     pieces = [
-        Piece(frame, block((x - 0.025, y - 0.025, 0.0), (x + 0.025, y + 0.025, height)))
+        Piece(frame, standing_block((x - 0.025, y - 0.025, 0.0), (x + 0.025, y + 0.025, height)))
         for x in (-half_x + 0.025, half_x - 0.025)
         for y in (-half_y + 0.025, half_y - 0.025)
     ]
@@ -154,7 +161,8 @@ def shelf(variant: int, rng: Generator) -> list[Piece]:
         if deck < decks - 1:
             pieces.extend(_shelf_goods(half_x - 0.06, half_y - 0.04, z, step - 0.06, kind, rng))
     for x in (-half_x + 0.025, half_x - 0.025):
-        pieces.append(Piece(frame, rod((x, -half_y + 0.03, 0.2), (x, half_y - 0.03, height - 0.2), 0.012, 4)))
+        brace = rod((x, -half_y + 0.03, 0.2), (x, half_y - 0.03, height - 0.2), 0.012, 4)
+        pieces.append(Piece(frame, uncapped(brace)))
     return pieces
 
 
@@ -171,9 +179,9 @@ def _shelf_goods(half_x: float, half_y: float, z: float, room: float, kind: int,
                 (x + width - 0.01, half_y * float(rng.uniform(0.6, 1.0)), z + tall),
             )
             if kind in (1, 3) or rng.random() < 0.15:
-                pieces.append(Piece(TOTES[int(rng.integers(len(TOTES)))], fitted_block(low, high)))
+                pieces.append(Piece(TOTES[int(rng.integers(len(TOTES)))], standing_block(low, high, fitted=True)))
             else:
-                pieces.append(Piece(CARTONS[int(rng.integers(len(CARTONS)))], fitted_block(low, high)))
+                pieces.append(Piece(CARTONS[int(rng.integers(len(CARTONS)))], standing_block(low, high, fitted=True)))
         x += width
     return pieces
 
@@ -194,7 +202,7 @@ def barrel(variant: int, _rng: Generator) -> list[Piece]:
         paint = painted(("Blue", "Yellow", "Green")[variant // 3 % 3], 0.4)
         profile = KEG
         height = 0.575
-    bungs = [cylinder(0.03, height, height + 0.025, (x, 0.0), 8) for x in (-0.12, 0.13)]
+    bungs = [cylinder(0.03, height, height + 0.025, (x, 0.0), 6) for x in (-0.12, 0.13)]
     return [
         Piece(paint, lathe(profile, sides=16)),
         *(Piece(BLACK if kind else STEEL, bung) for bung in bungs),
@@ -202,44 +210,50 @@ def barrel(variant: int, _rng: Generator) -> list[Piece]:
 
 
 def plastic_crate(variant: int, rng: Generator) -> list[Piece]:
-    """A slotted plastic crate 0.6 x 0.4 m, single or stacked two or three high."""
+    """A slotted plastic crate 0.6 x 0.4 m, single or stacked two or three high, filled to 0.1 m below its rim."""
     paint = painted(("Green", "Red", "Blue", "Yellow")[variant % 4], 0.45)
     high = (2, 1, 3)[variant // 4 % 3]
     meshes: list[Mesh] = []
     for level in range(high):
         z, twist = level * 0.30, float(rng.uniform(-0.04, 0.04))
-        meshes.extend(moved(mesh, (0.0, 0.0, z), yaw=twist) for mesh in _crate_shell())
-    fill = block((-0.27, -0.17, 0.03), (0.27, 0.17, high * 0.30 - 0.10))
+        shell = _crate_shell(level == high - 1)
+        meshes.extend(moved(mesh, (0.0, 0.0, z), yaw=twist) for mesh in shell)
+    fill = standing_block((-0.27, -0.17, 0.03), (0.27, 0.17, high * 0.30 - 0.10))
     return [*(Piece(paint, mesh) for mesh in meshes), Piece(painted("Charcoal"), fill)]
 
 
-def _crate_shell() -> list[Mesh]:
-    """Bottom, corner posts and three rails per side, 0.29 m high."""
-    meshes = [block((-0.29, -0.19, 0.0), (0.29, 0.19, 0.02))]
-    for low, high in ((0.0, 0.06), (0.10, 0.17), (0.21, 0.29)):
-        meshes.append(block((-0.30, -0.20, low), (0.30, -0.18, high)))
-        meshes.append(block((-0.30, 0.18, low), (0.30, 0.20, high)))
-        meshes.append(block((-0.30, -0.18, low), (-0.28, 0.18, high)))
-        meshes.append(block((0.28, -0.18, low), (0.30, 0.18, high)))
+def _crate_shell(is_topmost: bool) -> list[Mesh]:
+    """Corner posts and three rails all round, 0.29 m high; the topmost crate's upper rail is seen from inside too."""
+    meshes = [_rail(0.0, 0.06), _rail(0.10, 0.17), _rail(0.21, 0.29, is_topmost)]
     posts = [(x, y) for x in (-0.27, 0.27) for y in (-0.17, 0.17)]
-    return [*meshes, *(block((x - 0.032, y - 0.032, 0.0), (x + 0.032, y + 0.032, 0.285)) for x, y in posts)]
+    return [*meshes, *(standing_block((x - 0.032, y - 0.032, 0.0), (x + 0.032, y + 0.032, 0.285)) for x, y in posts)]
+
+
+def _rail(low: float, high: float, has_inside: bool = False) -> Mesh:
+    """A rail 2 cm thick around the crate between two heights; ledges, or its inside, run on to the filling."""
+    inside = [(0.02, high), (0.035, low)] if has_inside else [(0.035, high)]
+    outlines = [(0.30 - inset, 0.20 - inset, z) for inset, z in [(0.035, low), (0.0, low), (0.0, high), *inside]]
+    return uncapped(loft(np.array([[(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)] for x, y, z in outlines])))
 
 
 def pallet_crate(variant: int, _rng: Generator) -> list[Piece]:
     """A nailed wooden crate with slats and corner battens, three sizes."""
     half_x, half_y, height = ((0.38, 0.30, 0.55), (0.45, 0.38, 0.75), (0.32, 0.32, 0.45))[variant % 3]
     wood, batten = ((ROUGH, painted("Brown", 0.9)), (textured("WoodOak", "#c39a66", 0.7), ROUGH))[variant // 3 % 2]
-    core = block((-half_x + 0.02, -half_y + 0.02, 0.05), (half_x - 0.02, half_y - 0.02, height - 0.01))
+    core = standing_block((-half_x + 0.02, -half_y + 0.02, 0.05), (half_x - 0.02, half_y - 0.02, height), lid=False)
     pieces = [Piece(painted("Brown", 0.9), core)]
     slats = 4
     pitch = (height - 0.06) / slats
     for slat in range(slats):
         z0, z1 = 0.06 + slat * pitch, 0.06 + (slat + 0.86) * pitch
-        pieces.append(Piece(wood, block((-half_x + 0.005, -half_y + 0.005, z0), (half_x - 0.005, half_y - 0.005, z1))))
+        pieces.append(
+            Piece(wood, standing_block((-half_x + 0.005, -half_y + 0.005, z0), (half_x - 0.005, half_y - 0.005, z1)))
+        )
     pieces.append(Piece(wood, block((-half_x, -half_y, height - 0.01), (half_x, half_y, height + 0.015))))
     for x in (-half_x, half_x):
         for y in (-half_y, half_y):
-            pieces.append(Piece(batten, block((x - 0.04, y - 0.015, 0.0), (x + 0.04, y + 0.015, height))))
+            pieces.append(Piece(batten, standing_block((x - 0.04, y - 0.015, 0.0), (x + 0.04, y + 0.015, height))))
     for y in (-half_y, half_y):
-        pieces.append(Piece(batten, rod((-half_x + 0.04, y, 0.10), (half_x - 0.04, y, height - 0.06), 0.022, 4)))
+        brace = rod((-half_x + 0.04, y, 0.10), (half_x - 0.04, y, height - 0.06), 0.022, 4)
+        pieces.append(Piece(batten, uncapped(brace)))
     return pieces

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from factory.scenes.author.geometry import Mesh, block, lathe, quad
+from factory.scenes.author.geometry import Mesh, Vector, block, lathe, open_block, quad, uncapped
 from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
 from factory.scenes.author.placement import Plan, Rectangle
 
@@ -72,11 +72,23 @@ class _Strip(NamedTuple):
     at: float
 
     def box(self, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> Mesh:
+        low, high = self._corners(along, across, z)
+        return block(low, high)
+
+    def applied(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> Mesh:
+        """A bar on the face towards lower (side -1) or higher (+1) coordinates, without its back."""
+        near, far = sorted((side * WALL_THICKNESS_M / 2, side * (WALL_THICKNESS_M / 2 + proud)))
+        front = ("SN" if self.is_along_x else "WE")[side > 0]
+        return open_block(*self._corners(along, (near, far), z), front + ("EWBT" if self.is_along_x else "SNBT"))
+
+    def _corners(
+        self, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]
+    ) -> tuple[Vector, Vector]:
         a0, a1 = along
         c0, c1 = self.at + across[0], self.at + across[1]
         if self.is_along_x:
-            return block((a0, c0, z[0]), (a1, c1, z[1]))
-        return block((c0, a0, z[0]), (c1, a1, z[1]))
+            return (a0, c0, z[0]), (a1, c1, z[1])
+        return (c0, a0, z[0]), (c1, a1, z[1])
 
     def plate(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> Mesh:
         """A flat rectangle before the face towards lower (side -1) or higher (+1) coordinates, seen from outside."""
@@ -152,17 +164,12 @@ def _solid(
 
 def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) -> list[Piece]:
     """Skirting, dado, rail and sockets on the face towards lower (side -1) or higher (+1) coordinates."""
-
-    def proud(metres: float) -> tuple[float, float]:
-        near, far = sorted((side * WALL_THICKNESS_M / 2, side * (WALL_THICKNESS_M / 2 + metres)))
-        return near, far
-
     start, end = along
-    pieces = [Piece(trim.skirting, strip.box(along, proud(0.012), (0.0, 0.09)))]
+    pieces = [Piece(trim.skirting, strip.applied(along, side, 0.012, (0.0, 0.09)))]
     if trim.dado is not None:
-        pieces.append(Piece(trim.dado, strip.box(along, proud(0.004), (0.09, trim.dado_top_m))))
+        pieces.append(Piece(trim.dado, strip.applied(along, side, 0.004, (0.09, trim.dado_top_m))))
     if trim.rail is not None and end - start > 0.3:
-        pieces.append(Piece(trim.rail, strip.box((start + 0.09, end - 0.09), proud(0.045), (0.80, 0.95))))
+        pieces.append(Piece(trim.rail, strip.applied((start + 0.09, end - 0.09), side, 0.045, (0.80, 0.95))))
     count = round((end - start) / SOCKET_PITCH_M) if trim.has_sockets else 0
     for number in range(count):
         middle = start + (number + 0.5) * (end - start) / count
@@ -210,7 +217,7 @@ def ceiling(plan: Plan, area: Rectangle, height: float, material: Material, lamp
             x = area.x0 + (column + 0.5) * area.width / columns
             y = area.y0 + (row + 0.5) * area.depth / rows
             pieces.append(Piece(LAMP_RIM, block((x - 0.64, y - 0.19, height - 0.03), (x + 0.64, y + 0.19, height))))
-            pieces.append(Piece(LAMP, block((x - 0.6, y - 0.15, height - 0.04), (x + 0.6, y + 0.15, height - 0.02))))
+            pieces.append(Piece(LAMP, _hung((x - 0.6, y - 0.15), (x + 0.6, y + 0.15), height - 0.032)))
     plan.build("SM_Lamps", *pieces)
     _ceiling_fittings(plan, area, height)
 
@@ -248,12 +255,13 @@ def high_bay_lamps(plan: Plan, area: Rectangle, height: float, pitch: float) -> 
         pieces.append(Piece(steel, block((x - 0.08, area.y0, height - 0.35), (x + 0.08, area.y1, height - 0.05))))
         for row in range(rows):
             y = area.y0 + (row + 0.5) * area.depth / rows
-            bell = lathe([(0.28, height - 0.80), (0.10, height - 0.50), (0.05, height - 0.35)], (x, y), 12)
-            pieces.append(Piece(steel, bell))
-            pieces.append(Piece(LAMP, lathe([(0.24, height - 0.83), (0.25, height - 0.79)], (x, y), 12)))
+            bell = lathe([(0.28, height - 0.80), (0.10, height - 0.50), (0.05, height - 0.35)], (x, y), 10)
+            pieces.append(Piece(steel, uncapped(bell)))
+            pieces.append(Piece(LAMP, lathe([(0.26, height - 0.82), (0.28, height - 0.80)], (x, y), 10)))
     plan.build("SM_Lamps", *pieces)
 
 
 def marking(plan: Plan, area: Rectangle, material: Material) -> None:
-    """Paints a flat strip on the floor, 2 mm thick, so that it is no obstacle."""
-    plan.build("SM_Marking", Piece(material, block((area.x0, area.y0, 0.0), (area.x1, area.y1, 0.002))))
+    """Paints a flat strip 2 mm above the floor, so that it is no obstacle."""
+    strip = open_block((area.x0, area.y0, 0.0), (area.x1, area.y1, 0.002), "T")
+    plan.build("SM_Marking", Piece(material, strip))

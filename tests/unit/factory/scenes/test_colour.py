@@ -33,6 +33,8 @@ from factory.scenes.colour import COLOUR_NAMES, dominant_name, lab_of, linear_of
         ((139, 69, 19), "brown"),
         ((194, 153, 107), "brown"),
         ((222, 190, 140), "brown"),
+        ((225, 203, 168), "brown"),
+        ((240, 220, 130), "yellow"),
     ],
 )
 def test_reference_colours_have_their_names(rgb: tuple[int, int, int], name: str) -> None:
@@ -49,6 +51,18 @@ def test_a_thing_of_two_colours_has_none() -> None:
     red, blue = (1.0, 0, 0), (0, 0, 1.0)
     assert dominant_name([red] * 6 + [blue] * 4) == "unknown"
     assert dominant_name([red] * 7 + [blue] * 3) == "red"
+
+
+def test_a_blue_chair_on_a_black_base_is_blue() -> None:
+    blue, black = (0.1, 0.3, 0.7), (0.1, 0.1, 0.1)
+    assert dominant_name([blue] * 55 + [black] * 45) == "blue"
+    assert dominant_name([blue] * 45 + [black] * 55) == "unknown"
+
+
+def test_black_and_gray_are_rivals_to_each_other() -> None:
+    black, gray = (0.1, 0.1, 0.1), (0.5, 0.5, 0.5)
+    assert dominant_name([gray] * 58 + [black] * 42) == "unknown"
+    assert dominant_name([gray] * 70 + [black] * 30) == "gray"
 
 
 def test_teal_is_neither_green_nor_blue() -> None:

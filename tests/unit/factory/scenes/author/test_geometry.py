@@ -16,8 +16,10 @@ from factory.scenes.author.geometry import (
     lathe,
     merge,
     moved,
+    open_block,
     rod,
     tube,
+    uncapped,
 )
 from factory.scenes.author.materials import linear_rgb
 
@@ -54,6 +56,26 @@ def test_solid_is_closed_and_wound_outwards(name: str) -> None:
         edges.update(zip(face, face[1:] + face[:1], strict=True))
         start += count
     assert all((b, a) in edges for a, b in edges)
+
+
+def test_an_open_block_has_the_named_faces_of_a_block() -> None:
+    outwards = {"S": (0, -1, 0), "E": (1, 0, 0), "N": (0, 1, 0), "W": (-1, 0, 0), "B": (0, 0, -1), "T": (0, 0, 1)}
+    for name, direction in outwards.items():
+        face = open_block((0, 0, 0), (1, 2, 3), name)
+        a, b, c, _ = face.points[face.indices]
+        normal = np.cross(b - a, c - b)
+        assert normal / np.linalg.norm(normal) == pytest.approx(direction)
+    whole = open_block((0, 0, 0), (1, 2, 3), "SENWBT", fitted=True)
+    assert signed_volume(whole) == pytest.approx(6.0)
+    assert whole.st is not None
+    assert len(whole.st) == 24
+
+
+def test_an_uncapped_rod_lacks_its_two_ends_only() -> None:
+    rod_mesh = rod((0, 0, 0), (0, 0, 1), 0.1, 5)
+    open_rod = uncapped(rod_mesh)
+    assert open_rod.counts.tolist() == [4] * 5
+    assert open_rod.indices.tolist() == rod_mesh.indices[:20].tolist()
 
 
 def test_card_is_seen_from_both_sides() -> None:
