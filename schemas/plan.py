@@ -180,6 +180,14 @@ class Plan(Model):
         """Returns the shares of splits in force in a scene."""
         return scene.splits or self.splits
 
+    def tier_share(self, tier: Tier) -> float:
+        """Returns what share of all episodes a tier is asked to have, over scenes with shares of their own."""
+        return sum(scene.episodes * self.tiers_of(scene).get(tier, 0.0) for scene in self.scenes) / self.episodes
+
+    def split_share(self, split: Split) -> float:
+        """Returns what share of all episodes a split is asked to have, over scenes with shares of their own."""
+        return sum(scene.episodes * self.splits_of(scene).get(split, 0.0) for scene in self.scenes) / self.episodes
+
     @property
     def episodes(self) -> int:
         """Number of episodes over all scenes."""

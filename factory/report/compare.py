@@ -15,7 +15,7 @@ from factory.stats import paper
 from factory.stats.model import RolloutRow
 from factory.stats.rollouts import ALL
 from schemas.language import needs_colour, say_category
-from schemas.terms import Tier
+from schemas.terms import Split, Tier
 
 __all__ = ["compare"]
 
@@ -163,7 +163,7 @@ def _tier_shares(material: Material) -> Iterator[Comparison]:
     for row in material.statistics.tiers:
         if row.paper is None or row.paper.share is None:
             continue
-        planned = material.meta.plan.tiers.get(Tier(row.group), 0.0)
+        planned = material.meta.plan.tier_share(Tier(row.group))
         differ = row.share is not None and abs(row.share - row.paper.share) > _ALIKE_SHARE
         yield _share(
             "tiers",
@@ -180,7 +180,7 @@ def _splits(material: Material) -> Iterator[Comparison]:
         if row.paper is None or row.paper.n is None or paper.OVERALL.n is None or row.group == ALL:
             continue
         published = row.paper.n / paper.OVERALL.n
-        planned = next((share for split, share in material.meta.plan.splits.items() if split == row.group), 0.0)
+        planned = material.meta.plan.split_share(Split(row.group))
         differ = row.share is not None and abs(row.share - published) > _ALIKE_SHARE
         reason = reasons.say_planned(material.statistics, planned, row.paper.n) if differ else ""
         yield _share("splits", f"share of {row.group}", row.share, published, row.paper.source, reason)

@@ -43,7 +43,7 @@ def _shares(axes: Axes, material: Material) -> None:
     places = np.arange(len(Tier))
     ours = [100 * (rows[tier].share or 0) for tier in Tier]
     axes.barh(places, ours, 0.6, color=[colour(TIER_COLOURS[tier]) for tier in Tier])
-    planned = [100 * material.meta.plan.tiers.get(tier, 0) for tier in Tier]
+    planned = [100 * material.meta.plan.tier_share(tier) for tier in Tier]
     plan = {"marker": "|", "s": 260, "color": colour("ink"), "linewidth": 1.6}
     mark(axes, np.column_stack([planned, places]), label="plan", zorder=3, **plan)
     said = [100 * (paper.TIERS[tier].share or 0) for tier in Tier]

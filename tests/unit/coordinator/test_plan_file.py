@@ -7,7 +7,7 @@ import pytest
 from coordinator.builtin_plans import BUILTIN_PLANS
 from coordinator.plan_file import load_plan, shrink
 from schemas.errors import InvalidPlan, UsageError
-from schemas.terms import Tier
+from schemas.terms import Split, Tier
 
 GOOD = """
 name = "mine"
@@ -123,3 +123,12 @@ def test_a_copy_with_other_values_has_a_digest_of_its_own() -> None:
     assert other.model_copy(update={"seed": plan.seed}).digest == before
     one, same = (plan.model_copy(update={"tiers": {Tier.NEAR: share}}) for share in (1, 1.0))
     assert one.digest == same.digest
+
+
+def test_shares_over_all_scenes_count_the_scenes_that_have_their_own() -> None:
+    plan = load_plan("demo")
+    first, *rest = plan.scenes
+    own = first.model_copy(update={"tiers": {Tier.FAR: 1.0}, "episodes": sum(scene.episodes for scene in rest)})
+    mixed = plan.model_copy(update={"scenes": (own, *rest)})
+    assert mixed.tier_share(Tier.FAR) == pytest.approx((1 + plan.tiers.get(Tier.FAR, 0)) / 2)
+    assert sum(map(mixed.split_share, Split)) == pytest.approx(1)
