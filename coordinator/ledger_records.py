@@ -22,6 +22,7 @@ __all__ = [
     "JobRecord",
     "count_jobs",
     "list_jobs",
+    "read_archived",
     "read_attempts",
     "read_events",
     "read_summaries",
@@ -137,6 +138,11 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
     )
     for row in connection.execute(query):
         yield EventRecord(row.draw, row.attempt, row.event, State(row.state), row.sid, row.detail, _utc(row.at))
+
+
+def read_archived(connection: Connection) -> frozenset[int]:
+    """Returns the numbers of the archived episodes."""
+    return frozenset(connection.execute(select(episodes.c.idx)).scalars())
 
 
 def read_summaries(connection: Connection) -> Iterator[EpisodeSummary]:

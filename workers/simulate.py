@@ -16,19 +16,17 @@ import argparse
 import errno
 import faulthandler
 import hashlib
-import queue
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
 
 from schemas.errors import FactoryError
 from schemas.terms import FailReason
 from workers.attempt import Failure, run_attempt
 from workers.order import Order, Report, ReportKind, failure, to_line
+from workers.pipe import listen, take_stdout
 from workers.stage import Stage
 
 __all__ = ["main"]
@@ -46,8 +44,8 @@ def main() -> int:
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
     arguments = parser.parse_args()
     faulthandler.enable()
-    out = _take_stdout()
-    orders = _listen(0)
+    out = take_stdout()
+    orders = listen(0)
 
     def tell(report: Report) -> None:
         out.write(to_line(report))
@@ -55,7 +53,7 @@ def main() -> int:
     try:
         with Stage(arguments.renderer) as stage:
             tell(Report(kind=ReportKind.READY, renderer=stage.renderer.description))
-            while _serve(orders.get(), stage, tell):
+            while _serve(Order.model_validate_json(orders.get()), stage, tell):
                 pass
     except BrokenPipeError:
         return _OK  # nobody listens any more
@@ -63,29 +61,6 @@ def main() -> int:
         print(error, file=sys.stderr)  # noqa: T201 - the supervisor reads the last line
         return _WORLD
     return _BUG
-
-
-def _take_stdout() -> BinaryIO:
-    """Keeps stdout for reports and lets everything else that is printed, by pybullet too, go to stderr."""
-    mine = os.dup(1)
-    os.dup2(2, 1)
-    return os.fdopen(mine, "wb", buffering=0)
-
-
-def _listen(descriptor: int) -> queue.Queue[Order]:
-    orders: queue.Queue[Order] = queue.Queue()
-
-    def read() -> None:
-        try:
-            with os.fdopen(descriptor, "rb", closefd=False) as lines:
-                for line in lines:
-                    orders.put(Order.model_validate_json(line))
-        finally:
-            # the supervisor is gone, be it in the middle of a line: so is the use of what is being simulated
-            os._exit(_OK)
-
-    threading.Thread(target=read, name="orders", daemon=True).start()
-    return orders
 
 
 def _serve(order: Order, stage: Stage, tell: Tell) -> bool:

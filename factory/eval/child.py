@@ -17,11 +17,9 @@ import faulthandler
 import math
 import queue
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable
-from typing import BinaryIO
 
 from factory.eval.message import Order, Report, ReportKind, Setup, to_line
 from factory.eval.policies import Outside, describe_knowledge, make_policy
@@ -31,6 +29,7 @@ from factory.eval.rollout import describe_error, run_episode
 from factory.eval.sheet import Busy, Sheet, State
 from factory.eval.simulator import Simulator, View
 from schemas.errors import FactoryError, UsageError
+from workers.pipe import listen, take_stdout
 from workers.stage import Stage
 
 __all__ = ["main"]
@@ -42,8 +41,8 @@ def main() -> int:
     """Serves orders until stdin closes; the argument is the descriptor of the sheet."""
     faulthandler.enable()
     sheet = Sheet(int(sys.argv[1]))
-    out = _take_stdout()
-    lines = _listen(0)
+    out = take_stdout()
+    lines = listen(0)
 
     def tell(report: Report) -> None:
         out.write(to_line(report))
@@ -61,28 +60,6 @@ def main() -> int:
         tell(Report(kind=ReportKind.REFUSED, detail=str(error), exit_code=_exit_code(error)))
         return 1
     return 3
-
-
-def _take_stdout() -> BinaryIO:
-    """Keeps stdout for reports and lets everything else that is printed, by policies too, go to stderr."""
-    mine = os.dup(1)
-    os.dup2(2, 1)
-    return os.fdopen(mine, "wb", buffering=0)
-
-
-def _listen(descriptor: int) -> queue.Queue[bytes]:
-    lines: queue.Queue[bytes] = queue.Queue()
-
-    def read() -> None:
-        try:
-            with os.fdopen(descriptor, "rb", closefd=False) as stream:
-                for line in stream:
-                    lines.put(line)
-        finally:
-            os._exit(0)  # the caller is gone: so is the use of what is being driven
-
-    threading.Thread(target=read, name="orders", daemon=True).start()
-    return lines
 
 
 def _exit_code(error: FactoryError) -> int:

@@ -37,9 +37,9 @@ from schemas.config import TaskConfig
 from schemas.terms import ExpertName
 from workers.stage import LoadedScene
 
-__all__ = ["Watch", "run_episode", "thin_track"]
+__all__ = ["TRACK_HZ", "Watch", "describe_question", "progresses", "run_episode", "thin_track"]
 
-_TRACK_HZ = 10
+TRACK_HZ = 10
 
 
 class Watch(Protocol):
@@ -170,7 +170,7 @@ def describe_error(error: BaseException) -> str:
 
 def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float, float, float], ...]:
     """Returns x, y, yaw of a (frames, 7) track ten times a second, and of its last frame."""
-    every = max(1, round(control_hz / _TRACK_HZ))
+    every = max(1, round(control_hz / TRACK_HZ))
     rows = [*range(0, len(track) - 1, every), len(track) - 1]
     yaws = yaws_of(track[rows])
     return tuple(

@@ -45,7 +45,8 @@ class Seat:
     """One driving process, started again when needed."""
 
     def __init__(self, setup: Setup) -> None:
-        self._setup = setup
+        self.setup = setup
+        """What it was made with."""
         self._process: subprocess.Popen[bytes] | None = None
         self._reports: queue.Queue[Report | None] = queue.Queue()
         self._sheet: Sheet | None = None
@@ -61,6 +62,11 @@ class Seat:
     def pid(self) -> int | None:
         """Of the process, if there is one."""
         return self._process.pid if self._process is not None else None
+
+    @property
+    def steps(self) -> int:
+        """Of the episode that is being driven."""
+        return self._sheet.read().steps if self._sheet is not None else 0
 
     def give(self, order: Order) -> None:
         """Hands an order over, to a fresh process where there is none; its death is heard from `hear`."""
@@ -115,7 +121,7 @@ class Seat:
         )
         self._reports = queue.Queue()
         threading.Thread(target=_read, args=(self._process.stdout, self._reports), daemon=True).start()
-        self._write(to_line(self._setup))
+        self._write(to_line(self.setup))
 
     def _is_outcome(self, report: Report) -> bool:
         if report.kind is ReportKind.READY:
@@ -137,8 +143,8 @@ class Seat:
             return None
         state = self._sheet.read()
         limit_s = {
-            Busy.ASKING: self._setup.act_timeout_s + _GRACE_S * self._is_remote,
-            Busy.MAKING: self._setup.load_timeout_s + (_GRACE_S + self._setup.reconnect_s) * self._is_remote,
+            Busy.ASKING: self.setup.act_timeout_s + _GRACE_S * self._is_remote,
+            Busy.MAKING: self.setup.load_timeout_s + (_GRACE_S + self.setup.reconnect_s) * self._is_remote,
         }.get(state.busy, _SIMULATION_S)
         if time.monotonic() - state.since_s <= limit_s:
             return None

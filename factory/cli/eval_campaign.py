@@ -1,0 +1,133 @@
+"""What `factory eval` was told, as a campaign and its store, with a progress bar for each part of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from factory.cli.eval_options import splits_of
+from factory.cli.output import stderr
+from factory.dataset import Dataset
+from factory.eval.ablation import ABLATIONS
+from factory.eval.campaign import Campaign
+from factory.eval.from_dataset import specs_of_dataset
+from factory.eval.message import Setup
+from factory.eval.policies import check_name
+from factory.eval.publish import publish
+from factory.eval.result import Variant
+from factory.eval.run import Pace
+from factory.eval.score import Evaluation
+from factory.eval.spec import SpecSet
+from factory.eval.spec_file import read_specs
+from factory.eval.store import Manifest, Store
+from schemas.errors import UsageError
+from schemas.terms import RendererKind, Split
+
+__all__ = ["Asked", "draw_up", "open_store", "pace_bars", "published"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The options of an evaluation, as given; their help stands with the command."""
+
+    root: Path | None
+    splits: tuple[Split, ...] | None
+    policies: tuple[str, ...]
+    specs_path: Path | None
+    ablate_language: bool
+    episodes: int | None
+    workers: int | None
+    act_timeout: float
+    load_timeout: float
+    with_pose: bool
+    renderer: RendererKind
+
+
+def draw_up(asked: Asked) -> Campaign:
+    """Returns the campaign that was asked for.
+
+    Raises:
+        UsageError: a policy, a split or the file of specs does not exist.
+    """
+    if asked.root is None or not asked.policies:
+        raise UsageError("give the dataset and a policy: factory eval --data DIR --policy expert")
+    for name in asked.policies:
+        check_name(name)
+    specs = _specs(Dataset(asked.root), asked)
+    setup = Setup(
+        settings=specs.settings,
+        renderer=asked.renderer,
+        act_timeout_s=asked.act_timeout,
+        load_timeout_s=asked.load_timeout,
+    )
+    return Campaign(
+        specs=specs,
+        root=asked.root,
+        policies=tuple(dict.fromkeys(asked.policies)),
+        variants=(Variant.ORIGINAL, *ABLATIONS) if asked.ablate_language else (Variant.ORIGINAL,),
+        setup=setup,
+        processes=min(asked.workers or os.cpu_count() or 1, len(specs.specs)),
+        with_pose=asked.with_pose,
+    )
+
+
+def open_store(campaign: Campaign, folder: Path) -> Store:
+    """Opens the directory of the results, or goes on with it."""
+    manifest = Manifest(
+        run=Dataset(campaign.root).meta.run,
+        specs_digest=campaign.specs.digest,
+        with_pose=campaign.with_pose,
+        act_timeout_s=campaign.setup.act_timeout_s,
+    )
+    return Store(folder, campaign.specs, manifest)
+
+
+@contextmanager
+def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
+    """Shows a bar a policy; yields what is told their progress."""
+    with Progress(*_columns(), TextColumn("{task.fields[note]}"), console=stderr) as bar:
+        tasks = {name: bar.add_task(name, total=None, note="") for name in campaign.policies}
+
+        def tell(pace: Pace) -> None:
+            note = f"{pace.successes} succeeded"
+            bar.update(tasks[pace.policy], completed=pace.done, total=pace.total, note=note)
+
+        yield tell
+
+
+def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
+    """Writes all results and returns them."""
+    with _one_bar("drawing failures") as tell:
+        return publish(campaign, store, videos, tell)
+
+
+def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
+    """The specs of a file, or made of the dataset."""
+    if asked.specs_path is not None:
+        splits = frozenset(asked.splits) if asked.splits else None
+        return read_specs(asked.specs_path).only(splits, asked.episodes)
+    chosen = splits_of(dataset, asked.splits)
+    with _one_bar("reading starts") as tell:
+        return specs_of_dataset(dataset, chosen, tell, asked.episodes)
+
+
+@contextmanager
+def _one_bar(title: str) -> Iterator[Callable[[int, int], None]]:
+    with Progress(*_columns(), console=stderr, transient=True) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, of: bar.update(task, completed=done, total=of)
+
+
+def _columns() -> tuple[TextColumn | BarColumn | MofNCompleteColumn | TimeElapsedColumn | TimeRemainingColumn, ...]:
+    return (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )

@@ -1,0 +1,115 @@
+"""A campaign on many machines: its episodes as errands of a run, with the ledger, leases and workers of collection.
+
+Every result is archived once, then taken into the results; a campaign that was stopped or killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from coordinator import ledger_admin
+from coordinator.engine import open_writer
+from coordinator.errands import Errands
+from coordinator.ledger import LEDGER_FILE, holds_run, ledger_url_of
+from coordinator.ledger_records import JobFilter, list_jobs
+from coordinator.look import look_into
+from coordinator.service import Coordinator, utc_now
+from coordinator.settings import CoordinatorSettings
+from coordinator.states import State
+from coordinator.tls import Guard
+from factory.eval.campaign import Campaign
+from factory.eval.errands import catalog_of, number_orders, plan_of, planned_of, text_of
+from factory.eval.intake import Intake
+from factory.eval.judge import ResultJudge
+from factory.eval.run import Pace
+from factory.eval.store import Store
+from schemas.errors import WorldError
+from schemas.plan import Plan
+
+__all__ = ["Door", "run_fleet"]
+
+_FOLDER = "fleet"
+_SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20)
+"""Results are small."""
+_POLL_S, _LINGER_S = 0.5, 3.0
+_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Door:
+    """Where workers come in."""
+
+    listen: tuple[str, ...]
+    guard: Guard | None = None
+    tell: Callable[[tuple[str, ...]], None] = lambda _endpoints: None
+    """Told the endpoints once it is open."""
+
+
+def run_fleet(
+    campaign: Campaign, plan: Plan, store: Store, door: Door, stop: threading.Event, tell: Callable[[Pace], None]
+) -> bool:
+    """Has every episode driven that is not finished yet; returns whether all are done, or `stop` was set before.
+
+    Args:
+        campaign: what to do.
+        plan: of the dataset.
+        store: takes the results.
+        door: where workers connect.
+        stop: leave in good order; what workers have brought is kept.
+        tell: told the progress of each policy.
+
+    Raises:
+        UsageError: the specs do not fit the dataset.
+        WorldError: episodes could not be driven; the message says why.
+    """
+    orders = number_orders(campaign)
+    intake = Intake(store, orders, tell)
+    if not intake.left:
+        return True
+    run_plan, catalog = plan_of(campaign, plan, orders), catalog_of(orders)
+    root = store.root / _FOLDER / run_plan.run
+    planned = tuple(planned_of(order, index) for index, order in intake.left.items())
+    errands = Errands(planned, lambda index: text_of(campaign, orders[index]))
+    judge = ResultJudge(orders, campaign.specs.settings)
+    _try_failed_again(root)
+    with Coordinator(
+        root, run_plan, catalog, door.listen, settings=_SETTINGS, guard=door.guard, checker=judge, errands=errands
+    ) as coordinator:
+        door.tell(coordinator.endpoints)
+        is_over = False
+        while not (is_over or stop.is_set()):
+            is_over = coordinator.wait(_POLL_S, stop)
+            intake.take(root)
+        stop.wait(_LINGER_S if is_over else 0.0)  # every worker hears that it may leave
+    if is_over:
+        _require_whole(root, store)
+        shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
+    return is_over
+
+
+def _try_failed_again(root: Path) -> None:
+    """Gives errands that failed in an earlier start a new chance, as the remedy of its message says."""
+    if not (root / LEDGER_FILE).exists():
+        return
+    engine = open_writer(ledger_url_of(root))
+    try:
+        with engine.begin() as connection:
+            if holds_run(connection):
+                ledger_admin.retry(connection, (), utc_now())
+    finally:
+        engine.dispose()
+
+
+def _require_whole(root: Path, store: Store) -> None:
+    with look_into(ledger_url_of(root)) as connection:
+        failed = list_jobs(connection, JobFilter(state=State.FAILED), limit=_NAMED)
+    if failed:
+        reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)
+        raise WorldError(
+            f"some episodes could not be driven; the others are kept in {store.root}. Put right what is wrong and run "
+            f"the same command again:\n{reasons}"
+        )

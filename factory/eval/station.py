@@ -1,0 +1,129 @@
+"""What a worker runs in a run of errands (`python -m factory.eval.station`): a seat at the end of the worker's pipe.
+
+Takes the worker's orders, has them driven as an evaluation on one machine does, and leaves results as bundles.
+Simulates nothing itself and ends with its worker.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import sys
+import time
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from factory.eval.broken_off import result_of_end
+from factory.eval.driven import Driven, write_driven
+from factory.eval.message import Errand, ReportKind
+from factory.eval.message import Order as Drive
+from factory.eval.message import Report as Outcome
+from factory.eval.note import note_of
+from factory.eval.result import EpisodeResult
+from factory.eval.seat import Ended, Seat
+from schemas.terms import FailReason, RendererKind
+from workers import order as worker
+from workers.order import Order, failure
+from workers.pipe import listen, take_stdout
+
+__all__ = ["main"]
+
+_HEAR_S, _TELL_S = 0.1, 1.0
+
+
+def main() -> int:
+    """Serves orders until stdin closes."""
+    parser = argparse.ArgumentParser(prog="factory.eval.station", description="Drives policies for a worker.")
+    parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
+    renderer = cast(RendererKind, parser.parse_args().renderer)
+    out, lines = take_stdout(), listen(0)
+    station = _Station(renderer, out)
+    try:
+        station.tell(worker.Report(kind=worker.ReportKind.READY, renderer=f"{renderer}, with the first episode"))
+        while True:
+            station.serve(Order.model_validate_json(lines.get()))
+    except BrokenPipeError:
+        return 0  # nobody listens any more
+
+
+class _Station:
+    """Keeps one seat, for the campaign that was served last."""
+
+    def __init__(self, renderer: RendererKind, out: BinaryIO) -> None:
+        self._renderer, self._out = renderer, out
+        self._seat: Seat | None = None
+
+    def tell(self, report: worker.Report) -> None:
+        """Tells the worker."""
+        self._out.write(worker.to_line(report))
+
+    def serve(self, order: Order) -> None:
+        """Does one order and tells what came of it."""
+        begun = time.monotonic()
+        errand = Errand.model_validate_json(order.errand or "")
+        seat = self._seat_for(errand)
+        drive = errand.order(order.job.index, order.scene_path)
+        seat.give(drive)
+        heard = self._wait(seat)
+        seat.order_at_hand = None
+        result = _result(heard, drive, errand, seat)
+        if isinstance(result, worker.Report):
+            self.tell(result)
+        else:
+            note = note_of(drive.policy, seat.made[drive.policy], seat.renderer)
+            self.tell(_seal(Driven(result=result, note=note), order.bundle_path, time.monotonic() - begun))
+
+    def _seat_for(self, errand: Errand) -> Seat:
+        setup = errand.setup.model_copy(update={"renderer": self._renderer})
+        if self._seat is None or self._seat.setup != setup:
+            if self._seat is not None:
+                self._seat.kill()
+            self._seat = Seat(setup)
+        return self._seat
+
+    def _wait(self, seat: Seat) -> Outcome | Ended:
+        """Returns what came of the order at hand; the worker hears meanwhile that it goes on."""
+        told = time.monotonic()
+        while True:
+            heard = seat.hear(_HEAR_S)
+            if heard is not None:
+                return heard
+            if time.monotonic() - told > _TELL_S:
+                told = time.monotonic()
+                self.tell(worker.Report(kind=worker.ReportKind.PROGRESS, step=seat.steps))
+
+
+def _result(heard: Outcome | Ended, drive: Drive, errand: Errand, seat: Seat) -> EpisodeResult | worker.Report:
+    """Returns the result of a drive, or what is wrong with this machine, its way to a server, or the errand."""
+    if isinstance(heard, Ended):
+        if heard.fault is not None and drive.policy in seat.made:
+            return result_of_end(drive, heard.detail, heard.fault, heard.state, errand.setup.settings.task)
+        where = "" if heard.fault is None else f"policy {drive.policy} cannot be made: "
+        return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
+    if heard.result is not None:
+        return heard.result
+    is_of_this_machine = heard.kind is ReportKind.AWAY or heard.number != drive.number
+    return failure(FailReason.RELEASED if is_of_this_machine else FailReason.CRASH, heard.detail)
+
+
+def _seal(driven: Driven, path: Path, seconds: float) -> worker.Report:
+    """Leaves a bundle, whole or not at all."""
+    part = Path(f"{path}.part")
+    try:
+        with part.open("w+b") as file:
+            write_driven(driven, file)
+            size = file.seek(0, os.SEEK_END)
+            file.seek(0)
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            os.fsync(file.fileno())
+        part.rename(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        return failure(FailReason.RELEASED, f"cannot write {part.name}: {error.strerror}", seconds=seconds)
+    step = driven.result.num_steps
+    return worker.Report(kind=worker.ReportKind.SUCCESS, step=step, sha256=sha256, size=size, seconds=seconds)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
