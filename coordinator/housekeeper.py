@@ -30,6 +30,11 @@ class Housekeeper:
         self._thread = threading.Thread(target=self._run, name="housekeeper")
         self._thread.start()
 
+    @property
+    def is_alive(self) -> bool:
+        """Whether its thread runs."""
+        return self._thread.is_alive()
+
     def close(self) -> None:
         """Ends after the chore in hand."""
         self._stop.set()

@@ -43,7 +43,7 @@ class Node:
         listen: endpoints; port 0 takes a free one.
         configure: gives the session's configuration, again whenever it is opened.
         admitted: looks who is admitted now.
-        declare: declares on a fresh session what it serves.
+        declare: declares on a fresh session what it serves; by default nothing.
 
     Raises:
         WorldError: an endpoint cannot be listened on.
@@ -54,7 +54,7 @@ class Node:
         listen: Sequence[str],
         configure: Configure,
         admitted: Callable[[], Admitted],
-        declare: Callable[[zenoh.Session], None],
+        declare: Callable[[zenoh.Session], None] = lambda _session: None,
     ) -> None:
         os.environ.setdefault("ZENOH_RUNTIME", _RX_THREADS)  # two receiving threads freeze when two clients block
         _raise_file_limit()

@@ -111,6 +111,12 @@ class Pullers:
             self._busy.add(pull.job.index)
         self._queue.put(pull)
 
+    @property
+    def waiting(self) -> int:
+        """Bundles that are queued or under way."""
+        with self._guard:
+            return len(self._busy)
+
     def close(self) -> None:
         """Stops at the next chunk; part files are removed."""
         self._stop.set()

@@ -16,6 +16,7 @@ from coordinator.archive import Archive
 from coordinator.draw import to_job
 from coordinator.ledger import planned_of
 from coordinator.ledger_claims import grant_grace
+from coordinator.ledger_keepers import all_keepers, bring_home
 from coordinator.ledger_outcomes import adopt, lose
 from coordinator.place import Place, at_hand
 from coordinator.protocol import Terms
@@ -58,14 +59,18 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
     result.quarantined += [archive.quarantine(path, "no episode by its name") for path in archive.foreign()]
     with engine.begin() as connection:
         owned = {row.idx: row.size for row in connection.execute(select(episodes.c.idx, episodes.c.size))}
-        for index in sorted(owned.keys() - present.keys()):
+        away = all_keepers(connection)
+        for index in sorted(owned.keys() - present.keys() - away.keys()):
             _requeue(connection, index, now, "its file is gone", result)
         for index in sorted(owned.keys() & present.keys()):
             size = present[index].stat().st_size
             if size != owned[index]:
                 reason = f"{size} bytes, the ledger says {owned[index]}"
                 result.quarantined.append(archive.quarantine(present[index], reason))
-                _requeue(connection, index, now, reason, result)
+                if index not in away:
+                    _requeue(connection, index, now, reason, result)
+            elif index in away:
+                bring_home(connection, index)  # `factory gather` was cut off between file and ledger
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     strays = {index: path for index, path in present.items() if index not in owned}
     if strays:

@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
+from typing import Protocol
 
 from coordinator.meters import Meter, Meters
 from coordinator.writer import Writer
 from schemas.errors import FactoryError
 from schemas.wire import Progress
 
-__all__ = ["Snapshot", "Vitals"]
+__all__ = ["Snapshot", "Vitals", "Watched"]
 
 _COMMIT_S = 5.0
 _FRESH_S = 1.0
@@ -23,15 +24,29 @@ _FRESH_S = 1.0
 class Snapshot:
     """Figures of one moment."""
 
-    progress: Progress
+    progress: Progress | None
+    """Of the run; a gateway does not know it."""
     frames: int
-    """Archived, over all episodes."""
+    """Archived, over all episodes of the ledger."""
     sums: Mapping[Meter, float]
     requests: Mapping[str, int]
     free_bytes: int
     reserve_bytes: int
     backlog: int
     """Requests that wait for the ledger's writer."""
+
+
+class Watched(Protocol):
+    """A process that serves for long, as status pages ask it."""
+
+    def is_alive(self) -> bool:
+        """Whether what everything goes through still runs; if not, only a restart helps."""
+
+    def troubles(self) -> tuple[str, ...]:
+        """Returns why it cannot serve now, in words; nothing when it can."""
+
+    def snapshot(self) -> Snapshot:
+        """Returns the figures."""
 
 
 class Vitals:

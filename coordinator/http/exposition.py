@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from coordinator.meters import Meter
 from coordinator.vitals import Snapshot
 from schemas.errors import UsageError
+from schemas.wire import Progress
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
@@ -62,11 +63,11 @@ class Exposition:
     def collect(self) -> Iterator[Metric]:
         """Yields every metric; called by the registry."""
         snapshot = self._snapshot()
-        yield from self._of_ledger(snapshot)
+        if snapshot.progress is not None:
+            yield from self._of_ledger(snapshot, snapshot.progress)
         yield from self._of_process(snapshot)
 
-    def _of_ledger(self, snapshot: Snapshot) -> Iterator[Metric]:
-        progress = snapshot.progress
+    def _of_ledger(self, snapshot: Snapshot, progress: Progress) -> Iterator[Metric]:
         yield self._gauges("minivla_jobs", "Episodes by the state of their current draw.", "state", progress.jobs)
         cells = {
             (scene, state): count for scene, states in progress.by_scene.items() for state, count in states.items()
@@ -77,6 +78,8 @@ class Exposition:
         yield by_scene
         yield self._gauge("minivla_episodes_planned", "Episodes of the plan.", progress.planned)
         yield self._gauge("minivla_episodes", "Episodes archived.", progress.jobs.get("archived", 0))
+        kept = progress.by_gateway
+        yield self._gauges("minivla_gateway_episodes", "Of these, those that a gateway keeps.", "gateway", kept)
         yield self._gauge("minivla_frames", "Frames archived.", snapshot.frames)
         yield self._gauges("minivla_attempts", "Attempts by outcome.", "outcome", progress.attempts)
         yield self._gauge("minivla_draws_given_up", "Draws replaced as hopeless.", progress.redrawn)

@@ -18,14 +18,14 @@ import structlog
 
 from coordinator.http.address import HttpAddress
 from coordinator.http.exposition import Exposition
-from coordinator.vitals import Vitals
+from coordinator.vitals import Watched
 from schemas.errors import WorldError
 
 __all__ = ["StatusServer"]
 
 _PATIENCE_S = 5.0
 _MOST_AT_A_TIME = 16
-_INDEX = "minivla-factory coordinator: /healthz /readyz /metrics\n"
+_INDEX = "minivla-factory: /healthz /readyz /metrics\n"
 _PLAIN = "text/plain; charset=utf-8"
 
 log = structlog.get_logger(__name__)
@@ -38,7 +38,7 @@ class StatusServer:
 
     Args:
         address: where to listen.
-        vitals: of the coordinator.
+        vitals: of the coordinator, or of a gateway.
         token: that `/metrics` asks for as `Authorization: Bearer TOKEN`; `None` asks for none.
 
     Raises:
@@ -46,7 +46,7 @@ class StatusServer:
         UsageError: the extra `metrics` is not installed.
     """
 
-    def __init__(self, address: HttpAddress, vitals: Vitals, token: str | None = None) -> None:
+    def __init__(self, address: HttpAddress, vitals: Watched, token: str | None = None) -> None:
         pages = _Pages(vitals, token)
         try:
             self._server = _Server(address, pages)
@@ -80,7 +80,7 @@ class StatusServer:
 class _Pages:
     """What is answered to which path."""
 
-    def __init__(self, vitals: Vitals, token: str | None) -> None:
+    def __init__(self, vitals: Watched, token: str | None) -> None:
         self._vitals = vitals
         self._token = token
         self._exposition = Exposition(vitals.snapshot)
@@ -107,7 +107,7 @@ class _Pages:
     def _health(self) -> Page:
         if self._vitals.is_alive():
             return _say(HTTPStatus.OK, "ok")
-        return _say(HTTPStatus.SERVICE_UNAVAILABLE, "the ledger's writer has ended")
+        return _say(HTTPStatus.SERVICE_UNAVAILABLE, "the thread that everything goes through has ended; restart it")
 
     def _readiness(self) -> Page:
         troubles = self._vitals.troubles()

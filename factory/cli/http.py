@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from coordinator.vitals import Vitals
+from coordinator.vitals import Watched
 from schemas.errors import UsageError
 
 __all__ = ["http_options", "status_pages"]
@@ -33,7 +33,7 @@ def http_options(command: Command) -> Command:
 
 
 @contextmanager
-def status_pages(vitals: Vitals, http: str | None, token_file: Path | None) -> Iterator[None]:
+def status_pages(vitals: Watched, http: str | None, token_file: Path | None) -> Iterator[None]:
     """Serves status pages during the block, if wanted.
 
     Args:

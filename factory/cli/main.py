@@ -22,6 +22,8 @@ _COMMANDS: Mapping[str, str] = MappingProxyType(
         "run": "factory.cli.run",
         "plan": "factory.cli.plan",
         "coordinator": "factory.cli.coordinator",
+        "gateway": "factory.cli.gateway",
+        "gather": "factory.cli.gather",
         "worker": "factory.cli.worker",
         "status": "factory.cli.status",
         "jobs": "factory.cli.jobs",

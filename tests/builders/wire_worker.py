@@ -67,6 +67,12 @@ class WireWorker:
         self._session.declare_queryable(bundle_key(run, self.sid), self._serve)
         self._token = self._session.liveliness().declare_token(alive_key(run, self.sid))
 
+    @property
+    def via(self) -> str | None:
+        """The router it is connected to."""
+        routers = self._session.info.routers_zid()
+        return str(routers[0]) if routers else None
+
     def ask(self, verb: Verb | str, message: Model | bytes, answer: type[M]) -> M | Refusal | None:
         """Returns the reply; `None` when the outcome is unknown."""
         payload = message if isinstance(message, bytes) else message.model_dump_json()
@@ -110,7 +116,7 @@ class WireWorker:
     def deliver(self, lease: Lease, bundle: bytes, sha256: str | None = None) -> bool:
         """Spools a bundle and announces it."""
         digest = sha256 or hashlib.sha256(bundle).hexdigest()
-        done = Done(sid=self.sid, lease=lease, sha256=digest, size=len(bundle))
+        done = Done(sid=self.sid, lease=lease, sha256=digest, size=len(bundle), via=self.via)
         self.spool[lease.job_id, lease.fence] = done, bundle
         reply = self.ask(Verb.DONE, done, Ack)
         return isinstance(reply, Ack) and reply.accepted
@@ -125,6 +131,7 @@ class WireWorker:
             sid=self.sid,
             live=tuple(LeaseProgress(lease=lease, step=5) for lease in live),
             spool=tuple(done.lease for done, _ in self.spool.values()),
+            via=self.via,
         )
         reply = self.ask(Verb.BEAT, beat, BeatReply)
         assert isinstance(reply, BeatReply)

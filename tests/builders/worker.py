@@ -28,7 +28,7 @@ def fake_command(folder: Path, *more: str) -> tuple[str, ...]:
 def settings_for(endpoint: str, folder: Path, **changes: Any) -> WorkerSettings:
     """Returns the settings of a quick worker that keeps everything under `folder`."""
     values: dict[str, Any] = {
-        "connect": (endpoint,),
+        "connect": tuple(endpoint.split(",")),
         "spool_dir": folder / "spool",
         "scene_dir": folder / "scenes",
         "host": "test-host",

@@ -1,0 +1,103 @@
+"""`factory gateway`: a router with a directory of its own, between workers and a coordinator far away."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import click
+
+from coordinator.disk import require_room
+from coordinator.gateway import Gateway
+from coordinator.settings import CoordinatorSettings
+from coordinator.tls import Guard, read_credentials
+from factory.cli.http import http_options, status_pages
+from factory.cli.options import tls_option, verbose_option
+from factory.listen import require_loopback, require_tls_endpoints
+from factory.logs import configure_logs
+from schemas.errors import TransientError, UsageError
+from schemas.identity import require_host_name
+from workers.host import tidy_host
+from workers.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+_LISTEN, _TLS_LISTEN = ("tcp/127.0.0.1:7448",), ("tls/0.0.0.0:7447",)
+_POLL_S = 0.5
+
+
+@click.group("gateway")
+def command() -> None:
+    """Archive what many workers bring on another machine than the coordinator's."""
+
+
+@command.command("start")
+@click.option("--connect", multiple=True, required=True, metavar="ENDPOINT", help="The coordinator.")
+@click.option(
+    "--out",
+    "root",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Directory of this gateway; taken up again.",
+)
+@click.option(
+    "--listen",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Where workers connect; port 0 takes a free one. Default tcp/127.0.0.1:7448, with --tls tls/0.0.0.0:7447.",
+)
+@click.option("--name", help="Name of this gateway; default: the machine's, with --tls the one in the certificate.")
+@tls_option
+@http_options
+@verbose_option
+def start(
+    connect: tuple[str, ...],
+    root: Path,
+    listen: tuple[str, ...],
+    name: str | None,
+    tls: Path | None,
+    http: str | None,
+    http_token: Path | None,
+    verbose: bool,
+) -> int:
+    """Let workers in, fetch and validate what they bring, keep it in DIR, and tell the coordinator; until stopped.
+
+    The coordinator keeps the ledger and gives the jobs out; no episode passes through it. When the run is finished,
+    `factory gather` brings the episodes of all gateways together.
+    """
+    configure_logs(verbose)
+    guard, name, listen = _door(tls, name, connect, listen)
+    settings = CoordinatorSettings()
+    require_room(root, settings.reserve_bytes)
+    with stop_on_signals() as (stop, _):
+        try:
+            with (
+                Gateway(root, name, connect, listen, settings, guard=guard, stop=stop) as gateway,
+                status_pages(gateway, http, http_token),
+            ):
+                click.echo(f"gateway {name} of run {gateway.run}, keeping episodes in {root}", err=True)
+                for endpoint in gateway.endpoints:
+                    click.echo(f"factory worker --cores 2 --connect {endpoint}")
+                while not stop.wait(_POLL_S):
+                    pass
+        except TransientError:
+            if not stop.is_set():
+                raise
+            click.echo(f"stopped before the coordinator at {', '.join(connect)} had answered", err=True)
+            return 130
+    click.echo(f"stopped; its episodes lie in {root}", err=True)
+    return 0
+
+
+def _door(
+    tls: Path | None, name: str | None, connect: tuple[str, ...], listen: tuple[str, ...]
+) -> tuple[Guard | None, str, tuple[str, ...]]:
+    """Returns who is let in, under which name the core knows this gateway, and where it listens."""
+    if tls is None:
+        require_loopback(listen)
+        return None, require_host_name(name or tidy_host(socket.gethostname())), listen or _LISTEN
+    require_tls_endpoints((*connect, *listen))
+    certified = read_credentials(tls)[1]
+    if name not in (None, certified):
+        raise UsageError(f"the certificate in {tls} is of {certified!r}, not of {name!r}: leave out --name")
+    return Guard(tls, of_gateway=True), certified, listen or _TLS_LISTEN

@@ -1,0 +1,71 @@
+"""`factory gather`: one dataset out of what several gateways keep."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+from rich.progress import Progress
+
+from coordinator.gather import GatherReport, gather
+from factory.cli.options import ledger_option
+from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.logs import configure_logs
+from factory.patient import examine
+from factory.settings import scene_cache
+
+__all__ = ["command"]
+
+_LISTED = 20
+
+
+@click.command("gather")
+@click.argument("root", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
+@click.argument(
+    "sources", metavar="[GATEWAY_DIR]...", nargs=-1, type=click.Path(path_type=Path, exists=True, file_okay=False)
+)
+@click.option(
+    "--requeue-missing", is_flag=True, help="Give up what is found nowhere; it is made anew, with the same content."
+)
+@ledger_option
+@json_option
+def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger: str | None, as_json: bool) -> int:
+    """Copy the episodes that gateways keep into the coordinator's DIR, each compared with the ledger.
+
+    No coordinator may run on DIR. GATEWAY_DIR is the --out of a gateway, or a copy of it; nothing there is changed.
+    With all of them DIR is the whole dataset; with some, run it again for the others. Exit 1 when some are missing.
+    """
+    configure_logs()
+    with Progress(console=stderr, transient=True) as bar:
+        task = bar.add_task("gathering", total=None)
+        patient = examine(
+            root, root, None, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+        )
+        report = gather(
+            patient,
+            sources,
+            datetime.now(UTC),
+            requeue_missing=requeue_missing,
+            tell=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        _print(report)
+    return 1 if report.missing and not report.requeued else 0
+
+
+def _print(report: GatherReport) -> None:
+    if report.missing:
+        rows = [(one.episode, one.gateway, one.why) for one in report.missing[:_LISTED]]
+        print_table("", ("missing", "gateway", "why"), rows)
+    more = f" (the first {_LISTED} are listed)" if len(report.missing) > _LISTED else ""
+    click.echo(
+        f"{report.dataset}: {report.gathered} episodes gathered, {len(report.missing)} missing{more}; "
+        f"{report.episodes} of {report.planned} lie there"
+    )
+    if report.requeued:
+        click.echo(f"make the missing ones with: factory run --out {report.dataset}", err=True)
+    elif report.missing:
+        click.echo("give the directories of those gateways too, or --requeue-missing when they are lost", err=True)
