@@ -41,7 +41,7 @@ _REMEDIES = (
     ("401", "check the credentials in the environment"),
     ("403", "check the credentials in the environment, and that they may read, write, list and delete there"),
     ("501", "the store must know conditional writes (If-None-Match), so that no episode is ever overwritten"),
-    ("cannot be reached", "check the network and AWS_ENDPOINT_URL; the run goes on when the store answers"),
+    ("cannot be reached", "check the network and AWS_ENDPOINT_URL, then try again"),
 )
 
 

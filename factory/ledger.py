@@ -9,6 +9,7 @@ from pathlib import Path
 from coordinator.ledger import LEDGER_FILE, holds_run, ledger_url_of, read_info
 from coordinator.look import Connection, look_into
 from coordinator.progress import read_progress
+from factory.site import Site, site_of
 from schemas.errors import UsageError
 from schemas.plan import Plan
 from schemas.wire import Progress
@@ -16,27 +17,30 @@ from schemas.wire import Progress
 __all__ = ["plan_of", "progress_of", "read_ledger"]
 
 
-def read_ledger(root: Path, url: str | None = None) -> AbstractContextManager[Connection]:
+def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Connection]:
     """Opens the ledger of a dataset for reading.
 
     Raises:
         UsageError: there is no such directory.
         WorldError: the directory holds no ledger.
     """
-    if url is None and not root.is_dir():
-        raise UsageError(f"no directory {root}; start a run with `factory run demo --out {root}`")
-    return look_into(ledger_url_of(root, url))
+    if url is None and not site.home.is_dir():
+        what = (
+            f"no directory {site.home}" if site.store is None else f"no ledger of {site} on this machine ({site.home})"
+        )
+        raise UsageError(f"{what}; start a run with `factory run demo --out {site}`")
+    return look_into(ledger_url_of(site.home, url))
 
 
-def plan_of(root: Path) -> Plan | None:
+def plan_of(home: Path) -> Plan | None:
     """Returns the plan a directory was begun with, or `None` when it holds no ledger."""
-    if not (root / LEDGER_FILE).is_file():
+    if not (home / LEDGER_FILE).is_file():
         return None
-    with read_ledger(root) as connection:
+    with read_ledger(site_of(home)) as connection:
         return read_info(connection).plan if holds_run(connection) else None
 
 
-def progress_of(root: Path, url: str | None = None) -> Progress:
+def progress_of(site: Site, url: str | None = None) -> Progress:
     """Returns where the run of a directory stands."""
-    with read_ledger(root, url) as connection:
+    with read_ledger(site, url) as connection:
         return read_progress(connection, datetime.now(UTC))

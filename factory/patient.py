@@ -6,7 +6,7 @@ What is missing is built again in the user's cache, and used only when it comes 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from coordinator.archive import SCENES
@@ -15,7 +15,7 @@ from coordinator.dataset_meta import read_dataset_meta
 from coordinator.engine import ledger_trouble
 from coordinator.ledger import ledger_url_of, read_info
 from coordinator.look import look_into
-from coordinator.place import Place
+from coordinator.place import Place, at_hand
 from coordinator.repair import Patient
 from factory.catalog import open_catalog
 from factory.packages import package_file
@@ -100,12 +100,15 @@ def _catalog(record: _Record, root: Place, cache: Path, tell: Listener) -> tuple
 
 def _kept(path: Place, sha256: str) -> SceneEntry | str:
     try:
-        entry = read_entry(package_file(path))
+        with at_hand(path) as package:
+            entry = read_entry(package)
     except FileNotFoundError:
         return f"{path.name} is not there"
     except (InvalidBundle, OSError) as error:
         return f"{path.name} is damaged: {error}"
-    return entry if entry.sha256 == sha256 else f"{path.name} has SHA-256 {entry.sha256}, recorded {sha256}"
+    if entry.sha256 != sha256:
+        return f"{path.name} has SHA-256 {entry.sha256}, recorded {sha256}"
+    return replace(entry, path=package_file(path))
 
 
 def _built_again(record: _Record, troubles: Mapping[str, str], cache: Path, tell: Listener) -> dict[str, SceneEntry]:

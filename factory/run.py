@@ -20,6 +20,7 @@ import structlog
 from coordinator.catalog import Catalog
 from coordinator.dataset_meta import GateOutcome
 from coordinator.disk import require_room
+from coordinator.object_path import ObjectPath
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import write_target_lists
@@ -48,12 +49,15 @@ class LocalRun:
     plan: Plan
     catalog: Catalog
     root: Path
+    """Dataset directory, or with `store` the home of what cannot lie there."""
     workers: int
     """Worker processes, one simulation each."""
     renderer: RendererKind = "auto"
     verbose: bool = False
     gate: tuple[GateOutcome, ...] = ()
     """What the pilot found before the run."""
+    store: ObjectPath | None = None
+    """Where the dataset lies, when in object storage."""
 
 
 def run_locally(
@@ -73,8 +77,10 @@ def run_locally(
     """
     require_expert(run.plan.expert)
     require_room(run.root, settings.reserve_bytes)
-    with Coordinator(run.root, run.plan, run.catalog, _LISTEN, settings=settings, gate=run.gate) as coordinator:
-        write_target_lists(run.catalog, run.root)
+    with Coordinator(
+        run.root, run.plan, run.catalog, _LISTEN, settings=settings, gate=run.gate, store=run.store
+    ) as coordinator:
+        write_target_lists(run.catalog, run.store or run.root)
         progress = coordinator.progress()
         tell(progress)
         if progress.finished:

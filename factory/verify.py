@@ -6,11 +6,9 @@ Reads only, needs no ledger, prints nothing; finds all, never stops at the first
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -22,6 +20,7 @@ from coordinator.dataset_card import CARD_FILE
 from coordinator.dataset_meta import META_FILE, DatasetMeta
 from coordinator.dataset_tables import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.draw import cells
+from coordinator.place import Place, at_hand, children, table_of
 from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
 from factory.scenes.target_list import list_file_name
@@ -39,7 +38,7 @@ _CHECKS_AT_A_TIME = 4
 
 
 def verify(
-    root: Path, deep: bool = False, on_progress: Progress = lambda _done, _all: None, processes: int = 1
+    root: Place, deep: bool = False, on_progress: Progress = lambda _done, _all: None, processes: int = 1
 ) -> Report:
     """Checks a whole dataset.
 
@@ -112,10 +111,10 @@ def _carry_out(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Find
         yield from pool.map(check_episode, checks, chunksize=_CHECKS_AT_A_TIME if len(checks) > 100 else 1)
 
 
-def _check_listing(root: Path, rows: Rows, report: Report) -> None:
-    for entry in _entries(root / EPISODES):
+def _check_listing(root: Place, rows: Rows, report: Report) -> None:
+    for entry in children(root / EPISODES):
         name = f"{EPISODES}/{entry.name}"
-        index = index_of_file(entry.name) if entry.is_file(follow_symlinks=False) else None
+        index = index_of_file(entry.name) if entry.is_file() and not entry.is_symlink() else None
         if index is None:
             report.add(Kind.FOREIGN, name, "is no episode by its name")
         elif episode_id(index) not in rows:
@@ -123,18 +122,10 @@ def _check_listing(root: Path, rows: Rows, report: Report) -> None:
                 Kind.SURPLUS, name, f"{METADATA_FILE} does not name it (while a run is under way, it lags behind)"
             )
     known = {EPISODES, SCENES, META_FILE, METADATA_FILE, ATTEMPTS_FILE, CARD_FILE, QUARANTINE}
-    for entry in _entries(root):
+    for entry in children(root):
         is_hidden = entry.name.startswith(".")
         if entry.name not in known and not is_hidden and not entry.name.startswith("ledger."):
             report.add(Kind.FOREIGN, entry.name, "is no part of a dataset")
-
-
-def _entries(directory: Path) -> Iterator[os.DirEntry[str]]:
-    try:
-        with os.scandir(directory) as entries:
-            yield from sorted(entries, key=lambda entry: entry.name)
-    except FileNotFoundError:
-        return
 
 
 def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
@@ -147,8 +138,7 @@ def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
         text = f"dataset digest {meta.dataset_digest}, {METADATA_FILE} gives {dataset.digest}"
         report.add(Kind.CONTRADICTION, META_FILE, text)
     try:
-        attempts = pq.read_metadata(dataset.root / ATTEMPTS_FILE).num_rows
-        pq.read_table(dataset.root / ATTEMPTS_FILE)
+        attempts = pq.read_table(table_of(dataset.root / ATTEMPTS_FILE)).num_rows
     except FileNotFoundError:
         report.add(Kind.MISSING, ATTEMPTS_FILE, "is not there")
     except (pa.ArrowException, OSError) as error:
@@ -160,16 +150,17 @@ def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
         report.add(Kind.MISSING, CARD_FILE, "is not there")
 
 
-def _check_scenes(root: Path, meta: DatasetMeta, report: Report) -> dict[str, SceneEntry]:
+def _check_scenes(root: Place, meta: DatasetMeta, report: Report) -> dict[str, SceneEntry]:
     found: dict[str, SceneEntry] = {}
     expected = {f"{name}-{sha256[:16]}.scene.zip": (name, sha256) for name, sha256 in meta.scenes.items()}
     for_people = {list_file_name(name) for name in meta.scenes}
-    for entry in _entries(root / SCENES):
+    for entry in children(root / SCENES):
         if entry.name not in expected and entry.name not in for_people:
             report.add(Kind.FOREIGN, f"{SCENES}/{entry.name}", f"{META_FILE} does not name it")
     for file, (name, sha256) in expected.items():
         try:
-            scene = read_entry(root / SCENES / file)
+            with at_hand(root / SCENES / file) as package:
+                scene = read_entry(package)
         except FileNotFoundError:
             report.add(Kind.MISSING, f"{SCENES}/{file}", "is not there")
         except (InvalidBundle, OSError) as error:

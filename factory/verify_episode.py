@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from pathlib import Path
 
 from coordinator.catalog import SceneEntry
 from coordinator.dataset_tables import METADATA_FILE
+from coordinator.place import Place, at_hand
 from coordinator.summary import EpisodeSummary, file_name_of, summary_of
 from coordinator.validate import validate
 from factory.verify_report import Finding, Kind
@@ -24,7 +24,7 @@ _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
 class EpisodeCheck:
     """What to check of one episode; travels to another process."""
 
-    root: Path
+    root: Place
     row: EpisodeSummary
     target: Target | None
     """As the scene has it; `None` where the scene could not be read."""
@@ -37,7 +37,7 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
     path = check.root / file_name_of(row.episode_id)
     found: list[Finding] = []
     try:
-        with path.open("rb") as file:
+        with at_hand(path) as local, local.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
             if size != row.file_bytes:

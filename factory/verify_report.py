@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from pathlib import Path
+
+from coordinator.place import Place
 
 __all__ = ["Finding", "Kind", "Report"]
 
@@ -37,7 +38,7 @@ class Finding:
 class Report:
     """What a verification found."""
 
-    root: Path
+    root: Place
     deep: bool
     episodes: int = 0
     """In the tables."""

@@ -10,22 +10,29 @@ import click
 
 from coordinator.disk import require_room
 from coordinator.plan_file import load_plan
-from coordinator.service import DEFAULT_LISTEN, Coordinator
+from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.tls import Guard
 from factory.catalog import open_catalog, write_target_lists
+from factory.cli.door import open_door
 from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.http import http_options, status_pages
-from factory.cli.options import ledger_option, plan_argument, shrink_options, shrunk_plan, tls_option, verbose_option
+from factory.cli.options import (
+    ledger_option,
+    out_option,
+    plan_argument,
+    shrink_options,
+    shrunk_plan,
+    tls_option,
+    verbose_option,
+)
 from factory.ledger import plan_of
-from factory.listen import require_loopback, require_tls_endpoints
 from factory.logs import configure_logs
 from factory.settings import scene_cache
+from factory.site import Site
 from workers.stopping import stop_on_signals
 
 __all__ = ["command"]
 
-_TLS_LISTEN = ("tls/0.0.0.0:7447",)
 _LINGER_S = 5.0
 """How long a finished run is announced, so that every worker hears it and leaves."""
 
@@ -37,7 +44,7 @@ def command() -> None:
 
 @command.command("start")
 @plan_argument(default=None)
-@click.option("--out", "root", required=True, type=click.Path(path_type=Path), help="Dataset directory; resumed.")
+@out_option
 @click.option(
     "--listen",
     multiple=True,
@@ -54,7 +61,7 @@ def command() -> None:
 @verbose_option
 def start(
     plan_name: str | None,
-    root: Path,
+    site: Site,
     listen: tuple[str, ...],
     ledger: str | None,
     lease_ttl_s: float | None,
@@ -72,38 +79,31 @@ def start(
     is handed out.
     """
     configure_logs(verbose)
-    guard, listen = _door(tls, listen)
-    begun = plan_of(root)
+    guard, listen = open_door(tls, listen)
+    begun = plan_of(site.home)
     wanted = load_plan(plan_name) if plan_name is not None else begun or load_plan("demo")
     plan = shrunk_plan(wanted, changes)
     settings = CoordinatorSettings() if lease_ttl_s is None else CoordinatorSettings(lease_ttl_s=lease_ttl_s)
-    require_room(root, settings.reserve_bytes)
+    require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
         gate = hold_gate(plan, catalog, gate_mode if begun is None else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted at the gate; nothing was kept", err=True)
             return 130
         with (
-            Coordinator(root, plan, catalog, listen, ledger, settings, guard=guard, gate=gate) as coordinator,
+            Coordinator(
+                site.home, plan, catalog, listen, ledger, settings, guard=guard, gate=gate, store=site.store
+            ) as coordinator,
             status_pages(coordinator.vitals, http, http_token),
         ):
-            write_target_lists(catalog, root)
+            write_target_lists(catalog, site.place)
             where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
-            click.echo(f"run {coordinator.run} in {root}: {plan.episodes} episodes, listening {where}", err=True)
+            click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
             for endpoint in coordinator.endpoints:
                 click.echo(f"factory worker --cores 2 --connect {endpoint}")
             finished = coordinator.wait(stop=stop)
             if stay or finished:
                 stop.wait(None if stay else _LINGER_S)
-    click.echo("finished" if finished else f"stopped; go on with: factory coordinator start --out {root}", err=True)
+    click.echo("finished" if finished else f"stopped; go on with: factory coordinator start --out {site}", err=True)
     return 0
-
-
-def _door(tls: Path | None, listen: tuple[str, ...]) -> tuple[Guard | None, tuple[str, ...]]:
-    """Returns who is let in, and where: without TLS on loopback only."""
-    if tls is None:
-        require_loopback(listen)
-        return None, listen or DEFAULT_LISTEN
-    require_tls_endpoints(listen)
-    return Guard(tls), listen or _TLS_LISTEN

@@ -14,9 +14,10 @@ from coordinator.ledger_records import JobFilter, count_jobs, list_jobs, read_at
 from coordinator.states import State
 from coordinator.tls import read_credentials
 from factory.cli.episodes import episode_index
-from factory.cli.options import dataset_argument, ledger_option, tls_option
+from factory.cli.options import ledger_option, site_argument, tls_option
 from factory.cli.output import json_option, print_json, print_table
 from factory.ledger import read_ledger
+from factory.site import Site
 from schemas.errors import UsageError
 from schemas.job import episode_id
 from schemas.terms import Split, Tier
@@ -31,7 +32,7 @@ def command() -> None:
 
 
 @command.command("list")
-@dataset_argument
+@site_argument
 @click.option("--state", type=click.Choice([str(state) for state in State]))
 @click.option("--scene")
 @click.option("--tier", type=click.Choice([str(tier) for tier in Tier]))
@@ -40,7 +41,7 @@ def command() -> None:
 @ledger_option
 @json_option
 def list_(
-    root: Path,
+    site: Site,
     state: str | None,
     scene: str | None,
     tier: str | None,
@@ -49,14 +50,14 @@ def list_(
     ledger: str | None,
     as_json: bool,
 ) -> None:
-    """List the jobs of the run in DIR, the current draw of each episode."""
+    """List the jobs of the run in DIR or URL, the current draw of each episode."""
     wanted = JobFilter(
         state=State(state) if state else None,
         scene=scene,
         tier=Tier(tier) if tier else None,
         split=Split(split) if split else None,
     )
-    with read_ledger(root, ledger) as connection:
+    with read_ledger(site, ledger) as connection:
         jobs, total = list_jobs(connection, wanted, limit), count_jobs(connection, wanted)
     if as_json:
         print_json({"total": total, "jobs": [_plain(job) for job in jobs]})
@@ -70,18 +71,18 @@ def list_(
 
 
 @command.command("show")
-@dataset_argument
+@site_argument
 @click.argument("episode")
 @ledger_option
 @json_option
-def show(root: Path, episode: str, ledger: str | None, as_json: bool) -> None:
+def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
     """Show all draws, attempts and events of one EPISODE (`ep_000001` or a number)."""
     index = episode_index(episode)
-    with read_ledger(root, ledger) as connection:
+    with read_ledger(site, ledger) as connection:
         draws = list_jobs(connection, JobFilter(index=index))
         attempts, events = list(read_attempts(connection, index)), list(read_events(connection, index))
     if not draws:
-        raise UsageError(f"the plan of {root} has no {episode_id(index)}")
+        raise UsageError(f"the plan of {site} has no {episode_id(index)}")
     if as_json:
         parts: dict[str, Sequence[object]] = {"draws": draws, "attempts": attempts, "events": events}
         print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
@@ -103,35 +104,35 @@ def show(root: Path, episode: str, ledger: str | None, as_json: bool) -> None:
 
 
 @command.command("retry")
-@dataset_argument
+@site_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Every failed job.")
 @ledger_option
 @tls_option
 @json_option
 def retry(
-    root: Path, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+    site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
 ) -> int:
     """Put failed or cancelled EPISODES back into the queue with fresh budgets."""
-    return _administer(root, AdminAction.RETRY, episodes, everything, ledger, tls, as_json)
+    return _administer(site, AdminAction.RETRY, episodes, everything, ledger, tls, as_json)
 
 
 @command.command("cancel")
-@dataset_argument
+@site_argument
 @click.argument("episodes", nargs=-1)
 @click.option("--all", "everything", is_flag=True, help="Every job that has not ended.")
 @ledger_option
 @tls_option
 @json_option
 def cancel(
-    root: Path, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+    site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
 ) -> int:
     """Give up EPISODES that have not ended; workers that hold one stop with their next beat."""
-    return _administer(root, AdminAction.CANCEL, episodes, everything, ledger, tls, as_json)
+    return _administer(site, AdminAction.CANCEL, episodes, everything, ledger, tls, as_json)
 
 
 def _administer(
-    root: Path,
+    site: Site,
     action: AdminAction,
     names: tuple[str, ...],
     everything: bool,
@@ -146,10 +147,10 @@ def _administer(
     request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
     now = datetime.now(UTC)
     if tls is None:
-        reply = administer(root, request, now, ledger)
+        reply = administer(site.home, request, now, ledger)
     else:
         files, name = read_credentials(tls)
-        reply = administer(root, request, now, ledger, name=name, tls=files)
+        reply = administer(site.home, request, now, ledger, name=name, tls=files)
     if as_json:
         print_json(reply.model_dump(mode="json"))
     else:

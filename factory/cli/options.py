@@ -9,15 +9,19 @@ from typing import Any, TypeVar
 import click
 
 from coordinator.plan_file import shrink
+from factory.cli.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName
 
 __all__ = [
     "dataset_argument",
     "ledger_option",
+    "out_option",
+    "place_argument",
     "plan_argument",
     "shrink_options",
     "shrunk_plan",
+    "site_argument",
     "tls_option",
     "verbose_option",
 ]
@@ -54,11 +58,28 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
     )
 
 
-dataset_argument = click.argument("root", metavar="DIR", type=click.Path(path_type=Path))
+dataset_argument = click.argument("root", metavar="DIR", type=DIRECTORY)
 """DIR: a dataset directory."""
 
+place_argument = click.argument("root", metavar="DIR|URL", type=PLACE)
+"""DIR|URL: a dataset to read, in a directory or in object storage."""
+
+site_argument = click.argument("site", metavar="DIR|URL", type=SITE)
+"""DIR|URL: a run, by where its dataset lies."""
+
+out_option = click.option(
+    "--out",
+    "site",
+    required=True,
+    metavar="DIR|URL",
+    type=SITE,
+    help="Dataset directory, or s3://BUCKET/NAME (gs://, az://), whose ledger and part files then lie in "
+    "MINIVLA_STATE; resumed.",
+)
+"""`--out`: where the dataset is made."""
+
 ledger_option = click.option(
-    "--ledger", metavar="URL", envvar="MINIVLA_LEDGER", help="The ledger, when it is not DIR/ledger.db."
+    "--ledger", metavar="URL", envvar="MINIVLA_LEDGER", help="The ledger, when it is no ledger.db in its own place."
 )
 """`--ledger URL`, or the environment's MINIVLA_LEDGER: a URL may hold a password, which a command line shows to all."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from pathlib import Path
 
 import click
 from rich.progress import Progress
@@ -12,27 +11,35 @@ from coordinator.plan_file import load_plan
 from coordinator.repair import repair
 from coordinator.repair_report import RepairReport
 from coordinator.validator import Validator
-from factory.cli.options import dataset_argument, ledger_option
+from factory.cli.options import ledger_option, site_argument
 from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.logs import configure_logs
 from factory.patient import examine
 from factory.settings import scene_cache
+from factory.site import Site
 
 __all__ = ["command"]
 
 
 @click.command("repair")
-@dataset_argument
+@site_argument
 @click.option(
     "--dry-run", is_flag=True, help="Say what would be done and change nothing; exit 1 when there is something."
 )
 @click.option("--plan", "plan_name", metavar="PLAN", help="The plan it was begun with, when nothing left names it.")
+@click.option(
+    "--take-over",
+    is_flag=True,
+    help="Take a dataset in object storage from another home whose coordinator is gone for good.",
+)
 @ledger_option
 @json_option
-def command(root: Path, dry_run: bool, plan_name: str | None, ledger: str | None, as_json: bool) -> int:
-    """Make files, ledger and tables of DIR agree again; no coordinator may run on it.
+def command(
+    site: Site, dry_run: bool, take_over: bool, plan_name: str | None, ledger: str | None, as_json: bool
+) -> int:
+    """Make files, ledger and tables of a dataset agree again; no coordinator may run on it.
 
-    Whole episodes that the ledger does not know are adopted; files that are no sound episode go to DIR/quarantine;
+    Whole episodes that the ledger does not know are adopted; files that are no sound episode go to its quarantine/;
     episodes that are gone are queued again and come back with the same content; a lost or damaged ledger is rebuilt
     from the plan and the episodes; the tables are written anew. Every file is hashed.
     """
@@ -40,12 +47,15 @@ def command(root: Path, dry_run: bool, plan_name: str | None, ledger: str | None
     plan = load_plan(plan_name) if plan_name is not None else None
     with Progress(console=stderr, transient=True) as bar, Validator() as validator:
         task = bar.add_task("examining", total=None)
-        patient = examine(root, root, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        patient = examine(
+            site.place, site.home, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+        )
         report = repair(
             patient,
             validator,
             datetime.now(UTC),
             apply=not dry_run,
+            take_over=take_over,
             tell=lambda done, total: bar.update(task, completed=done, total=total),
         )
     if as_json:

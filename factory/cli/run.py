@@ -14,13 +14,14 @@ from coordinator.plan_file import load_plan
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
 from factory.cli.gating import GateMode, gate_option, hold_gate
-from factory.cli.options import plan_argument, shrink_options, shrunk_plan, verbose_option
+from factory.cli.options import out_option, plan_argument, shrink_options, shrunk_plan, verbose_option
 from factory.cli.output import json_option, print_json, say_duration, stderr
 from factory.cli.summary import print_summary, summarise
 from factory.ledger import plan_of
 from factory.logs import configure_logs
 from factory.run import LocalRun, run_locally
 from factory.settings import scene_cache
+from factory.site import Site
 from schemas.plan import Plan
 from schemas.terms import RendererKind
 from schemas.wire import Progress
@@ -32,7 +33,7 @@ __all__ = ["command"]
 
 @click.command("run")
 @plan_argument(default=None)
-@click.option("--out", "root", required=True, type=click.Path(path_type=Path), help="Dataset directory; resumed.")
+@out_option
 @click.option("--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one a core.")
 @click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
 @gate_option("auto")
@@ -41,7 +42,7 @@ __all__ = ["command"]
 @verbose_option
 def command(
     plan_name: str | None,
-    root: Path,
+    site: Site,
     workers: int | None,
     renderer: str,
     gate_mode: GateMode,
@@ -55,22 +56,22 @@ def command(
     goes on where it was; no episode is made twice.
     """
     configure_logs(verbose)
-    plan = _choose_plan(plan_name, root, changes)
+    plan = _choose_plan(plan_name, site.home, changes)
     require_expert(plan.expert)
     kind, processes = cast(RendererKind, renderer), workers or os.cpu_count() or 1
     with stop_on_signals() as (stop, _):
-        catalog = open_catalog(plan, root, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
-        gate = hold_gate(plan, catalog, gate_mode if plan_of(root) is None else "skip", kind, processes, stop)
+        catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        gate = hold_gate(plan, catalog, gate_mode if plan_of(site.home) is None else "skip", kind, processes, stop)
         if gate is None:
             click.echo("interrupted at the gate; nothing was kept", err=True)
             return 130
-        run = LocalRun(plan, catalog, root, processes, kind, verbose, gate)
+        run = LocalRun(plan, catalog, site.home, processes, kind, verbose, gate, site.store)
         with _RunBar(plan) as bar:
             progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
     if not progress.finished:
-        click.echo(f"interrupted; go on with: factory run --out {root}", err=True)
+        click.echo(f"interrupted; go on with: factory run --out {site}", err=True)
         return 130
-    summary = summarise(root, progress)
+    summary = summarise(site.place, progress)
     if as_json:
         print_json(summary)
     else:
@@ -78,8 +79,8 @@ def command(
     return 1 if progress.jobs.get("failed", 0) else 0
 
 
-def _choose_plan(name: str | None, root: Path, changes: dict[str, Any]) -> Plan:
-    begun = plan_of(root)
+def _choose_plan(name: str | None, home: Path, changes: dict[str, Any]) -> Plan:
+    begun = plan_of(home)
     wanted = load_plan(name) if name is not None else begun or load_plan("demo")
     return shrunk_plan(wanted, changes)
 

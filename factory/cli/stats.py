@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from factory.cli.options import dataset_argument
+from coordinator.place import Place
+from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json
 from factory.cli.stats_tables import print_statistics
 from factory.logs import configure_logs
@@ -16,10 +15,10 @@ __all__ = ["command"]
 
 
 @click.command("stats")
-@dataset_argument
+@place_argument
 @json_option
-def command(root: Path, as_json: bool) -> int:
-    """Print the statistics of the dataset DIR; exit 1 when something was left out for damage."""
+def command(root: Place, as_json: bool) -> int:
+    """Print the statistics of a dataset; exit 1 when something was left out for damage."""
     configure_logs()
     statistics = measure_dataset(root)
     if as_json:

@@ -15,7 +15,9 @@ from rich.text import Text
 from coordinator.tls import read_credentials
 from factory.cli.options import ledger_option, tls_option
 from factory.cli.output import json_option, print_json, say_duration, stdout
+from factory.cli.places import SITE
 from factory.ledger import progress_of
+from factory.site import Site
 from schemas.errors import UsageError
 from schemas.wire import Progress
 
@@ -25,17 +27,17 @@ _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 
 
 @click.command("status")
-@click.argument("root", metavar="[DIR]", required=False, type=click.Path(path_type=Path))
+@click.argument("site", metavar="[DIR|URL]", required=False, type=SITE)
 @click.option("--connect", metavar="ENDPOINT", help="Ask a running coordinator, e.g. tcp/127.0.0.1:7447.")
 @ledger_option
 @click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
 @tls_option
 @json_option
 def command(
-    root: Path | None, connect: str | None, ledger: str | None, watch: bool, tls: Path | None, as_json: bool
+    site: Site | None, connect: str | None, ledger: str | None, watch: bool, tls: Path | None, as_json: bool
 ) -> None:
-    """Show the progress of the run in DIR, by scene, tier and split, with rate, ETA and workers."""
-    source = _source(root, connect, ledger, tls)
+    """Show the progress of the run in DIR or URL, by scene, tier and split, with rate, ETA and workers."""
+    source = _source(site, connect, ledger, tls)
     if as_json:
         print_json(source().model_dump(mode="json"))
     elif watch:
@@ -44,7 +46,7 @@ def command(
         stdout.print(draw_progress(source()))
 
 
-def _source(root: Path | None, connect: str | None, ledger: str | None, tls: Path | None) -> Callable[[], Progress]:
+def _source(site: Site | None, connect: str | None, ledger: str | None, tls: Path | None) -> Callable[[], Progress]:
     if connect is not None:
         from coordinator.ask import ask_progress
 
@@ -52,9 +54,9 @@ def _source(root: Path | None, connect: str | None, ledger: str | None, tls: Pat
             return lambda: ask_progress((connect,))
         files, name = read_credentials(tls)
         return lambda: ask_progress((connect,), name, files)
-    if root is None:
-        raise UsageError("whose status? give a dataset DIR, or --connect ENDPOINT")
-    return lambda: progress_of(root, ledger)
+    if site is None:
+        raise UsageError("whose status? give a dataset DIR or URL, or --connect ENDPOINT")
+    return lambda: progress_of(site, ledger)
 
 
 def _watch(source: Callable[[], Progress]) -> None:

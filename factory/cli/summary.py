@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
 
+from coordinator.place import Place
 from factory.cli.output import print_table
 from factory.dataset import Dataset
 from schemas.wire import Progress
@@ -14,7 +14,7 @@ from schemas.wire import Progress
 __all__ = ["print_summary", "summarise"]
 
 
-def summarise(root: Path, progress: Progress) -> dict[str, Any]:
+def summarise(root: Place, progress: Progress) -> dict[str, Any]:
     """Returns the facts of a finished run as plain data."""
     dataset = Dataset(root)
     sizes = [path.stat().st_size for path in (root / "episodes").glob("ep_*.zip")]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import click
 from rich.progress import Progress
 
-from factory.cli.options import dataset_argument
+from coordinator.place import Place
+from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, stderr
 from factory.logs import configure_logs
 from factory.verify import Report, verify
@@ -18,11 +18,11 @@ __all__ = ["command"]
 
 
 @click.command("verify")
-@dataset_argument
+@place_argument
 @click.option("--deep", is_flag=True, help="Decode every frame and recompute digests, statistics and motion.")
 @json_option
-def command(root: Path, deep: bool, as_json: bool) -> int:
-    """Check the dataset DIR against its tables, and with --deep against itself; exit 1 on damage."""
+def command(root: Place, deep: bool, as_json: bool) -> int:
+    """Check a dataset against its tables, and with --deep against itself; exit 1 on damage."""
     configure_logs()
     with Progress(console=stderr, transient=True) as bar:
         task = bar.add_task("verifying", total=None)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+from coordinator.place import Place
 from factory.stats import attempts, counts, rollouts
 from factory.stats.model import Statistics
 from factory.stats.rows import Rows, read_rows
@@ -13,7 +12,7 @@ __all__ = ["compute_statistics", "measure_dataset"]
 _LARGEST = 3
 
 
-def measure_dataset(root: Path) -> Statistics:
+def measure_dataset(root: Place) -> Statistics:
     """Returns every table of a dataset directory; what is left out stands in the remarks.
 
     Raises:

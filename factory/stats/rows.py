@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, TypeVar
 
 import pyarrow as pa
@@ -15,6 +14,7 @@ from coordinator.archive import EPISODES
 from coordinator.cells import cells
 from coordinator.dataset_meta import META_FILE, DatasetMeta
 from coordinator.dataset_tables import ATTEMPTS_FILE, METADATA_FILE, FailedAttempt
+from coordinator.place import Place, children, table_of
 from coordinator.summary import EpisodeSummary, file_name_of
 from factory.dataset import Dataset
 from factory.stats.model import Remark
@@ -47,7 +47,7 @@ class Rows:
         self.remarks.append(Remark(is_damage=True, file=file, text=text))
 
 
-def read_rows(root: Path) -> Rows:
+def read_rows(root: Place) -> Rows:
     """Reads the tables of a dataset; rows that are damaged or whose episode is not there are left out and said.
 
     Raises:
@@ -91,11 +91,12 @@ def _without_twins(rows: Rows, episodes: list[EpisodeSummary]) -> list[EpisodeSu
     return list(first.values())
 
 
-def _with_files(rows: Rows, root: Path) -> list[EpisodeSummary]:
-    if rows.episodes and not (root / EPISODES).is_dir():
+def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
+    found = {f"{EPISODES}/{place.name}": place for place in children(root / EPISODES)}
+    if rows.episodes and not found and not (root / EPISODES).is_dir():
         rows.note(EPISODES, "is not there; the statistics rest on the tables alone")
         return rows.episodes
-    sizes = {row.episode_id: _size_of(root, row) for row in rows.episodes}
+    sizes = {row.episode_id: _size_of(found.get(file_name_of(row.episode_id))) for row in rows.episodes}
     missing = [name for name, size in sizes.items() if size is None]
     cut = [
         f"{row.episode_id} ({sizes[row.episode_id]} bytes, recorded {row.file_bytes})"
@@ -109,16 +110,16 @@ def _with_files(rows: Rows, root: Path) -> list[EpisodeSummary]:
     return [row for row in rows.episodes if sizes[row.episode_id] == row.file_bytes]
 
 
-def _size_of(root: Path, row: EpisodeSummary) -> int | None:
+def _size_of(place: Place | None) -> int | None:
     try:
-        return (root / file_name_of(row.episode_id)).stat().st_size
+        return None if place is None else place.stat().st_size
     except OSError:
         return None
 
 
-def _read_failures(rows: Rows, path: Path) -> list[FailedAttempt] | None:
+def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
     try:
-        table = pq.read_table(path).select(list(FailedAttempt.model_fields))
+        table = pq.read_table(table_of(path)).select(list(FailedAttempt.model_fields))
     except FileNotFoundError:
         rows.blame(ATTEMPTS_FILE, "is not there; attempts are left out; a resumed run writes it anew")
     except (pa.ArrowException, OSError, KeyError) as error:
