@@ -5,6 +5,7 @@ Every result is archived once, then taken into the results; a campaign that was 
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import threading
 from collections.abc import Callable
@@ -88,6 +89,8 @@ def run_fleet(
     if is_over:
         _require_whole(root, store)
         shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
+        with contextlib.suppress(OSError):
+            root.parent.rmdir()  # unless another campaign is waiting there
     return is_over
 
 

@@ -22,6 +22,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("words", "said"),
     [
         ((), "give the dataset and a policy"),
+        (("--listen", "tcp/127.0.0.1:0"), "give -o OUT"),
+        (("--listen", "tcp/127.0.0.1:0", "-o", "out", "--workers", "2"), "start `factory worker`s"),
+        (("--tls", "pki"), "leave it out"),
         (("--policy", "oracle"), "no policy 'oracle'; there are expert"),
         (("--policy", "expert:best"), "no expert 'best'"),
         (("--policy", "stop"), "no episodes but for training; say --split all"),

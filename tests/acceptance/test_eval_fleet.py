@@ -1,0 +1,98 @@
+"""`factory eval --listen`: an evaluation by workers, whatever is killed meanwhile, has the numbers of one machine."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
+from tests.builders.evaluation import archive_drives
+
+POLICIES = ("expert", "replay", "random")
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of two drives in a room of boxes."""
+    return archive_drives(tmp_path_factory.mktemp("drives") / "dataset", episodes=2)
+
+
+@pytest.fixture(scope="module")
+def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both as episodes of evaluation, cut short."""
+    path = tmp_path_factory.mktemp("specs") / "specs.json"
+    factory("eval", "specs", drives, "--split", "all", "-o", path)
+    data = json.loads(path.read_text())
+    data["settings"]["task"]["max_steps"] = 60
+    path.write_text(json.dumps(data))
+    return path
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """An address that stays the same when the evaluation is started again."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def rows_in(out: Path) -> Iterator[dict[str, Any]]:
+    """Yields the finished episodes, without the clocks."""
+    for log in sorted(out.glob("policies/*/episodes.jsonl")):
+        for line in log.read_bytes().splitlines(keepends=True):
+            if line.endswith(b"\n"):
+                yield {name: value for name, value in json.loads(line).items() if name not in {"act_ms", "seconds"}}
+
+
+def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
+    """Returns the episodes by policy and spec; each must be there once."""
+    rows = list(rows_in(out))
+    found = {(row["policy"], row["spec_id"]): row for row in rows}
+    assert len(found) == len(rows)
+    return found
+
+
+def test_killed_workers_and_coordinators_lose_no_episode_and_double_none(
+    factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
+) -> None:
+    words: tuple[object, ...] = ("eval", "--data", drives, "--specs", specs, "--videos", 0)
+    words += tuple(word for policy in POLICIES for word in ("--policy", policy))
+    worker = ("worker", "--cores", 1, "--connect", endpoint, "--spool", tmp_path / "spool", "--wait", 120)
+    out, calm = tmp_path / "fleet", tmp_path / "calm"
+
+    run = factory.start(*words, "--listen", endpoint, "-o", out)
+    first = factory.start(*worker)
+    wait_for(lambda: len(list(rows_in(out))) >= 1)
+    kill_group(first)
+    second = factory.start(*worker)
+    wait_for(lambda: len(list(rows_in(out))) >= 2)
+    kill_group(run)
+    done = len(list(rows_in(out)))
+    assert done < 6
+    run = factory.start(*words, "--listen", endpoint, "-o", out)
+    said, log = run.communicate(timeout=240)
+    assert run.returncode == 0, log
+    assert "All episodes" in said
+    assert second.wait(60) == 0  # it was told that all is done
+    factory(*words, "--workers", 1, "-o", calm)
+
+    assert by_name(out) == by_name(calm)
+    assert len(by_name(out)) == 6
+    assert [path.name for path in sorted(out.iterdir())] == [path.name for path in sorted(calm.iterdir())]
+
+
+def test_a_policy_that_no_worker_can_make_ends_the_evaluation_with_the_reason(
+    factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
+) -> None:
+    words = ("eval", "--data", drives, "--specs", specs, "--episodes", 1, "--policy", "nowhere.to_be:Found")
+    run = factory.start(*words, "--listen", endpoint, "-o", tmp_path / "out")
+    factory.start("worker", "--connect", endpoint, "--spool", tmp_path / "spool", "--wait", 120)
+    _, log = run.communicate(timeout=240)
+    assert run.returncode == 1
+    assert "No module named 'nowhere'" in log
+    assert "run the same command again" in log
