@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from PIL import Image
+from paper_tree import Paper, mean_commands, psnr
 
 RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
 LEAST_PSNR_DB = 30.0
@@ -29,28 +29,6 @@ RECORDED_HZ = 60
 def say(text: str) -> None:
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
-
-
-class Paper:
-    """The tree of the paper, as the truth."""
-
-    def __init__(self, root: Path) -> None:
-        self.episodes = root / "episodes"
-
-    def meta(self, name: str) -> dict:
-        return json.loads((self.episodes / name / "meta.json").read_text())
-
-    def rgb(self, name: str, t: int) -> np.ndarray:
-        return np.asarray(Image.open(self.episodes / name / f"rgb_front/{t:06d}.png"))
-
-    def depth(self, name: str, t: int) -> np.ndarray:
-        return np.load(self.episodes / name / f"depth_front/{t:06d}.npy")
-
-    def ids(self, name: str, t: int) -> np.ndarray:
-        return np.asarray(Image.open(self.episodes / name / f"seg_front/{t:06d}.png"))
-
-    def array(self, name: str, kind: str) -> np.ndarray:
-        return np.load(self.episodes / name / f"{kind}.npy")
 
 
 def main() -> None:
@@ -88,8 +66,7 @@ def judge(paper: Paper, export: Path, backend: str) -> str:
         assert length == len(range(0, len(actions), stride))
         rows = data.hf_dataset.select(range(start, start + length))
         assert np.array_equal(np.stack(list(rows["pose"])), poses[::stride])
-        commanded = [actions[t : t + stride].mean(axis=0) for t in range(0, len(actions), stride)]
-        assert np.allclose(np.stack(list(rows["action"])), commanded, atol=1e-6)
+        assert np.allclose(np.stack(list(rows["action"])), mean_commands(actions, stride), atol=1e-6)
         for frame in sorted({0, 1, length // 2, length - 2, length - 1}):
             item, t = data[start + frame], frame * stride
             assert item["task"] == meta["job"]["instruction"]
@@ -106,10 +83,6 @@ def judge(paper: Paper, export: Path, backend: str) -> str:
     assert worst >= LEAST_PSNR_DB, f"{worst:.1f} dB"
     said = f"{len(data)} frames, {compared} compared, RGB at least {worst:.1f} dB"
     return said + (f", depth at most {deepest:.1f} mm off" if DEPTH in data.features else "")
-
-
-def psnr(one: np.ndarray, two: np.ndarray) -> float:
-    return float(10 * np.log10(255.0**2 / np.mean((one.astype(np.float64) - two) ** 2)))
 
 
 def depth_error_mm(found_mm: np.ndarray, truth_m: np.ndarray) -> float:

@@ -28,7 +28,8 @@ _MEAN = ", the mean of the {stride} commands until the next frame"
 _EXAMPLES = {
     "v3.0": "from lerobot.datasets.lerobot_dataset import LeRobotDataset\n\n"
     'dataset = LeRobotDataset("me/nav", root=".")',
-    "v2.1": "# LeRobot up to 0.3, openpi, Isaac-GR00T (meta/modality.json is there), InternNav",
+    "v2.1": "from lerobot.datasets.lerobot_dataset import LeRobotDataset  # LeRobot 0.3; Isaac-GR00T, openpi\n\n"
+    'dataset = LeRobotDataset("me/nav", root=".")',
 }
 _WHERE = {
     "v3.0": "`meta/episodes` also has split, scene, tier, target, template, goal and errors of every episode",

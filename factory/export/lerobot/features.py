@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, Literal
 
 import pyarrow as pa
 from pydantic import Field
@@ -19,17 +19,14 @@ __all__ = [
     "FILES",
     "IDS",
     "RGB",
-    "ROBOT",
     "VECTORS",
     "LeRobotOptions",
     "data_schema",
     "features_of",
-    "info_of",
     "video_keys",
 ]
 
 RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
-ROBOT = "nova_carter"
 FILES = {RGB: "front.mp4", DEPTH: "depth.mp4"}
 """Video feature -> name of its file in a piece."""
 _IMAGE_NAMES = ["height", "width", "channels"]
@@ -79,14 +76,13 @@ def features_of(options: LeRobotOptions, fps: int, far_m: float) -> dict[str, An
     return found
 
 
-def info_of(options: LeRobotOptions, fps: int, far_m: float, **values: Any) -> str:
-    """Returns `info.json` as text."""
-    known = {"robot_type": ROBOT, "fps": fps, "features": features_of(options, fps, far_m)}
-    return json.dumps({**values, **known}, indent=4) + "\n"
+def data_schema(options: LeRobotOptions, list_type: Literal["List", "Sequence"] = "List") -> pa.Schema:
+    """Returns the columns of the data files, with the description that `datasets` reads.
 
-
-def data_schema(options: LeRobotOptions) -> pa.Schema:
-    """Returns the columns of the data files, with the description that `datasets` reads."""
+    Args:
+        options: which columns.
+        list_type: what the description calls lists: `Sequence` before version 4 of `datasets`, which knows no `List`.
+    """
     fields: list[pa.Field] = [pa.field(IDS, _IMAGE_TYPE)] if options.ids else []
     described: dict[str, Any] = {IDS: {"_type": "Image"}} if options.ids else {}
     for name, (dtype, names) in VECTORS.items():
@@ -96,7 +92,7 @@ def data_schema(options: LeRobotOptions) -> pa.Schema:
             described[name] = value
         else:
             fields.append(pa.field(name, pa.list_(pa.field("element", _TYPES[dtype]), len(names))))
-            described[name] = {"feature": value, "length": len(names), "_type": "List"}
+            described[name] = {"feature": value, "length": len(names), "_type": list_type}
     metadata = {"huggingface": json.dumps({"info": {"features": described}})}
     return pa.schema(fields, metadata=metadata)
 

@@ -7,26 +7,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from coordinator.dataset_meta import DatasetMeta
 from coordinator.dataset_tables import parquet_schema
 from coordinator.summary import EpisodeSummary
-from factory.episode import Episode
-from factory.export.base import Exporter, Finish, Requirement
-from factory.export.card import CARD_FILE, export_card
-from factory.export.lerobot.card import card_text
-from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, info_of, video_keys
-from factory.export.lerobot.measure import DatasetStats, episode_stats
-from factory.export.lerobot.numbering import ABOUT, Numbered, Numbering, number_pieces
-from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns, write_piece
+from factory.export.base import Finish
+from factory.export.lerobot.common import LeRobotBase, Whole, survey
+from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, video_keys
+from factory.export.lerobot.measure import DatasetStats, Stats, episode_stats
+from factory.export.lerobot.numbering import ABOUT, Numbered, Numbering
+from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
 from factory.export.lerobot.statistics import QUANTILES
-from factory.export.options import stride_of
 from factory.export.video import join_videos
 
 __all__ = ["FileLimits", "LeRobotExporter", "episodes_schema", "tasks_table", "write_dataset"]
@@ -34,6 +28,7 @@ __all__ = ["FileLimits", "LeRobotExporter", "episodes_schema", "tasks_table", "w
 VERSION = "v3.0"
 _EPISODES_A_BATCH = 200
 _FILE = "chunk-{:03d}/file-{:03d}"
+_TEMPLATE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _SCALAR, _NESTED = pa.list_(pa.float64()), pa.list_(pa.list_(pa.list_(pa.float64())))
 Places = dict[int, tuple[int, int, float]]
 """Episode -> chunk, file, and seconds from the file's beginning."""
@@ -50,23 +45,12 @@ class FileLimits(NamedTuple):
     """Rows in a file of `meta/episodes`."""
 
 
-class LeRobotExporter(Exporter[LeRobotOptions, LeRobotFacts]):
+class LeRobotExporter(LeRobotBase[LeRobotOptions]):
     """Pieces are joined to files of at most 100 MiB of rows and 200 MiB of video."""
 
     name = "lerobot"
     about = "LeRobotDataset v3.0: parquet and H.264; LeRobot 0.4 and later"
-    requires = (Requirement("av", "lerobot"),)
-    assembles = True
     options = LeRobotOptions
-    facts = LeRobotFacts
-
-    def check(self, options: LeRobotOptions, meta: DatasetMeta) -> None:
-        """Refuses a rate that does not divide the dataset's."""
-        stride_of(options.fps, meta.plan.task.control_hz)
-
-    def write_episode(self, episode: Episode, options: LeRobotOptions, folder: Path) -> LeRobotFacts:
-        """Writes videos and columns of one episode."""
-        return write_piece(episode, options, folder)
 
     def finish(self, export: Finish[LeRobotOptions, LeRobotFacts]) -> None:
         """Writes data, videos and `meta/`."""
@@ -75,22 +59,23 @@ class LeRobotExporter(Exporter[LeRobotOptions, LeRobotFacts]):
 
 def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimits) -> None:
     """Joins pieces to files within limits, and describes them in `meta/`."""
-    task, options, out = export.dataset.meta.plan.task, export.options, export.out
-    far_m = export.dataset.meta.plan.camera.far_m
-    stride = stride_of(options.fps, task.control_hz)
-    fps = task.control_hz // stride
-    numbering = number_pieces(export.pieces, stride)
-    data = _write_data(export, numbering, limits)
-    videos = {key: _write_videos(export, numbering, key, fps, limits) for key in video_keys(options)}
-    stats = DatasetStats(far_m)
-    _write_episodes(export, numbering, _Layout(fps, far_m, data, videos), stats, limits)
-    out.write_text("meta/stats.json", json.dumps(stats.result(numbering, options), indent=4) + "\n")
-    with out.replacing("meta/tasks.parquet") as part:
-        pq.write_table(tasks_table(numbering.tasks), part, compression="snappy")
-    card = card_text(VERSION, options, fps, stride, numbering.splits)
-    configs = {"frames": "data/*/*.parquet", "episodes": "meta/episodes/*/*.parquet"}
-    out.write_text(CARD_FILE, export_card(export.dataset.meta, len(numbering), card, configs, ["LeRobot"]))
-    out.write_text("meta/info.json", _info(options, numbering, fps, far_m, limits))
+    whole = survey(export)
+    data = _write_data(whole, limits)
+    videos = {key: _write_videos(whole, key, limits) for key in video_keys(whole.options)}
+    stats = DatasetStats(whole.far_m)
+    _write_episodes(whole, data, videos, stats, limits)
+    whole.write_stats(stats.result(whole.numbering, whole.options))
+    with whole.out.replacing("meta/tasks.parquet") as part:
+        pq.write_table(tasks_table(whole.numbering.tasks), part, compression="snappy")
+    whole.write_card(VERSION, {"frames": "data/*/*.parquet", "episodes": "meta/episodes/*/*.parquet"})
+    whole.write_info(
+        VERSION,
+        chunks_size=limits.chunk_files,
+        data_files_size_in_mb=limits.data_mib,
+        video_files_size_in_mb=limits.video_mib,
+        data_path=f"data/{_TEMPLATE}.parquet",
+        video_path=f"videos/{{video_key}}/{_TEMPLATE}.mp4",
+    )
 
 
 def episodes_schema(options: LeRobotOptions, images: Sequence[str]) -> pa.Schema:
@@ -128,80 +113,66 @@ def tasks_table(tasks: Sequence[str]) -> pa.Table:
     return pa.table([list(range(len(tasks))), list(tasks)], schema=schema)
 
 
-def _write_data(export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering, limits: FileLimits) -> Places:
+def _write_data(whole: Whole, limits: FileLimits) -> Places:
     """Writes the data files, one row group an episode, and returns where each episode is."""
     places: Places = {}
-    schema = data_schema(export.options)
-    for number, group in enumerate(_grouped(numbering, FRAMES_FILE, limits.data_mib)):
+    schema = data_schema(whole.options)
+    for number, group in enumerate(_grouped(whole.numbering, FRAMES_FILE, limits.data_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         places |= {numbered.episode_index: (chunk, file, 0.0) for numbered in group}
         name = f"data/{_FILE.format(chunk, file)}.parquet"
-        if export.out.has(name):
+        if whole.out.has(name):
             continue
         with (
-            export.out.replacing(name) as part,
+            whole.out.replacing(name) as part,
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for numbered in group:
-                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), export.options))
+                writer.write_table(read_columns(numbered.piece.folder, numbered.numbers(), whole.options))
     return places
 
 
-def _write_videos(
-    export: Finish[LeRobotOptions, LeRobotFacts], numbering: Numbering, key: str, fps: int, limits: FileLimits
-) -> Places:
+def _write_videos(whole: Whole, key: str, limits: FileLimits) -> Places:
     """Writes the video files of a feature and returns where each episode is."""
     places: Places = {}
-    for number, group in enumerate(_grouped(numbering, FILES[key], limits.video_mib)):
+    for number, group in enumerate(_grouped(whole.numbering, FILES[key], limits.video_mib)):
         chunk, file = divmod(number, limits.chunk_files)
         begun = group[0].first
-        places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / fps) for numbered in group}
+        places |= {numbered.episode_index: (chunk, file, (numbered.first - begun) / whole.fps) for numbered in group}
         name = f"videos/{key}/{_FILE.format(chunk, file)}.mp4"
-        if not export.out.has(name):
-            with export.out.replacing(name) as part:
-                join_videos((numbered.piece.folder / FILES[key] for numbered in group), part, fps)
+        if not whole.out.has(name):
+            with whole.out.replacing(name) as part:
+                join_videos((numbered.piece.folder / FILES[key] for numbered in group), part, whole.fps)
     return places
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where episodes lie, and in which measures."""
-
-    fps: int
-    far_m: float
-    data: Places
-    videos: dict[str, Places]
 
 
 def _write_episodes(
-    export: Finish[LeRobotOptions, LeRobotFacts],
-    numbering: Numbering,
-    layout: _Layout,
-    stats: DatasetStats,
-    limits: FileLimits,
+    whole: Whole, data: Places, videos: dict[str, Places], stats: DatasetStats, limits: FileLimits
 ) -> None:
     """Writes `meta/episodes`, and takes the statistics of every episode on the way."""
-    schema = episodes_schema(export.options, tuple(numbering.episodes[0].piece.facts.images))
+    numbering = whole.numbering
+    schema = episodes_schema(whole.options, tuple(numbering.episodes[0].piece.facts.images))
     for number, begin in enumerate(range(0, len(numbering), limits.episodes)):
         place = divmod(number, limits.chunk_files)
         some = numbering.episodes[begin : begin + limits.episodes]
         with (
-            export.out.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
+            whole.out.replacing(f"meta/episodes/{_FILE.format(*place)}.parquet") as part,
             pq.ParquetWriter(part, schema, compression="snappy", use_dictionary=True) as writer,
         ):
             for first in range(0, len(some), _EPISODES_A_BATCH):
                 rows = []
                 for numbered in some[first : first + _EPISODES_A_BATCH]:
-                    found = episode_stats(numbered, export.options, layout.far_m)
+                    found = episode_stats(numbered, whole.options, whole.far_m)
                     stats.merge(numbered, found)
-                    rows.append(_row(numbered, layout, place, found))
+                    where = _placed(numbered, whole.fps, data, videos, place)
+                    rows.append(where | _flat(found) | numbered.about())
                 writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
-def _row(
-    numbered: Numbered, layout: _Layout, place: tuple[int, int], stats: dict[str, dict[str, Any]]
+def _placed(
+    numbered: Numbered, fps: int, data: Places, videos: dict[str, Places], place: tuple[int, int]
 ) -> dict[str, Any]:
-    chunk, file, _ = layout.data[numbered.episode_index]
+    chunk, file, _ = data[numbered.episode_index]
     row: dict[str, Any] = {
         "episode_index": numbered.episode_index,
         "tasks": [numbered.task],
@@ -211,14 +182,16 @@ def _row(
         "dataset_from_index": numbered.first,
         "dataset_to_index": numbered.first + numbered.frames,
     }
-    for key, places in layout.videos.items():
+    for key, places in videos.items():
         chunk, file, begun_s = places[numbered.episode_index]
         row |= {f"videos/{key}/chunk_index": chunk, f"videos/{key}/file_index": file}
-        ended_s = begun_s + numbered.frames / layout.fps
+        ended_s = begun_s + numbered.frames / fps
         row |= {f"videos/{key}/from_timestamp": begun_s, f"videos/{key}/to_timestamp": ended_s}
-    row |= {f"stats/{key}/{stat}": value for key, found in stats.items() for stat, value in found.items()}
-    row |= {"meta/episodes/chunk_index": place[0], "meta/episodes/file_index": place[1]}
-    return row | numbered.about()
+    return row | {"meta/episodes/chunk_index": place[0], "meta/episodes/file_index": place[1]}
+
+
+def _flat(stats: Stats) -> dict[str, Any]:
+    return {f"stats/{key}/{stat}": value for key, found in stats.items() for stat, value in found.items()}
 
 
 def _grouped(numbering: Numbering, file: str, limit_mib: int) -> Iterator[list[Numbered]]:
@@ -233,21 +206,3 @@ def _grouped(numbering: Numbering, file: str, limit_mib: int) -> Iterator[list[N
         group.append(numbered)
         size += more
     yield group
-
-
-def _info(options: LeRobotOptions, numbering: Numbering, fps: int, far_m: float, limits: FileLimits) -> str:
-    return info_of(
-        options,
-        fps,
-        far_m,
-        codebase_version=VERSION,
-        total_episodes=len(numbering),
-        total_frames=numbering.frames,
-        total_tasks=len(numbering.tasks),
-        chunks_size=limits.chunk_files,
-        data_files_size_in_mb=limits.data_mib,
-        video_files_size_in_mb=limits.video_mib,
-        splits=numbering.splits,
-        data_path="data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
-        video_path="videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-    )

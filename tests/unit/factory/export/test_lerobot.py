@@ -225,7 +225,19 @@ def test_modality_names_all_of_state_and_action(older: Path) -> None:
     assert all(one[1] == two[0] for one, two in pairwise(state))
     assert MODALITY["video"]["front"]["original_key"] in features
     stats = json.loads((older / "meta/stats.json").read_text())
-    assert {"observation.state", "action", "tokens"} <= stats.keys()
+    for part in (*MODALITY["state"].values(), *MODALITY["action"].values()):
+        assert np.issubdtype(part["dtype"], np.number)
+    for key in ("observation.state", "action", "tokens"):  # GR00T cuts its parts out of every statistic
+        assert {len(values) for values in stats[key].values()} == {features[key]["shape"][0]}
+
+
+def test_version_2_1_describes_its_lists_as_its_readers_know_them(older: Path) -> None:
+    """`datasets` 3, which LeRobot 0.3 asks for, knows no `List`, and 4 still reads `Sequence`."""
+    (path, *_) = sorted(older.glob("data/*/*.parquet"))
+    described = json.loads(pq.read_schema(path).metadata[b"huggingface"])["info"]["features"]
+    lists = {name for name, feature in described.items() if "length" in feature}
+    assert lists == {"observation.state", "action", "tokens", "pose"}
+    assert {described[name]["_type"] for name in lists} == {"Sequence"}
 
 
 def test_files_are_cut_at_their_limit(varied: Path, tmp_path: Path) -> None:

@@ -1,0 +1,104 @@
+"""What the exporters of both LeRobot versions share: the piece of an episode, and what is known of the whole."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from coordinator.dataset_meta import DatasetMeta
+from factory.episode import Episode
+from factory.export.base import Exporter, Finish, Requirement
+from factory.export.card import CARD_FILE, export_card
+from factory.export.lerobot.card import card_text
+from factory.export.lerobot.features import LeRobotOptions, features_of
+from factory.export.lerobot.measure import Stats
+from factory.export.lerobot.numbering import Numbering, number_pieces
+from factory.export.lerobot.piece import LeRobotFacts, write_piece
+from factory.export.options import Decimated, stride_of
+from factory.export.output import Output
+
+__all__ = ["ROBOT", "LeRobotBase", "Whole", "survey"]
+
+ROBOT = "nova_carter"
+OptionsT = TypeVar("OptionsT", bound=Decimated)
+
+
+class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
+    """Videos and columns of an episode are a piece; a version says how pieces are laid out."""
+
+    requires = (Requirement("av", "lerobot"),)
+    assembles = True
+    facts = LeRobotFacts
+
+    def check(self, options: OptionsT, meta: DatasetMeta) -> None:
+        """Refuses a rate that does not divide the dataset's."""
+        stride_of(options.fps, meta.plan.task.control_hz)
+
+    def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> LeRobotFacts:
+        """Writes videos and columns of one episode."""
+        return write_piece(episode, _widened(options), folder)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A dataset that is about to be laid out."""
+
+    out: Output
+    meta: DatasetMeta
+    options: LeRobotOptions
+    stride: int
+    """Of how many recorded frames one is kept."""
+    fps: int
+    """Of the export."""
+    far_m: float
+    """What the camera sees, for the codes of depth."""
+    numbering: Numbering
+
+    def write_card(self, version: str, configs: dict[str, str]) -> None:
+        """Writes the card; `configs` are the tables that `datasets` shall open, by name."""
+        text = card_text(version, self.options, self.fps, self.stride, self.numbering.splits)
+        self.out.write_text(CARD_FILE, export_card(self.meta, len(self.numbering), text, configs, ["LeRobot"]))
+
+    def write_stats(self, stats: Stats) -> None:
+        """Writes the statistics of all episodes."""
+        self._write_json("meta/stats.json", stats)
+
+    def write_info(self, version: str, **values: Any) -> None:
+        """Writes `info.json`, the last file: what the version adds stands between version and features."""
+        known = {
+            "total_episodes": len(self.numbering),
+            "total_frames": self.numbering.frames,
+            "total_tasks": len(self.numbering.tasks),
+        }
+        shared = {
+            "splits": self.numbering.splits,
+            "robot_type": ROBOT,
+            "fps": self.fps,
+            "features": features_of(self.options, self.fps, self.far_m),
+        }
+        self._write_json("meta/info.json", {"codebase_version": version, **known, **values, **shared})
+
+    def _write_json(self, name: str, values: dict[str, Any]) -> None:
+        self.out.write_text(name, json.dumps(values, indent=4) + "\n")
+
+
+def survey(export: Finish[Any, LeRobotFacts]) -> Whole:
+    """Numbers the pieces of an export, and returns what is known of all of them."""
+    plan, options = export.dataset.meta.plan, _widened(export.options)
+    stride = stride_of(options.fps, plan.task.control_hz)
+    return Whole(
+        out=export.out,
+        meta=export.dataset.meta,
+        options=options,
+        stride=stride,
+        fps=plan.task.control_hz // stride,
+        far_m=plan.camera.far_m,
+        numbering=number_pieces(export.pieces, stride),
+    )
+
+
+def _widened(options: Decimated) -> LeRobotOptions:
+    """Returns the options of a version as those of the version that has them all."""
+    return LeRobotOptions.model_validate(options.model_dump())
