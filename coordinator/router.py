@@ -74,6 +74,7 @@ class Router:
         on_inquiry: takes a question and must not block.
         on_gone: takes the session id of a worker whose link has closed, and must not block.
         guard: certificates and who is admitted; `None` lets in whoever can connect.
+        connect: endpoints of other routers, whose workers are reached too.
 
     Raises:
         WorldError: an endpoint cannot be listened on.
@@ -88,8 +89,10 @@ class Router:
         on_inquiry: Callable[[Inquiry], None],
         on_gone: Callable[[str], None],
         guard: Guard | None = None,
+        connect: Sequence[str] = (),
     ) -> None:
         self._run = run
+        self._connect = tuple(connect)
         self._on_inquiry = on_inquiry
         self._on_gone = on_gone
         self._scenes = _open_scenes(run, catalog)
@@ -129,7 +132,7 @@ class Router:
 
     def _config(self, endpoints: Sequence[str], admitted: Admitted) -> zenoh.Config:
         files = self._guard.files if self._guard is not None else None
-        return router_config(endpoints, self._settings.transport_lease_s, files, admitted)
+        return router_config(endpoints, self._settings.transport_lease_s, files, admitted, self._connect)
 
     def _declare(self, session: zenoh.Session) -> None:
         session.declare_queryable(verb_pattern(self._run), self._take)

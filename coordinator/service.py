@@ -75,6 +75,7 @@ class Coordinator:
         gate: what a pilot found before a new run; goes into the dataset's description.
         store: where the dataset lies, when in object storage.
         errands: jobs in the place of the plan's draws; what they bring is kept, and no tables of episodes are written.
+        connect: endpoints of other coordinators, whose workers may work for this one too.
 
     Raises:
         UsageError: the directory holds another plan.
@@ -96,6 +97,7 @@ class Coordinator:
         gate: Sequence[GateOutcome] = (),
         store: ObjectPath | None = None,
         errands: Errands | None = None,
+        connect: Sequence[str] = (),
     ) -> None:
         self._gate = tuple(gate)
         self._settings = settings = settings or CoordinatorSettings()
@@ -127,7 +129,7 @@ class Coordinator:
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
             self._look_for_room()
             front = stack.enter_context(self._open_front())
-            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard)
+            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard, connect)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
             self.vitals = self._measured()

@@ -11,7 +11,7 @@ from importlib.metadata import version
 import structlog
 
 from schemas.keys import Verb
-from schemas.wire import Ack, Beat, BeatReply, Done, Hello, HelloReply
+from schemas.wire import Ack, Beat, BeatReply, Done, Hello, HelloReply, Trade
 from workers.host import Host
 from workers.spool import Spooled
 
@@ -20,6 +20,8 @@ __all__ = ["Heartbeat", "make_hello"]
 _BEATS_PER_LEASE = 4
 _HURRIED_S = 0.25
 _REOPEN_S = 10.0
+_LOOK_S = 10.0
+"""Pause between two looks for an evaluation, which goes before collection."""
 
 log = structlog.get_logger(__name__)
 
@@ -37,6 +39,7 @@ class Heartbeat:
         self._hello = make_hello(host.sid, host.name, host.settings.cores)
         self.is_answered = True
         """Whether the last beat was."""
+        self._looked = time.monotonic()
 
     def run(self) -> None:
         """Beats four times a lease, oftener while the worker waits to leave; whatever breaks it ends the worker."""
@@ -62,6 +65,7 @@ class Heartbeat:
             self._note_silence()
             return
         self._note_answer()
+        self._look_for_evaluation()
         host.leases.lose(reply.lost)
         for lease in reply.drop:
             if host.spool.drop(lease):
@@ -95,6 +99,20 @@ class Heartbeat:
             log.warning("run_changed", was=host.run, found=sorted(runs))
             host.phase.moved.set()
             host.phase.stop(0.0)
+
+    def _look_for_evaluation(self) -> None:
+        """Finishes what is under way and moves on when an evaluation asks for workers."""
+        host = self._host
+        is_free = host.trade is Trade.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
+        if not is_free or time.monotonic() - self._looked < _LOOK_S:
+            return
+        self._looked = time.monotonic()
+        if any(
+            isinstance(reply, HelloReply) and reply.trade is Trade.EVALUATION for reply in host.link.greet(self._hello)
+        ):
+            log.info("evaluation_first", was=host.run)
+            host.phase.moved.set()
+            host.phase.close()
 
     def _note_answer(self) -> None:
         if not self.is_answered:

@@ -12,6 +12,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 
+from schemas.wire import Trade
 from workers.leases import LeaseBook
 from workers.link import Link
 from workers.scene_cache import SceneCache
@@ -73,6 +74,8 @@ class Host:
     sid: str
     """Name of this start of the worker; begins with the host's name."""
     run: str
+    trade: Trade
+    """What its jobs are."""
     command: tuple[str, ...]
     """How to start a simulation of the run."""
     lease_ttl_s: float

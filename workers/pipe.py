@@ -1,4 +1,4 @@
-"""The pipes of a process that takes orders on stdin and reports on what was its stdout. Does not read what lines say."""
+"""The pipes of a process that takes orders on stdin and reports on what was its stdout. Knows not what lines say."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from enum import Enum
 import structlog
 
 from schemas.errors import WorldError
-from schemas.wire import HelloReply, Refusal
+from schemas.wire import HelloReply, Refusal, Trade
 from workers.backoff import Backoff
 from workers.heartbeat import Heartbeat, make_hello
 from workers.host import Host, Phase, make_sid, tidy_host
@@ -39,7 +39,7 @@ class Ending(Enum):
 
     FINISHED = "finished"  # every job of the run has reached its end, or the coordinator sends workers away
     STOPPED = "stopped"  # it was told to stop
-    MOVED = "moved"  # the run is gone and another answers in its place
+    MOVED = "moved"  # another run has come: in its place, or an evaluation that goes first
 
 
 def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threading.Event | None = None) -> int:
@@ -59,16 +59,19 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
     at_once = at_once or threading.Event()
     name = tidy_host(settings.host or socket.gethostname())
     sid = make_sid(name)
+    settled: str | None = None
     with Link(settings.connect, name, settings.tls) as link:
         while True:
-            terms = _meet(link, settings, name, sid, stop)
+            terms = _meet(link, settings, name, sid, stop, settled)
             if terms is None:
                 return 0
             link.join(terms.run)
             ending = _work_for(terms, link, settings, name, sid, stop, at_once)
             log.info("worker_left", run=terms.run, why=ending.value)
-            if ending is not Ending.MOVED:
+            is_settled = ending is Ending.FINISHED and terms.trade is Trade.EVALUATION
+            if not is_settled and ending is not Ending.MOVED:
                 return 0
+            settled = terms.run if is_settled else None
             sid = make_sid(name)
 
 
@@ -89,6 +92,7 @@ def _work_for(
             name=name,
             sid=sid,
             run=terms.run,
+            trade=terms.trade,
             command=settings.command_for(terms.trade),
             lease_ttl_s=terms.lease_ttl_s,
             link=link,
@@ -157,16 +161,23 @@ class Supervisor:
         return len(self._host.spool) == 0
 
 
-def _meet(link: Link, settings: WorkerSettings, name: str, sid: str, stop: threading.Event) -> HelloReply | None:
-    """Looks for the run until it answers, `wait_s` is over or the worker is stopped (`None`)."""
+def _meet(
+    link: Link, settings: WorkerSettings, name: str, sid: str, stop: threading.Event, settled: str | None
+) -> HelloReply | None:
+    """Looks for the run until it answers, `wait_s` is over or the worker is stopped (`None`).
+
+    A worker that has settled an evaluation goes back to the collection it interrupted, if there is one (else `None`).
+    """
     hello, pause, begun = make_hello(sid, name, settings.cores), Backoff(0.2, 2.0), time.monotonic()
     is_open = False
     while not stop.is_set():
         is_open = is_open or link.open()
         if is_open:
-            terms = _choose(link.greet(hello), settings)
+            terms = _choose(link.greet(hello), settings, settled)
             if terms is not None:
                 return terms
+        if settled is not None:
+            return None
         if time.monotonic() - begun > settings.wait_s:
             where = ", ".join(settings.connect)
             refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
@@ -179,10 +190,17 @@ def _meet(link: Link, settings: WorkerSettings, name: str, sid: str, stop: threa
     return None
 
 
-def _choose(replies: tuple[HelloReply | Refusal, ...], settings: WorkerSettings) -> HelloReply | None:
-    terms = [reply for reply in replies if isinstance(reply, HelloReply) and settings.run in {None, reply.run}]
+def _choose(
+    replies: tuple[HelloReply | Refusal, ...], settings: WorkerSettings, settled: str | None
+) -> HelloReply | None:
+    """Returns the terms to work under; evaluations go first, in the order of their names, for they are short."""
+    greetings = (reply for reply in replies if isinstance(reply, HelloReply) and reply.run != settled)
+    terms = sorted((reply for reply in greetings if settings.run in {None, reply.run}), key=lambda reply: reply.run)
+    short = [reply for reply in terms if reply.trade is Trade.EVALUATION]
+    if short:
+        return short[0]
     if len(terms) > 1:
-        runs = ", ".join(sorted(reply.run for reply in terms))
+        runs = ", ".join(reply.run for reply in terms)
         raise WorldError(f"{len(terms)} runs answer ({runs}): --connect to an endpoint of one of them only")
     refusals = [reply.error for reply in replies if isinstance(reply, Refusal)]
     if not terms and refusals:
