@@ -1,8 +1,9 @@
 """Every format once: exports a dataset, prints a table of sizes, times and memory, and calls the judges that are here.
 
-    python tests/judges/formats.py DATASET OUT [PYTHON_OF_THE_LEROBOT_JUDGE]
+    python tests/judges/formats.py DATASET OUT [JUDGE=PYTHON ...]
 
-OUT must not exist. Run with the project's own environment; `make test-formats` does all of it.
+OUT must not exist. JUDGE is `lerobot`, `lerobot-v2.1` or `habitat`, PYTHON that of its environment. Run with the own
+environment of the project; `make test-formats` does all of it. Ends with exit code 1 when a judge was not content.
 """
 
 from __future__ import annotations
@@ -21,12 +22,19 @@ RUNS: dict[str, tuple[str, ...]] = {
     "lerobot": ("lerobot",),
     "lerobot-all": ("lerobot", *ALL),
     "lerobot-v2.1": ("lerobot-v2.1",),
+    "lerobot-v2.1-slow": ("lerobot-v2.1", "--fps", "20"),
     "webdataset": ("webdataset",),
     "mcap": ("mcap",),
     "gnm": ("gnm",),
     "vlnce": ("vlnce",),
 }
 """Folder -> format and its options."""
+JUDGES: dict[str, tuple[str, ...]] = {
+    "lerobot": ("lerobot_judge.py", "paper", "lerobot", "lerobot-all"),
+    "lerobot-v2.1": ("lerobot_v21_judge.py", "paper", "lerobot-v2.1", "lerobot-v2.1-slow"),
+    "habitat": ("habitat_judge.py", "paper", "vlnce"),
+}
+"""Judge -> its file, and the folders it is shown."""
 
 
 class Measured(NamedTuple):
@@ -39,18 +47,32 @@ class Measured(NamedTuple):
     """Of the largest process."""
 
 
-def main(dataset: Path, out: Path, lerobot_python: str | None) -> int:
+def main(dataset: Path, out: Path, pythons: dict[str, str]) -> int:
     out.mkdir(parents=True)
     say("| export | frames | MB | kB a frame | CPU ms a frame | frames/s of one core | largest process, MiB |")
     say("|---|---|---|---|---|---|---|")
     for folder, words in RUNS.items():
         say(row(" ".join(words), export(dataset, out / folder, words)))
-    if lerobot_python is None:
-        say("LeRobot's loader was not asked: give the python of its environment")
-        return 0
-    judge = [lerobot_python, str(Path(__file__).with_name("lerobot_judge.py")), str(out / "paper")]
+    verdicts = [is_content(name, pythons.get(name), out) for name in JUDGES]
+    return 0 if all(verdicts) else 1
+
+
+def is_content(name: str, python: str | None, out: Path) -> bool:
+    if python is None:
+        say(f"judge {name} was not asked: give {name}=PYTHON, that of its environment")
+        return True
+    script, *folders = JUDGES[name]
+    command = [
+        python,
+        "-W",
+        "ignore",
+        str(Path(__file__).with_name(script)),
+        *(str(out / folder) for folder in folders),
+    ]
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(out / ".huggingface")}
-    return subprocess.run([*judge, str(out / "lerobot"), str(out / "lerobot-all")], env=environment).returncode
+    is_fine = subprocess.run(command, env=environment, check=False).returncode == 0
+    say(f"judge {name}: {'content' if is_fine else 'NOT CONTENT'}")
+    return is_fine
 
 
 def export(dataset: Path, out: Path, words: tuple[str, ...]) -> Measured:
@@ -79,4 +101,4 @@ def say(text: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] if len(sys.argv) > 3 else None))
+    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2]), dict(word.split("=", 1) for word in sys.argv[3:])))
