@@ -22,6 +22,7 @@ from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
 from factory.eval.run import run_campaign
 from factory.eval.store import Store
+from factory.listen import require_loopback
 from factory.logs import configure_logs
 from schemas.errors import UsageError
 from workers.stopping import stop_on_signals
@@ -38,6 +39,7 @@ __all__ = ["command"]
 @click.option("--episodes", type=click.IntRange(1), metavar="N", help="Only N, spread evenly over the set.")
 @click.option("--workers", type=click.IntRange(1, 256), help="Driving processes; default: one a core.")
 @click.option("--listen", multiple=True, metavar="ENDPOINT", help="Have `factory worker`s drive that connect here.")
+@click.option("--connect", multiple=True, metavar="ENDPOINT", help="Have the workers of a running coordinator drive.")
 @tls_option
 @click.option("-o", "--out", type=click.Path(path_type=Path), metavar="OUT", help="Where results are kept; resumes.")
 @click.option("--act-timeout", type=click.FloatRange(0.01), default=10.0, show_default=True, help="Seconds an answer.")
@@ -52,6 +54,7 @@ def command(
     context: click.Context,
     /,
     listen: tuple[str, ...],
+    connect: tuple[str, ...],
     tls: Path | None,
     out: Path | None,
     videos: int,
@@ -71,12 +74,12 @@ def command(
     if context.invoked_subcommand is not None:
         return None
     configure_logs()
-    _require_sense(listen, tls, out, options)
+    door = _door(listen, connect, tls, out, options["workers"])
     campaign = draw_up(Asked(**options))
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         store = stack.enter_context(open_store(campaign, folder))
-        if not (_drive_far(campaign, store, listen, tls) if listen else _drive_here(campaign, store)):
+        if not _drive(campaign, store, door):
             kept = f"run the same command to go on; {out} holds what is done" if out else "give -o to keep what is done"
             click.echo(f"interrupted: {kept}", err=True)
             return 130
@@ -90,30 +93,35 @@ def command(
     return 0
 
 
-def _require_sense(listen: tuple[str, ...], tls: Path | None, out: Path | None, options: dict[str, Any]) -> None:
+def _door(
+    listen: tuple[str, ...], connect: tuple[str, ...], tls: Path | None, out: Path | None, workers: int | None
+) -> Door | None:
+    """Returns how workers are reached; `None` where this machine drives."""
     if not listen and tls is not None:
         raise UsageError("--tls is for the workers of --listen; leave it out, or say where to listen")
-    if listen and out is None:
-        raise UsageError("give -o OUT with --listen: what workers bring is archived there")
-    if listen and options["workers"] is not None:
-        raise UsageError("--workers drives on this machine; with --listen start `factory worker`s, here too if wanted")
+    if not (listen or connect):
+        return None
+    if out is None:
+        raise UsageError("give -o OUT with --listen and --connect: what workers bring is archived there")
+    if workers is not None:
+        raise UsageError("--workers drives on this machine; else start `factory worker`s, here too if wanted")
+    if connect and tls is not None:
+        raise UsageError("an evaluation joins a coordinator without TLS only; with --tls let workers come to --listen")
+    require_loopback(connect)
+    guard, endpoints = open_door(tls, listen) if listen else (None, ())
+    return Door(endpoints, connect, guard, _invite)
 
 
-def _drive_here(campaign: Campaign, store: Store) -> bool:
+def _invite(endpoints: tuple[str, ...]) -> None:
+    for endpoint in endpoints:
+        click.echo(f"factory worker --cores 2 --connect {endpoint}", err=True)
+
+
+def _drive(campaign: Campaign, store: Store, door: Door | None) -> bool:
     with stop_on_signals() as (stop, _), pace_bars(campaign) as tell:
-        return run_campaign(campaign, store, stop, tell)
-
-
-def _drive_far(campaign: Campaign, store: Store, listen: tuple[str, ...], tls: Path | None) -> bool:
-    guard, endpoints = open_door(tls, listen)
-
-    def say(found: tuple[str, ...]) -> None:
-        for endpoint in found:
-            click.echo(f"factory worker --cores 2 --connect {endpoint}", err=True)
-
-    plan = Dataset(campaign.root).meta.plan
-    with stop_on_signals() as (stop, _), pace_bars(campaign) as tell:
-        return run_fleet(campaign, plan, store, Door(endpoints, guard, say), stop, tell)
+        if door is None:
+            return run_campaign(campaign, store, stop, tell)
+        return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, door, stop, tell)
 
 
 command.add_command(specs_command)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coordinator import ledger_admin
+from coordinator.ask import ask_progress
 from coordinator.engine import open_writer
 from coordinator.errands import Errands
 from coordinator.ledger import LEDGER_FILE, holds_run, ledger_url_of
@@ -42,9 +43,12 @@ _NAMED = 5
 
 @dataclass(frozen=True)
 class Door:
-    """Where workers come in."""
+    """How workers are reached."""
 
-    listen: tuple[str, ...]
+    listen: tuple[str, ...] = ()
+    """Where they connect."""
+    connect: tuple[str, ...] = ()
+    """Running coordinators whose workers shall drive."""
     guard: Guard | None = None
     tell: Callable[[tuple[str, ...]], None] = lambda _endpoints: None
     """Told the endpoints once it is open."""
@@ -59,12 +63,13 @@ def run_fleet(
         campaign: what to do.
         plan: of the dataset.
         store: takes the results.
-        door: where workers connect.
+        door: how workers are reached.
         stop: leave in good order; what workers have brought is kept.
         tell: told the progress of each policy.
 
     Raises:
         UsageError: the specs do not fit the dataset.
+        TransientError: no coordinator answers where it is to connect.
         WorldError: episodes could not be driven; the message says why.
     """
     orders = number_orders(campaign)
@@ -76,9 +81,19 @@ def run_fleet(
     planned = tuple(planned_of(order, index) for index, order in intake.left.items())
     errands = Errands(planned, lambda index: text_of(campaign, orders[index]))
     judge = ResultJudge(orders, campaign.specs.settings)
+    if door.connect:
+        ask_progress(door.connect)  # says so when nobody is there
     _try_failed_again(root)
     with Coordinator(
-        root, run_plan, catalog, door.listen, settings=_SETTINGS, guard=door.guard, checker=judge, errands=errands
+        root,
+        run_plan,
+        catalog,
+        door.listen,
+        settings=_SETTINGS,
+        guard=door.guard,
+        checker=judge,
+        errands=errands,
+        connect=door.connect,
     ) as coordinator:
         door.tell(coordinator.endpoints)
         is_over = False
