@@ -24,6 +24,7 @@ DOORS = {
         "coordinator/router.py",
         "coordinator/zenoh_config.py",
         "coordinator/ask.py",
+        "factory/bench/fleet.py",
     },
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},

@@ -38,7 +38,7 @@ def desk(request: pytest.FixtureRequest) -> Iterator[Desk]:
     opened.engine.dispose()
 
 
-def outcomes(desk: Desk) -> list[tuple[int, int, str, bool]]:
+def outcomes_at(desk: Desk) -> list[tuple[int, int, str, bool]]:
     with desk.open() as connection:
         rows = connection.execute(select(attempts).order_by(attempts.c.id)).all()
     return [(row.idx, row.attempt, row.outcome, row.settles) for row in rows]
@@ -71,7 +71,7 @@ def test_an_expired_lease_returns_the_job_to_pending_with_the_same_attempt(desk)
     assert desk.tick(1.1) == 1
     row = desk.row(lease.job_id)
     assert (row.state, row.attempt, row.token, row.lease_until) == ("pending", 1, None, None)
-    assert outcomes(desk) == [(1, 1, "expired", False)]
+    assert outcomes_at(desk) == [(1, 1, "expired", False)]
 
 
 def test_a_job_that_keeps_losing_its_lease_waits_longer_each_time(desk):
@@ -163,7 +163,7 @@ def test_a_refusal_of_the_world_brings_the_next_attempt(desk, reason):
     assert desk.fail(lease, reason)
     row = desk.row(lease.job_id)
     assert (row.state, row.attempt, row.misses) == ("pending", 2, 1)
-    assert outcomes(desk) == [(1, 1, reason, True)]
+    assert outcomes_at(desk) == [(1, 1, reason, True)]
 
 
 def test_a_repeated_failure_report_counts_once_and_gets_the_same_answer(desk):
@@ -171,7 +171,7 @@ def test_a_repeated_failure_report_counts_once_and_gets_the_same_answer(desk):
     assert desk.fail(lease, FailReason.COLLISION)
     assert desk.fail(lease, FailReason.COLLISION)
     assert desk.row(lease.job_id).attempt == 2
-    assert len(outcomes(desk)) == 1
+    assert len(outcomes_at(desk)) == 1
 
 
 def exhaust(desk: Desk, index: int, times: int) -> None:
@@ -202,7 +202,7 @@ def test_the_last_draw_ends_the_episode_with_its_reason(desk):
     assert [first.state, second.state] == ["failed", "failed"]
     assert not second.superseded
     assert second.reason == "timeout: measured"
-    assert [(attempt, outcome) for index, attempt, outcome, _ in outcomes(desk) if index == 1] == [
+    assert [(attempt, outcome) for index, attempt, outcome, _ in outcomes_at(desk) if index == 1] == [
         (1, "timeout"),
         (2, "timeout"),
         (3, "timeout"),
@@ -237,7 +237,7 @@ def test_an_archived_episode_is_recorded_with_its_summary(desk):
         assert ledger_outcomes.is_owned(connection, 1)
         assert not ledger_outcomes.is_owned(connection, 2)
     assert (summary.index, summary.attempt, summary.file_bytes) == (1, 1, 1000)
-    assert outcomes(desk) == [(1, 1, "success", True)]
+    assert outcomes_at(desk) == [(1, 1, "success", True)]
 
 
 def test_an_announced_bundle_is_adopted_once(desk):
@@ -261,7 +261,7 @@ def test_a_lost_file_requeues_the_same_attempt(desk):
     assert desk.row(lease.job_id).attempt == 1
     desk.done(again)
     assert desk.archive(again)
-    assert [(outcome, settles) for _, _, outcome, settles in outcomes(desk)] == [("lost", False), ("success", True)]
+    assert [(outcome, settles) for _, _, outcome, settles in outcomes_at(desk)] == [("lost", False), ("success", True)]
 
 
 def test_retry_gives_fresh_budgets_and_attempts_go_on(desk):
