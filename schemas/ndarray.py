@@ -71,7 +71,7 @@ def decode_npy(name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | N
     Raises:
         InvalidBundle: the header or the length says otherwise.
     """
-    offset, found_shape = _read_header(name, data, np.dtype(dtype))
+    offset, found_shape = _known_header(data, np.dtype(dtype), shape) or _read_header(name, data, np.dtype(dtype))
     if len(found_shape) != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, found_shape, strict=True)
     ):
@@ -80,6 +80,17 @@ def decode_npy(name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | N
     if len(data) - offset != expected:
         raise InvalidBundle("array refused", [f"{name}: {len(data) - offset} bytes of data, expected {expected}"])
     return np.frombuffer(data, dtype, offset=offset).reshape(found_shape)
+
+
+def _known_header(
+    data: bytes, dtype: np.dtype[np.generic], shape: Sequence[int | None]
+) -> tuple[int, tuple[int, ...]] | None:
+    """Returns what `_read_header` would where the header is the very one we write; parsing takes 40 us."""
+    sides = tuple(side for side in shape if side is not None)
+    if len(sides) < len(shape):
+        return None
+    header = _header(dtype, sides)
+    return (len(header), sides) if data.startswith(header) else None
 
 
 def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[int, tuple[int, ...]]:

@@ -91,7 +91,7 @@ def _chunk(kind: bytes, data: bytes) -> tuple[bytes, bytes, bytes, bytes]:
 _TAIL = b"".join(_chunk(b"IEND", b""))
 
 
-def _single_idat(name: str, data: bytes, front: bytes) -> bytes:
+def _single_idat(name: str, data: bytes, front: bytes) -> memoryview:
     if not data.startswith(front) or not data.endswith(_TAIL) or len(data) < len(front) + len(_TAIL) + 12:
         raise InvalidBundle("image refused", [f"{name}: not a PNG of the size and kind of this dataset"])
     start = len(front)
@@ -100,12 +100,13 @@ def _single_idat(name: str, data: bytes, front: bytes) -> bytes:
     if data[start + 4 : start + 8] != b"IDAT" or end + 4 + len(_TAIL) != len(data):
         raise InvalidBundle("image refused", [f"{name}: not exactly one IDAT chunk"])
     (crc,) = struct.unpack(">I", data[end : end + 4])
-    if crc != isal_zlib.crc32(memoryview(data)[start + 4 : end]):
+    view = memoryview(data)
+    if crc != isal_zlib.crc32(view[start + 4 : end]):
         raise InvalidBundle("image refused", [f"{name}: wrong CRC"])
-    return data[start + 8 : end]
+    return view[start + 8 : end]
 
 
-def _inflate(name: str, body: bytes, expected: int) -> NDArray[np.uint8]:
+def _inflate(name: str, body: memoryview, expected: int) -> NDArray[np.uint8]:
     try:
         inflater = isal_zlib.decompressobj()
         raw = inflater.decompress(body, expected + 1)
