@@ -1,0 +1,84 @@
+"""An evaluation that joins a running collection: its workers drive the policies first and then collect on."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from factory.dataset import Dataset
+from factory.eval.campaign import Campaign
+from factory.eval.fleet import Door, run_fleet
+from factory.eval.from_dataset import specs_of_dataset
+from factory.eval.message import Setup
+from factory.eval.run import Pace
+from factory.eval.store import Manifest, Store
+from schemas.errors import TransientError
+from schemas.terms import Split
+from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.worker import WorkerThread, settings_for
+
+COLLECT = (sys.executable, "-m", "tests.builders.small_simulation", "0.2")
+EVALUATE = (sys.executable, "-m", "factory.eval.station")
+
+
+@pytest.fixture(scope="module")
+def campaign(drives: Dataset) -> Campaign:
+    """Two episodes in which nobody moves."""
+    specs = specs_of_dataset(drives, [Split.TEST_ID])
+    task = specs.settings.task.model_copy(update={"max_steps": 10})
+    specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
+    return Campaign(specs, drives.root, ("stop",), (), Setup(settings=specs.settings))
+
+
+def open_store(root: Path, campaign: Campaign) -> Store:
+    manifest = Manifest(run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=10.0)
+    return Store(root, campaign.specs, manifest)
+
+
+def archived(hub: Coordinator) -> int:
+    return hub.progress().jobs["archived"]
+
+
+def wait_for_more(hub: Coordinator, than: int) -> None:
+    deadline = time.monotonic() + 120
+    while archived(hub) <= than:
+        assert time.monotonic() < deadline, "the collection stands still"
+        time.sleep(0.1)
+
+
+def test_the_workers_of_a_collection_drive_an_evaluation_and_go_back(
+    drives: Dataset, campaign: Campaign, tmp_path: Path
+) -> None:
+    settings = CoordinatorSettings(lease_ttl_s=15.0, reserve_bytes=0)
+    plan, catalog = room_plan(2000), room_catalog(tmp_path)
+    told: list[Pace] = []
+    with (
+        Coordinator(tmp_path / "collection", plan, catalog, ("tcp/127.0.0.1:0",), settings=settings) as hub,
+        WorkerThread(settings_for(hub.endpoints[0], tmp_path, command=COLLECT, errand_command=EVALUATE)),
+        open_store(tmp_path / "out", campaign) as store,
+    ):
+        wait_for_more(hub, 0)
+        door = Door(connect=hub.endpoints)
+        assert run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), told.append)
+        assert [(row.end, row.num_steps) for row in store.results("stop")] == [("timeout", 10)] * 2
+        note = store.note_of("stop")
+        assert note is not None
+        assert note.knows == "nothing"
+        wait_for_more(hub, archived(hub))
+        # all is done, so that nothing has to be joined any more
+        assert run_fleet(campaign, drives.meta.plan, store, Door(), threading.Event(), told.append)
+    assert [pace.done for pace in told] == [0, 1, 2, 2]
+    assert not (tmp_path / "out" / "fleet").exists()
+
+
+def test_an_evaluation_that_finds_nobody_to_join_says_so(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:
+    door = Door(connect=(free_endpoint(),))
+    with open_store(tmp_path / "out", campaign) as store, pytest.raises(TransientError, match="no coordinator at"):
+        run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
