@@ -29,6 +29,7 @@ _ROBOT_BOX_M = (
 )  # the body's corners from base_link, as workers/robot.py has them
 _CAMERA_PATH = "world/robot/camera"
 _DEPTH_SHOWN_M = 10.0
+_LINES = {"action/v_mps": (30, 110, 220), "action/w_rps": (240, 160, 30), "distance/planar_m": (255, 40, 40)}
 _FREE, _OCCUPIED, _HIDING = (236, 239, 243), (150, 158, 170), (84, 92, 106)
 Listener = Callable[[int], None]
 
@@ -125,10 +126,11 @@ def _layout(rerun: ModuleType) -> Any:
     facts = views.Horizontal(
         views.TextDocumentView(origin="instruction", name="instruction"),
         views.TimeSeriesView(origin="action", name="action"),
-        views.TimeSeriesView(origin="distance", name="distance to the target"),
+        views.TimeSeriesView(origin="distance", name="distance"),
     )
     place = views.Spatial3DView(origin="world", name="world")
-    return views.Blueprint(views.Horizontal(place, views.Vertical(images, facts), column_shares=[2, 3]))
+    layout = views.Horizontal(place, views.Vertical(images, facts), column_shares=[2, 3])
+    return views.Blueprint(layout, collapse_panels=True)
 
 
 def _set_time(log: Any, t: int, hz: int) -> None:
@@ -162,6 +164,8 @@ def _log_still(rerun: ModuleType, log: Any, episode: Episode, scene: CompiledSce
         rerun.Boxes3D(centers=[target.centroid_m], half_sizes=[half], labels=[job.target_id], colors=[(255, 40, 40)]),
         static=True,
     )
+    for name, colour in _LINES.items():
+        log.log(name, rerun.SeriesLines(colors=[colour], widths=[2.0]), static=True)
     log.log("instruction", rerun.TextDocument(_say_episode(episode), media_type="text/markdown"), static=True)
     _log_robot(rerun, log, job.camera)
     ids = np.array([0, *(instance.id for instance in meta.instances)], np.uint16)
