@@ -165,8 +165,8 @@ class ObjectArchive:
             if os.fstat(opened.fileno()).st_size == 0:
                 self._objects.put_new(key, b"")
                 return
-            with mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as pages:  # never whole in our memory
-                self._objects.put_new(key, pages)
+            # never whole in our memory; unmapped when the last one who sends it lets go
+            self._objects.put_new(key, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ))
 
     def _lock(self) -> None:
         mine = json.dumps({"home": self._sign, "host": socket.gethostname(), "directory": str(self._home)}).encode()

@@ -5,7 +5,6 @@ Folders are what keys have in common; a folder without objects is not there.
 
 from __future__ import annotations
 
-import functools
 import io
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
@@ -16,10 +15,10 @@ from coordinator.object_store import Objects, objects_at
 
 __all__ = ["ObjectPath"]
 
-_READ_AHEAD_BYTES = 256 << 10
-"""A few frames of an episode: what is read forwards costs a request every so often, not three a frame."""
+_READ_AHEAD_BYTES = 1 << 20
+"""A frame of the richest scene, or a score of the plainest: a request a frame at most, not three."""
 _TAIL_BYTES = 512 << 10
-"""Directory, metadata and arrays of an episode of 1000 frames lie within; kept while the file is open."""
+"""Directory, metadata and arrays of an episode of 1000 frames lie within: one request opens it."""
 
 
 class _Stat(NamedTuple):
@@ -81,7 +80,7 @@ class ObjectPath:
             WorldError: the store does not answer.
         """
         assert mode == "rb"
-        return io.BufferedReader(_Ranges(self.objects, self.key), _READ_AHEAD_BYTES)
+        return io.BufferedReader(_Ranges(self.objects, self.key))
 
     def stream(self) -> Iterator[bytes]:
         """Yields an object piece by piece, in one request."""
@@ -152,17 +151,13 @@ def _parents(key: str) -> tuple[PurePosixPath, ...]:
 
 
 class _Ranges(io.RawIOBase):
-    """An object read by ranges; its tail, where a container keeps its directory, is read once and kept."""
+    """An object read by ranges; of what it holds, one piece around the last read is in memory."""
 
     def __init__(self, objects: Objects, key: str) -> None:
         self._objects, self._key = objects, key
         self._size = objects.head(key).size
-        self._tail_at = max(0, self._size - _TAIL_BYTES)
-        self._position = 0
-
-    @functools.cached_property
-    def _tail(self) -> bytes:
-        return self._fetch(self._tail_at, self._size)
+        self._position = self._start = 0
+        self._piece = b""
 
     def readable(self) -> bool:
         return True
@@ -181,17 +176,17 @@ class _Ranges(io.RawIOBase):
         return self._position
 
     def readinto(self, buffer: Any) -> int:
-        start = self._position
-        end = min(start + len(buffer), self._size)
-        if start >= end:
+        if self._position >= self._size:
             return 0
-        if start >= self._tail_at:
-            data = self._tail[start - self._tail_at : end - self._tail_at]
-        else:
-            data = self._fetch(start, min(end, self._tail_at))
+        if not self._start <= self._position < self._start + len(self._piece):
+            self._fetch(len(buffer))
+        offset = self._position - self._start
+        data = memoryview(self._piece)[offset : offset + len(buffer)]
         buffer[: len(data)] = data
         self._position += len(data)
         return len(data)
 
-    def _fetch(self, start: int, end: int) -> bytes:
-        return self._objects.read_range(self._key, start, end) if start < end else b""
+    def _fetch(self, wanted: int) -> None:
+        self._start = min(self._position, max(0, self._size - _TAIL_BYTES))
+        end = min(self._size, max(self._start + _READ_AHEAD_BYTES, self._position + wanted))
+        self._piece = self._objects.read_range(self._key, self._start, end)

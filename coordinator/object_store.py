@@ -33,8 +33,8 @@ _BATCH = 1000
 _COPY_BYTES = 1 << 20
 _STATUS = re.compile(r"status code: (\d{3} [A-Za-z ]+)")
 _CODE = re.compile(r"<Code>(\w{1,64})</Code>")
-_LINK_LOCAL = ("169.254.", "metadata.google")
-"""Where machines of a cloud ask for credentials: asked only when none were given."""
+_ASKED_THE_CLOUD = ("latest/api/token", "latest/meta-data", "computeMetadata", "metadata/identity")
+"""Where machines of a cloud ask for credentials, which they do only when none were given."""
 _REMEDIES = (
     ("NoSuchBucket", "make the bucket, or check its name and AWS_ENDPOINT_URL"),
     ("no credentials", "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or your cloud's own variables"),
@@ -59,7 +59,7 @@ def objects_at(url: str) -> Objects:
 
 
 class Objects:
-    """The objects below a URL such as `s3://bucket/run`; may be used from several threads, and after a fork.
+    """The objects below a URL such as `s3://bucket/run`; may be used from several threads, but not after a fork.
 
     Raises:
         UsageError: the URL cannot be understood, or `obstore` is not installed.
@@ -67,7 +67,7 @@ class Objects:
 
     def __init__(self, url: str) -> None:
         self.url = _checked(url)
-        self._pid, self._store = os.getpid(), _open(self.url)
+        self._store = _open(self.url)
 
     def put_new(self, key: str, data: Buffer) -> None:
         """Writes an object in one request that fails when it is there already; nothing of it shows before it is whole.
@@ -128,8 +128,7 @@ class Objects:
         import obstore
         from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
 
-        if self._pid != os.getpid():  # a fork shares the connections
-            self._pid, self._store = os.getpid(), _open(self.url)
+        _require_own_process(self.url)
         place = f"{self.url}/{key}"
         try:
             return action(obstore, self._store)
@@ -145,6 +144,21 @@ class Objects:
 
     def __reduce__(self) -> tuple[Callable[[str], Objects], tuple[str]]:
         return objects_at, (self.url,)
+
+
+_users: list[int] = []
+"""The process that has used a store first."""
+
+
+def _require_own_process(url: str) -> None:
+    """The threads that carry requests do not survive a fork: without them a request would wait for ever."""
+    if not _users:
+        _users.append(os.getpid())
+    if os.getpid() not in _users:
+        raise UsageError(
+            f"{url} cannot be read in a process forked from one that has read it: start processes by spawning, e.g. "
+            "DataLoader(..., multiprocessing_context='spawn')"
+        )
 
 
 def _checked(url: str) -> str:
@@ -184,7 +198,7 @@ def _world_error(what: str, place: str, said: str) -> WorldError:
 
 def _found(said: str) -> str:
     """Returns what happened, in words of ours and the server's code; the rest of its answer may hold secrets."""
-    if any(host in said for host in _LINK_LOCAL):
+    if any(path in said for path in _ASKED_THE_CLOUD):
         return "no credentials were found"
     status, code = _STATUS.search(said), _CODE.search(said)
     if status is not None:

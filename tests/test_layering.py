@@ -37,6 +37,7 @@ DOORS = {
     "mcap": {"factory/export/mcap.py"},
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},
+    "obstore": {"coordinator/object_store.py"},
     "pyarrow": {"coordinator/dataset_tables.py", "coordinator/table_reader.py", "factory/"},
 }
 

@@ -1,4 +1,4 @@
-"""Ledger and disk brought to agree at start, with a real archive, ledger and validator."""
+"""Ledger and archive brought to agree at start, with a real directory or bucket, ledger and validator."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from coordinator import ledger_claims
 from coordinator.draw import to_job
 from coordinator.ledger import planned_of
 from coordinator.ledger_outcomes import is_owned
+from coordinator.object_path import ObjectPath
 from coordinator.open_archive import open_archive
+from coordinator.place import Place, children
 from coordinator.protocol import Terms
 from coordinator.reconcile import reconcile
 from coordinator.tables import jobs
@@ -32,9 +34,10 @@ def validator() -> Iterator[Validator]:
 class Scene:
     """A ledger and an archive between two lives of a coordinator."""
 
-    def __init__(self, root: Path, validator: Validator) -> None:
+    def __init__(self, home: Path, validator: Validator, store: ObjectPath | None = None) -> None:
         self.desk = Desk()
-        self.root = root
+        self.home, self.store = home, store
+        self.root: Place = store or home
         self.validator = validator
         self.terms = Terms(self.desk.plan, self.desk.catalog, "test", TTL_S, 1.0)
 
@@ -50,15 +53,18 @@ class Scene:
             connection.execute(jobs.update().where(jobs.c.id == row.id).values(size=len(bundle)))
         return lease, bundle
 
-    def lay(self, name: str, data: bytes) -> Path:
+    def lay(self, name: str, data: bytes) -> Place:
         """A file as a crash left it among the episodes."""
         path = self.root / "episodes" / name
+        if isinstance(path, ObjectPath):
+            path.objects.put(path.key, data)
+            return path
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
         return path
 
     def start(self):
-        with open_archive(self.root) as archive:
+        with open_archive(self.home, self.store) as archive:
             return reconcile(archive, self.desk.engine, self.terms, self.validator, self.desk.now)
 
     def states(self) -> list[str]:
@@ -66,9 +72,12 @@ class Scene:
             return list(connection.execute(select(jobs.c.state).order_by(jobs.c.idx)).scalars())
 
 
-@pytest.fixture
-def scene(tmp_path: Path, validator: Validator) -> Scene:
-    return Scene(tmp_path / "out", validator)
+@pytest.fixture(params=["directory", "bucket"])
+def scene(request: pytest.FixtureRequest, tmp_path: Path, validator: Validator) -> Scene:
+    if request.param == "directory":
+        return Scene(tmp_path / "out", validator)
+    new_bucket = request.getfixturevalue("bucket_url")
+    return Scene(tmp_path / "home", validator, ObjectPath.at(f"{new_bucket()}/run"))
 
 
 def test_a_published_bundle_whose_commit_was_lost_is_adopted(scene):
@@ -105,22 +114,22 @@ def test_files_that_nobody_expects_are_quarantined(scene):
     scene.lay("notes.txt", b"mine")
     result = scene.start()
     assert len(result.quarantined) == 2
-    assert list((scene.root / "episodes").iterdir()) == []
+    assert children(scene.root / "episodes") == []
     assert scene.states() == ["pending"] * 3
 
 
 def test_an_episode_of_another_size_is_quarantined_and_made_again(scene):
     _, bundle = scene.announce()
-    path = scene.lay("ep_000001.zip", bundle)
+    scene.lay("ep_000001.zip", bundle)
     scene.start()
-    path.write_bytes(bundle[:-1])
+    scene.lay("ep_000001.zip", bundle[:-1])
     result = scene.start()
     assert (result.requeued, len(result.quarantined)) == ([1], 1)
     assert scene.states()[0] == "pending"
 
 
 def test_an_orphan_in_the_staging_directory_is_gone(scene):
-    part = scene.root / ".staging" / "ep_000001.0.part"
+    part = scene.home / ".staging" / "ep_000001.0.part"
     part.parent.mkdir(parents=True)
     part.write_bytes(b"half")
     scene.start()

@@ -1,0 +1,110 @@
+"""A relay in front of an S3 server that fails on demand: refuses, cuts uploads, loses answers, drops conditions."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import urlsplit
+
+__all__ = ["StoreRelay"]
+
+_CUT_AFTER_BYTES = 64 << 10
+_DENIED = (
+    b'<?xml version="1.0"?><Error><Code>AccessDenied</Code><Message>no</Message>'
+    b"<AWSAccessKeyId>tester</AWSAccessKeyId><StringToSign>AWS4-HMAC-SHA256 private</StringToSign></Error>"
+)
+
+
+class StoreRelay:
+    """Relays requests to a server; what goes wrong is set from outside, while it runs. A context manager."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.is_denying = False
+        """Answers every request with 403."""
+        self.is_cutting = False
+        """Hangs up in the middle of every upload, and passes nothing of it on."""
+        self.cuts = 0
+        """Uploads it has cut."""
+        self.answers_to_lose = 0
+        """Uploads whose answer is thrown away after they were carried out."""
+        self.ignores_conditions = False
+        """Passes writes on without their conditions."""
+        relay = self
+
+        class Handler(_Handler):
+            target = urlsplit(endpoint)
+            faults = relay
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(target=self._server.serve_forever, name="store-relay")
+        self.endpoint = f"http://127.0.0.1:{self._server.server_port}"
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._thread.join()
+        self._server.server_close()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    target: Any
+    faults: StoreRelay
+
+    def _relay(self) -> None:
+        faults, length = self.faults, int(self.headers.get("Content-Length") or 0)
+        if self.command == "PUT" and faults.is_cutting and length > _CUT_AFTER_BYTES:
+            self.rfile.read(_CUT_AFTER_BYTES)
+            faults.cuts += 1
+            self._hang_up()
+            return
+        body = self.rfile.read(length)
+        if faults.is_denying:
+            self._answer(403, {"Content-Type": "application/xml"}, _DENIED)
+            return
+        headers = {
+            name: value
+            for name, value in self.headers.items()
+            if not (faults.ignores_conditions and name.lower().startswith("if-"))
+        }
+        upstream = http.client.HTTPConnection(self.target.hostname, self.target.port, timeout=60)
+        upstream.request(self.command, self.path, body, headers)
+        answer = upstream.getresponse()
+        data = answer.read()
+        upstream.close()
+        if self.command == "PUT" and faults.answers_to_lose > 0:
+            faults.answers_to_lose -= 1
+            self._hang_up()
+            return
+        self._answer(answer.status, dict(answer.getheaders()), data)
+
+    def _answer(self, status: int, headers: dict[str, str], data: bytes) -> None:
+        self.send_response_only(status)
+        for name, value in headers.items():
+            if name.lower() not in ("content-length", "connection", "transfer-encoding"):
+                self.send_header(name, value)
+        self.send_header(
+            "Content-Length", headers.get("Content-Length", "0") if self.command == "HEAD" else str(len(data))
+        )
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(data)
+
+    def _hang_up(self) -> None:
+        self.close_connection = True
+        self.connection.shutdown(socket.SHUT_RDWR)
+
+    do_GET = do_PUT = do_HEAD = do_DELETE = do_POST = _relay  # noqa: N815 - the names http.server asks for
+
+    def log_message(self, *arguments: object) -> None:
+        """Says nothing."""

@@ -1,0 +1,296 @@
+"""An archive in a bucket of a real S3 server: what goes wrong between a coordinator and its store."""
+
+from __future__ import annotations
+
+import multiprocessing
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from coordinator.archive import Archive
+from coordinator.archive_objects import ObjectArchive
+from coordinator.object_path import ObjectPath
+from coordinator.open_archive import open_archive
+from coordinator.place import place_of
+from coordinator.repair import Patient, repair
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from coordinator.validator import Validator
+from factory.dataset import Dataset
+from factory.stats import measure_dataset
+from factory.verify import verify
+from schemas.errors import ArchiveCorrupt, UsageError, WorldError
+from tests.builders.archived import ArchivedRun
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.object_server import SECRET, ObjectServer
+from tests.builders.store_relay import StoreRelay
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+
+ANY_PORT = ("tcp/127.0.0.1:0",)
+BIG = bytes(range(256)) * 4096
+
+
+@pytest.fixture
+def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
+    with StoreRelay(object_store.endpoint) as between:
+        yield between
+
+
+@pytest.fixture
+def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
+    """A fresh bucket behind the relay."""
+    url = bucket_url()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
+    return ObjectPath.at(f"{url}/run")
+
+
+def publish(archive: Archive, index: int, data: bytes) -> None:
+    with archive.stage(index) as staged:
+        staged.write(data)
+        archive.publish(staged, index)
+
+
+def said_by(action: Callable[[], object]) -> str:
+    """Returns an error's message; whatever a log could show of it, chained errors included, holds no secret."""
+    with pytest.raises(WorldError) as caught:
+        action()
+    everything = "".join(traceback.format_exception(caught.value))
+    assert SECRET not in everything
+    assert "StringToSign" not in everything
+    assert "Signature" not in everything
+    return str(caught.value)
+
+
+def copy_to(store: ObjectPath, folder: Path) -> None:
+    for path in folder.rglob("*"):
+        if path.is_file() and not path.name.startswith((".", "ledger.")):
+            store.objects.put(str(path.relative_to(folder)), path.read_bytes())
+
+
+def test_missing_bucket_is_named_with_the_remedy(store: ObjectPath, tmp_path: Path) -> None:
+    said = said_by(lambda: open_archive(tmp_path, ObjectPath.at("s3://never-made/run")))
+    assert said.startswith("cannot write s3://never-made/run/.lock: the store answers 404 Not Found (NoSuchBucket)")
+    assert "make the bucket" in said
+
+
+def test_refused_access_is_named_without_the_servers_words(
+    store: ObjectPath, relay: StoreRelay, tmp_path: Path
+) -> None:
+    relay.is_denying = True
+    said = said_by(lambda: open_archive(tmp_path, store))
+    assert said.startswith(f"cannot write {store}/.lock: the store answers 403 Forbidden")
+    assert "check the credentials" in said
+
+
+def test_absent_credentials_are_named(store: ObjectPath, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
+    monkeypatch.setenv("AWS_METADATA_ENDPOINT", "http://127.0.0.1:9")
+    said = said_by(lambda: open_archive(tmp_path, ObjectPath.at(f"{store}/no-credentials")))
+    assert "no credentials were found; set AWS_ACCESS_KEY_ID" in said
+
+
+def test_credentials_in_a_url_are_refused_and_not_repeated() -> None:
+    with pytest.raises(UsageError, match="a URL is no place for credentials") as caught:
+        place_of(f"s3://tester:{SECRET}@bucket/run")
+    assert SECRET not in str(caught.value)
+
+
+@pytest.mark.parametrize("url", ["s3://", "ftp://host/run", "s3://bucket/../other", "s3://bucket/run?versionId=1"])
+def test_url_that_names_no_place_is_refused(url: str) -> None:
+    with pytest.raises(UsageError, match="names no place for a dataset"):
+        place_of(url)
+
+
+def test_file_url_is_a_directory() -> None:
+    assert place_of("file:///data/my%20run") == Path("/data/my run")
+
+
+def test_server_that_is_away_is_named(store: ObjectPath, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    said = said_by(lambda: open_archive(tmp_path, ObjectPath.at(f"{store}/away")))
+    assert "the store cannot be reached; check the network and AWS_ENDPOINT_URL" in said
+
+
+def test_upload_that_is_cut_off_leaves_nothing_and_may_be_repeated(
+    store: ObjectPath, relay: StoreRelay, tmp_path: Path
+) -> None:
+    with open_archive(tmp_path, store) as archive:
+        relay.is_cutting = True
+        said = said_by(lambda: publish(archive, 1, BIG))
+        assert "cannot write" in said
+        assert "ep_000001.zip: the store cannot be reached" in said
+        assert archive.present() == {}
+        assert list((tmp_path / ".staging").iterdir()) == []
+        relay.is_cutting = False
+        publish(archive, 1, BIG)
+        assert archive.present()[1].read_bytes() == BIG
+
+
+def test_upload_whose_answer_was_lost_is_taken_for_published(
+    store: ObjectPath, relay: StoreRelay, tmp_path: Path
+) -> None:
+    with open_archive(tmp_path, store) as archive:
+        relay.answers_to_lose = 1
+        publish(archive, 1, BIG)
+        assert relay.answers_to_lose == 0
+        assert archive.present()[1].read_bytes() == BIG
+        with pytest.raises(ArchiveCorrupt, match="is not overwritten"):
+            publish(archive, 1, BIG[::-1])
+
+
+def test_upload_in_parts_that_was_never_finished_is_not_seen(
+    store: ObjectPath, object_store: ObjectServer, tmp_path: Path
+) -> None:
+    bucket, prefix = str(store).removeprefix("s3://").split("/")
+    key = f"{prefix}/episodes/ep_000001.zip"
+    begun = object_store.client.create_multipart_upload(Bucket=bucket, Key=key)
+    object_store.client.upload_part(Bucket=bucket, Key=key, UploadId=begun["UploadId"], PartNumber=1, Body=BIG)
+    with open_archive(tmp_path, store) as archive:
+        assert archive.present() == {}
+        assert archive.foreign() == []
+        publish(archive, 1, b"whole")
+        assert archive.present()[1].read_bytes() == b"whole"
+
+
+def test_store_that_ignores_conditions_is_refused(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
+    relay.ignores_conditions = True
+    assert "overwrites an object although it was told not to" in said_by(lambda: open_archive(tmp_path, store))
+    assert list(store.walk()) == []
+
+
+def test_dataset_belongs_to_one_home_until_it_is_closed_or_taken_over(store: ObjectPath, tmp_path: Path) -> None:
+    first = ObjectArchive(store, tmp_path / "first")
+    said = said_by(lambda: open_archive(tmp_path / "second", store))
+    assert f"another coordinator holds {store}: that of {tmp_path / 'first'} on host" in said
+    assert f"factory repair --take-over {store}" in said
+    with open_archive(tmp_path / "second", store, take_over=True):
+        first.close()
+        assert "another coordinator holds" in said_by(lambda: open_archive(tmp_path / "first", store))
+    with open_archive(tmp_path / "first", store):
+        pass
+    assert list(store.walk()) == []
+
+
+def test_forked_process_is_told_to_be_spawned_instead_of_hanging(store: ObjectPath) -> None:
+    store.objects.put("note", b"text")
+    said: multiprocessing.Queue[str] = multiprocessing.get_context("fork").Queue()
+    child = multiprocessing.get_context("fork").Process(target=_read_in_child, args=(store, said))
+    child.start()
+    assert "multiprocessing_context='spawn'" in said.get(timeout=60)
+    child.join(60)
+
+
+def _read_in_child(store: ObjectPath, said: multiprocessing.Queue[str]) -> None:
+    try:
+        (store / "note").read_bytes()
+    except UsageError as error:
+        said.put(str(error))
+
+
+def test_object_is_read_as_a_file_is(store: ObjectPath) -> None:
+    data = bytes(range(251)) * 12_000  # longer than what is read ahead, and than the tail
+    store.objects.put("big", data)
+    with (store / "big").open() as file:
+        assert file.seek(0, 2) == len(data)
+        for start, count in ((len(data) - 22, 22), (0, 100), (1_000_000, 2_000_000), (5, 0), (len(data) - 3, 10)):
+            file.seek(start)
+            assert file.read(count) == data[start : start + count]
+        file.seek(0)
+        assert file.read() == data
+    with pytest.raises(FileNotFoundError):
+        (store / "nothing").open()
+
+
+def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
+    settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0)
+    plan, catalog = room_plan(2), room_catalog(tmp_path)
+    with (
+        Coordinator(tmp_path / "home", plan, catalog, ANY_PORT, settings=settings, store=store) as running,
+        WireWorker(running.endpoints, running.run) as worker,
+    ):
+        job, lease = worker.job()
+        relay.is_cutting = True
+        worker.deliver(lease, bundle_for(job))
+        until(lambda: relay.cuts > 0, 60.0)
+        assert running.progress().jobs.get("archived", 0) == 0
+        relay.is_cutting = False
+        until(lambda: bool(worker.beat().drop), 120.0)  # each beat announces the bundle again
+        job, lease = worker.job()
+        worker.deliver(lease, bundle_for(job))
+        until(running.is_finished, 60.0)
+    found = Dataset(str(store))
+    assert (len(found), found.meta.complete) == (2, True)
+    assert {finding.file.split("/")[0] for finding in verify(store, deep=True).findings} == {"scenes"}  # no real one
+    assert not (store / ".lock").exists()
+    assert (tmp_path / "home/ledger.db").is_file()
+
+
+def test_bucket_is_not_opened_without_its_ledger(store: ObjectPath, tmp_path: Path) -> None:
+    with open_archive(tmp_path / "first", store) as archive:
+        publish(archive, 1, b"episode")
+    said = said_by(lambda: Coordinator(tmp_path / "other", room_plan(2), room_catalog(tmp_path), ANY_PORT, store=store))
+    assert "holds 1 episodes, and its ledger" in said
+    assert f"`factory repair {store}` rebuild" in said
+    assert [path.name for path in (store / "episodes").iterdir()] == ["ep_000001.zip"]
+
+
+def test_reader_verification_and_statistics_say_the_same_of_a_bucket(store: ObjectPath, tmp_path: Path) -> None:
+    run = ArchivedRun(tmp_path / "out")
+    copy_to(store, run.root)
+    here, there = Dataset(run.root), Dataset(str(store))
+    assert here.digest == there.digest
+    for one, other in zip(here, there, strict=True):
+        assert one.meta == other.meta
+        assert all((a == b).all() for a, b in zip(one.frame(-1), other.frame(-1), strict=True))
+    alike = {"dataset": ""}
+    assert measure_dataset(run.root).model_copy(update=alike) == measure_dataset(store).model_copy(update=alike)
+    assert verify(store).findings == verify(run.root).findings
+    damaged = bytearray((store / "episodes/ep_000002.zip").read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    store.objects.put("episodes/ep_000002.zip", bytes(damaged))
+    store.objects.delete("episodes/ep_000003.zip")
+    store.objects.put("episodes/sub/ep_000001.zip", b"astray")
+    kinds = sorted((str(finding.kind), finding.file) for finding in verify(store).findings)
+    assert ("changed", "episodes/ep_000002.zip") in kinds
+    assert ("missing", "episodes/ep_000003.zip") in kinds
+    assert ("foreign", "episodes/sub") in kinds
+    assert "ep_000003" in measure_dataset(store).remarks[0].text
+
+
+def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_sets_damage_aside(store: ObjectPath, tmp_path: Path) -> None:
+    run = ArchivedRun(tmp_path / "out")
+    copy_to(store, run.root)
+    store.objects.put("episodes/ep_000002.zip", b"torn")
+    store.objects.put("episodes/sub/notes.txt", b"mine")
+    home = tmp_path / "home"
+    patient = Patient(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
+    with Validator() as validator:
+        report = repair(patient, validator, run.desk.now, apply=True)
+        again = repair(patient, validator, run.desk.now, apply=False)
+    assert sorted(str(action.kind) for action in report.actions) == [
+        "adopt",
+        "adopt",
+        "quarantine",
+        "quarantine",
+        "rebuild",
+    ]
+    assert (report.episodes, report.planned) == (2, 3)
+    assert again.is_sound
+    assert sorted(path.name for path in (store / "episodes").walk()) == ["ep_000001.zip", "ep_000003.zip"]
+    assert any(path.read_bytes() == b"torn" for path in (store / "quarantine").iterdir())
+    assert len(Dataset(str(store))) == 2
+
+
+def test_store_that_is_away_is_no_damage(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
+    run = ArchivedRun(tmp_path / "out")
+    copy_to(store, run.root)
+    found = Dataset(str(store))
+    relay.is_denying = True
+    assert "403" in said_by(lambda: verify(store))
+    assert "403" in said_by(lambda: found[0].rgb(0))
+    patient = Patient(store, run.root, run.url, run.plan, run.catalog, {})
+    with Validator() as validator:
+        assert "403" in said_by(lambda: repair(patient, validator, run.desk.now, apply=False))
