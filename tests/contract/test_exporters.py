@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -138,6 +140,36 @@ def test_full_disk_and_kill_leave_only_whole_files(
     )
     assert run_export(order(dataset, out, name)).complete
     assert contents(out) == contents(calm[name])
+
+
+@every_format
+def test_disk_without_room_keeps_only_whole_files(
+    dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str
+) -> None:
+    whole = contents(calm[name])
+    with disk_of(tmp_path / "disk", sum(map(len, whole.values())) // 2) as disk:
+        with pytest.raises(WorldError, match="No space left on device"):
+            run_export(order(dataset, disk / "out", name))
+        found = contents(disk / "out")
+        assert {file: data for file, data in found.items() if file != MANIFEST_FILE}.items() <= whole.items()
+        assert not [path for path in (disk / "out" / WORK_FOLDER / "staging").rglob("*") if path.is_file()]
+        subprocess.run(["mount", "-o", "remount,size=1g", str(disk)], check=True)
+        assert run_export(order(dataset, disk / "out", name)).complete
+        assert contents(disk / "out") == whole
+
+
+@contextlib.contextmanager
+def disk_of(path: Path, size_bytes: int) -> Iterator[Path]:
+    """Yields a disk of its own with room for that many bytes, at least some pages; only root may have one."""
+    path.mkdir()
+    size = max(size_bytes, 4 * 4096)
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "small", str(path)]
+    if shutil.which("mount") is None or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("mounting a tmpfs needs root")
+    try:
+        yield path
+    finally:
+        subprocess.run(["umount", "--lazy", str(path)], check=True)
 
 
 @every_format
