@@ -19,7 +19,7 @@ from coordinator import ledger_claims
 from coordinator.dispatch import Dispatch
 from coordinator.meters import Meter, Meters
 from coordinator.protocol import Answer, Request, Terms, parse, serve
-from coordinator.relay import Archived, Duty, Inventory
+from coordinator.relay import Archived, Duty, Inventory, Join, JoinReply
 from coordinator.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.router import Inquiry
 from coordinator.writer import Writer
@@ -127,6 +127,8 @@ class Front:
             answer = future.result()
             if isinstance(request.message, AdminRequest):
                 self._note_operator(request.message)
+            if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
+                self._dispatch.take(request.host, request.message.router, 0)
             if isinstance(request.message, Archived | Inventory):
                 self._on_archived()
             if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:

@@ -153,7 +153,7 @@ class Gateway:
 
     def _join(self, root: Path, name: str, checker: Checker, stop: threading.Event) -> str:
         """Finds the run and brings directory and ledger to agree."""
-        join = Join(version=version("minivla-factory"))
+        join = Join(version=version("minivla-factory"), router=self._node.router_id)
         terms = self._core.insist(Verb.JOIN, join, JoinReply, stop)
         is_new = not holds_title(root)
         require_title(root, terms.run, name)

@@ -34,11 +34,16 @@ MAX_FILES, MAX_ORDERS = 1000, 64
 Index = Annotated[int, Field(ge=1)]
 
 
+RouterId = Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
+"""Zenoh's id of a gateway's session: what workers connected to it name in `via`."""
+
+
 class Join(Model):
-    """A gateway looks for the run it is to serve."""
+    """A gateway looks for the run it is to serve; from now on what is announced via its router is its own to pull."""
 
     version: str
     """Of minivla-factory."""
+    router: RouterId
 
 
 class JoinReply(Model):
@@ -51,8 +56,7 @@ class JoinReply(Model):
 class Duty(Model):
     """A gateway asks what to pull; bundles of workers that reach the core through it are its own."""
 
-    router: Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
-    """Zenoh's id of its session: what workers connected to it name in `via`."""
+    router: RouterId
     most: Annotated[int, Field(ge=0, le=MAX_ORDERS)]
     """Orders it can take now."""
 

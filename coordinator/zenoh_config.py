@@ -18,6 +18,7 @@ __all__ = ["client_config", "router_config"]
 _MAX_MESSAGE_BYTES = 4 << 20
 _MAX_SESSIONS, _MAX_ARRIVING = 5000, 1000
 _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
+"""The second because a close waits for a reconnect under way, and a frozen router answers none: 10 s by default."""
 
 
 def router_config(
@@ -42,6 +43,7 @@ def router_config(
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "transport/unicast/max_sessions": str(_MAX_SESSIONS),
         "transport/unicast/accept_pending": str(_MAX_ARRIVING),
+        "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
     if tls is not None:
         values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
@@ -57,7 +59,6 @@ def client_config(connect: Sequence[str], lease_s: float, tls: TlsFiles | None =
         "connect/endpoints": json.dumps(list(connect)),
         "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
         "connect/exit_on_failure": "true",
-        # a close waits for a reconnect under way, and a frozen router answers none: ten seconds by default
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
     if tls is not None:

@@ -12,12 +12,18 @@ from schemas.identity import Role, TlsFiles, tls_files
 __all__ = ["files_of", "make_authority"]
 
 
-def make_authority(folder: Path, workers: Sequence[str] = (), operators: Sequence[str] = (), days: int = 2) -> Path:
+def make_authority(
+    folder: Path,
+    workers: Sequence[str] = (),
+    operators: Sequence[str] = (),
+    days: int = 2,
+    gateways: Sequence[str] = (),
+) -> Path:
     """Returns the folder of an authority with a coordinator called hub and these hosts."""
     now = datetime.now(UTC)
     found(folder, "test", days, now)
     admit(folder, "hub", Role.COORDINATOR, (), days, now)
-    for role, names in ((Role.WORKER, workers), (Role.OPERATOR, operators)):
+    for role, names in ((Role.WORKER, workers), (Role.OPERATOR, operators), (Role.GATEWAY, gateways)):
         for name in names:
             admit(folder, name, role, (), days, now)
     return folder

@@ -63,6 +63,7 @@ class WireWorker:
         self.served: list[int] = []
         """Offsets that were asked for."""
         self.is_frozen = False
+        self.knows_router = True
         self._session = zenoh.open(client_config(endpoints, 2.0, tls))
         self._session.declare_queryable(bundle_key(run, self.sid), self._serve)
         self._token = self._session.liveliness().declare_token(alive_key(run, self.sid))
@@ -70,7 +71,7 @@ class WireWorker:
     @property
     def via(self) -> str | None:
         """The router it is connected to."""
-        routers = self._session.info.routers_zid()
+        routers = self._session.info.routers_zid() if self.knows_router else []
         return str(routers[0]) if routers else None
 
     def ask(self, verb: Verb | str, message: Model | bytes, answer: type[M]) -> M | Refusal | None:

@@ -1,0 +1,275 @@
+"""Gateways between workers and a core, over real zenoh on loopback with real directories, ledger and validator."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from sqlalchemy import select
+
+from coordinator.gateway import Gateway
+from coordinator.gather import GatherReport, gather
+from coordinator.ledger_keepers import all_keepers
+from coordinator.look import look_into
+from coordinator.repair import Patient
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from coordinator.tables import events
+from coordinator.validator import Validator
+from schemas.errors import UsageError, WorldError
+from schemas.job import Job
+from schemas.terms import FailReason
+from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+
+ANY_PORT = ("tcp/127.0.0.1:0",)
+SETTINGS = CoordinatorSettings(
+    reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=4.0, transport_lease_s=2.0
+)
+EPISODES = 3
+
+
+class Shared:
+    """One sandboxed child for all tests: starting one takes longer than most of them."""
+
+    def __init__(self, validator: Validator) -> None:
+        self.check = validator.check
+
+    def close(self) -> None:
+        """It lives on."""
+
+
+@pytest.fixture(scope="module")
+def checker() -> Iterator[Shared]:
+    with Validator() as validator:
+        yield Shared(validator)
+
+
+class Site:
+    """A core and what is around it; every part can be closed and opened again."""
+
+    def __init__(self, folder: Path, checker: Shared, stack: ExitStack) -> None:
+        self.folder, self.checker, self._stack = folder, checker, stack
+        self.endpoint = free_endpoint()
+        self.core = self.open_core()
+
+    @property
+    def url(self) -> str:
+        return f"sqlite:///{self.folder / 'out' / 'ledger.db'}"
+
+    def open_core(self) -> Coordinator:
+        plan, catalog = room_plan(EPISODES), room_catalog(self.folder)
+        self.core = self._stack.enter_context(
+            Coordinator(self.folder / "out", plan, catalog, (self.endpoint,), settings=SETTINGS, checker=self.checker)
+        )
+        return self.core
+
+    def open_gateway(self, name: str, folder: str | None = None) -> Gateway:
+        root = self.folder / (folder or name)
+        return self._stack.enter_context(
+            Gateway(root, name, (self.endpoint,), ANY_PORT, SETTINGS, checker=self.checker)
+        )
+
+    def open_worker(self, endpoints: tuple[str, ...]) -> WireWorker:
+        return self._stack.enter_context(WireWorker(endpoints, self.core.run))
+
+    def gather(self, *names: str, requeue_missing: bool = False) -> GatherReport:
+        """What `factory gather` does, with the core closed."""
+        out = self.folder / "out"
+        patient = Patient(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
+        sources = [self.folder / name for name in names]
+        return gather(patient, sources, datetime.now(UTC), requeue_missing=requeue_missing)
+
+    def keepers(self) -> dict[int, str]:
+        with look_into(self.url) as ledger:
+            return dict(all_keepers(ledger))
+
+    def files(self, name: str) -> list[str]:
+        return sorted(path.name for path in (self.folder / name / "episodes").iterdir())
+
+
+@pytest.fixture
+def site(tmp_path: Path, checker: Shared) -> Iterator[Site]:
+    with ExitStack() as stack:
+        yield Site(tmp_path, checker, stack)
+
+
+def bring(worker: WireWorker, count: int = 1) -> list[Job]:
+    """Claims and delivers so many episodes; returns their jobs."""
+    jobs = []
+    for _ in range(count):
+        job, lease = worker.job()
+        assert worker.deliver(lease, bundle_for(job))
+        jobs.append(job)
+    return jobs
+
+
+def name_of(job: Job) -> str:
+    return f"{job.episode_id}.zip"
+
+
+def bring_home(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
+    """Brings episodes and waits until the ledger owns them."""
+    before = site.core.progress().jobs["archived"]
+    jobs = bring(worker, count)
+    until(lambda: site.core.progress().jobs["archived"] == before + count, 60)
+    return jobs
+
+
+def test_what_workers_bring_through_a_gateway_is_archived_there_and_nothing_of_it_at_the_core(site):
+    gateway = site.open_gateway("gw1")
+    worker = site.open_worker(gateway.endpoints)
+    bring_home(worker, site, EPISODES)
+    assert len(worker.beat().drop) == EPISODES
+    assert worker.claim().finished
+    assert site.files("out") == []
+    assert site.files("gw1") == [f"ep_{index:06d}.zip" for index in range(1, EPISODES + 1)]
+    assert site.core.progress().by_gateway == {"gw1": EPISODES}
+    assert site.core.progress().attempts == {"success": EPISODES}
+    assert gateway.is_alive()
+    assert gateway.troubles() == ()
+
+
+def test_who_is_connected_to_the_core_brings_to_the_core(site):
+    site.open_gateway("gw1")
+    bring_home(site.open_worker((site.endpoint,)), site)
+    assert site.files("gw1") == []
+    assert len(site.files("out")) == 1
+    assert site.core.progress().by_gateway == {}
+
+
+def test_a_gateway_refuses_a_bundle_that_is_not_what_was_asked_for(site):
+    worker = site.open_worker(site.open_gateway("gw1").endpoints)
+    job, lease = worker.job()
+    worker.deliver(lease, bundle_for(job.model_copy(update={"index": 9})))
+    until(lambda: site.core.progress().attempts.get(FailReason.INVALID) == 1, 60)
+    assert site.files("gw1") == []
+
+
+def test_a_gathered_dataset_is_whole_and_can_be_gathered_again(site):
+    first, second = site.open_gateway("gw1"), site.open_gateway("gw2")
+    (one,) = bring_home(site.open_worker(first.endpoints), site)
+    (two,) = bring_home(site.open_worker(second.endpoints), site)
+    (three,) = bring_home(site.open_worker((site.endpoint,)), site)
+    assert site.keepers() == {one.index: "gw1", two.index: "gw2"}
+    site.core.close()
+    some = site.gather("gw1")
+    assert (some.gathered, [(gone.episode, gone.gateway) for gone in some.missing]) == (1, [(two.episode_id, "gw2")])
+    report = site.gather("gw1", "gw2")
+    assert (report.gathered, report.missing, report.episodes) == (1, (), EPISODES)
+    assert site.keepers() == {}
+    assert site.files("out") == sorted(map(name_of, (one, two, three)))
+    assert site.gather("gw1", "gw2").gathered == 0
+    assert site.open_core().progress().jobs["archived"] == EPISODES  # nothing is taken for lost
+
+
+def test_gathering_refuses_what_the_ledger_does_not_know_and_makes_it_anew_when_told(site):
+    gateway = site.open_gateway("gw1")
+    (job,) = bring_home(site.open_worker(gateway.endpoints), site)
+    gateway.close()
+    site.core.close()
+    path = site.folder / "gw1" / "episodes" / name_of(job)
+    path.write_bytes(path.read_bytes()[:-1] + b"x")
+    (missing,) = site.gather("gw1").missing
+    assert "SHA-256" in missing.why
+    assert site.files("out") == []
+    assert site.gather("gw1", requeue_missing=True).requeued
+    assert site.keepers() == {}
+    again = site.open_core()
+    assert (again.progress().jobs["archived"], again.progress().jobs["pending"]) == (0, EPISODES)
+
+
+def test_a_gathering_cut_off_between_file_and_ledger_is_finished_by_the_next_start(site):
+    gateway = site.open_gateway("gw1")
+    (job,) = bring_home(site.open_worker(gateway.endpoints), site)
+    site.core.close()
+    whole = (site.folder / "gw1" / "episodes" / name_of(job)).read_bytes()
+    (site.folder / "out" / "episodes" / name_of(job)).write_bytes(whole)
+    assert site.open_core().progress().by_gateway == {}
+    assert site.files("out") == [name_of(job)]
+
+
+def test_a_core_that_starts_again_takes_nothing_at_gateways_for_lost(site):
+    bring_home(site.open_worker(site.open_gateway("gw1").endpoints), site)
+    site.core.close()
+    progress = site.open_core().progress()
+    assert (progress.jobs["archived"], progress.by_gateway) == (1, {"gw1": 1})
+
+
+def test_a_gateway_that_starts_again_keeps_what_it_has_and_gives_up_what_is_gone(site):
+    gateway = site.open_gateway("gw1")
+    worker = site.open_worker(gateway.endpoints)
+    kept, gone = bring_home(worker, site, 2)
+    worker.close()
+    gateway.close()
+    (site.folder / "gw1" / "episodes" / name_of(gone)).unlink()
+    (site.folder / "gw1" / "episodes" / "notes.txt").touch()
+    again = site.open_gateway("gw1")
+    assert site.core.progress().by_gateway == {"gw1": 1}
+    assert site.files("gw1") == [name_of(kept)]
+    bring_home(site.open_worker(again.endpoints), site, 2)
+    assert site.core.progress().by_gateway == {"gw1": EPISODES}
+
+
+@pytest.mark.parametrize("lease", ["in force", "lost"])
+def test_what_a_gateway_published_before_it_died_is_adopted_as_long_as_the_job_is_open(site, lease):
+    site.open_gateway("gw1").close()
+    worker = site.open_worker((site.endpoint,))
+    worker.is_frozen = True  # the core, which is to pull here, gets nothing
+    (job,) = bring(worker)
+    (bundle,) = (data for _, data in worker.spool.values())
+    if lease == "lost":
+        worker.close()
+        until(lambda: site.core.progress().attempts.get("expired", 0) == 1, 60)
+    (site.folder / "gw1" / "episodes" / name_of(job)).write_bytes(bundle)
+    site.open_gateway("gw1")
+    progress = site.core.progress()
+    assert (progress.jobs["archived"], progress.by_gateway) == (1, {"gw1": 1})
+    assert progress.attempts["success"] == 1
+    assert site.files("gw1") == [name_of(job)]
+
+
+def test_what_somebody_else_brought_meanwhile_is_set_aside_at_the_gateway(site):
+    gateway = site.open_gateway("gw1")
+    gateway.close()
+    (job,) = bring_home(site.open_worker((site.endpoint,)), site)
+    (site.folder / "gw1" / "episodes" / name_of(job)).write_bytes(bundle_for(job))
+    site.open_gateway("gw1")
+    assert site.files("gw1") == []
+    assert any(path.name.startswith(name_of(job)) for path in (site.folder / "gw1" / "quarantine").iterdir())
+    assert site.core.progress().by_gateway == {}
+
+
+def test_a_gateway_under_the_name_of_one_with_episodes_elsewhere_is_refused_and_nothing_given_up(site):
+    gateway = site.open_gateway("gw1")
+    bring_home(site.open_worker(gateway.endpoints), site)
+    gateway.close()
+    with pytest.raises(WorldError, match="1 episodes lie at gateway gw1"):
+        site.open_gateway("gw1", "another")
+    assert site.core.progress().by_gateway == {"gw1": 1}
+
+
+def test_a_directory_of_another_gateway_is_refused(site):
+    site.open_gateway("gw1").close()
+    with pytest.raises(UsageError, match="belongs to"):
+        site.open_gateway("gw2", "gw1")
+
+
+def test_two_who_pull_one_bundle_end_with_one_owner(site):
+    worker = site.open_worker(site.open_gateway("gw1").endpoints)
+    for number in range(1, EPISODES + 1):
+        bring(worker)  # that is the gateway's
+        worker.knows_router = False
+        worker.beat()  # and now the core's too, as after a restart in which it has not heard of gateways yet
+        worker.knows_router = True
+        until(lambda: site.core.progress().jobs["archived"] == number, 60)  # noqa: B023 - waited for within the round
+    worker.close()
+    until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the loser takes its copy away
+    with look_into(site.url) as ledger:
+        archived = [row.job_id for row in ledger.execute(select(events.c.job_id).where(events.c.event == "archived"))]
+    assert len(archived) == len(set(archived)) == EPISODES
+    assert site.core.progress().by_gateway.get("gw1", 0) == len(site.files("gw1"))
