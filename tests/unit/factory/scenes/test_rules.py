@@ -81,4 +81,4 @@ def test_a_missing_table_is_named(tmp_path: Path) -> None:
 
 
 def test_racks_and_monitors_are_never_called_after_what_they_show() -> None:
-    assert load_rules().uncoloured == {"rack", "monitor"}
+    assert load_rules().uncoloured == {"rack", "shelf", "monitor"}
