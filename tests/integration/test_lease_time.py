@@ -1,0 +1,59 @@
+"""How soon a dead worker's job is back, by the ledger's own timestamps: no wall time is measured, nothing can flake."""
+
+from __future__ import annotations
+
+import threading
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from sqlalchemy import select
+
+from coordinator.look import look_into
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from coordinator.states import Event
+from coordinator.tables import events
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.wire_worker import WireWorker, until
+
+LATE_S = 1.0
+"""The promise: within the lease, and so much more."""
+
+
+class SweptClock:
+    """Time that passes by one pause of the housekeeper's with each look at the ledger, and not otherwise."""
+
+    def __init__(self, pause_s: float) -> None:
+        self._now, self._pause = datetime(2026, 1, 2, tzinfo=UTC), timedelta(seconds=pause_s)
+
+    def __call__(self) -> datetime:
+        if threading.current_thread().name == "ledger-writer":
+            self._now += self._pause
+        return self._now
+
+
+def times_of(url: str, event: Event) -> list[float]:
+    with look_into(url) as ledger:
+        return [row.at for row in ledger.execute(select(events.c.at).where(events.c.event == event))]
+
+
+@pytest.mark.parametrize("goes", ["silent", "gone"])
+@pytest.mark.parametrize("lease_ttl_s", [2.0, CoordinatorSettings().lease_ttl_s])
+def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path, lease_ttl_s: float, goes: str):
+    clock = SweptClock(CoordinatorSettings().sweep_s)
+    settings = CoordinatorSettings(reserve_bytes=0, lease_ttl_s=lease_ttl_s, sweep_s=0.005)  # looks come faster here
+    url = f"sqlite:///{tmp_path / 'out' / 'ledger.db'}"
+    with Coordinator(
+        tmp_path / "out", room_plan(1), room_catalog(tmp_path), ("tcp/127.0.0.1:0",), settings=settings, clock=clock
+    ) as hub:
+        with WireWorker(hub.endpoints, hub.run) as worker:
+            worker.job()
+            if goes == "gone":
+                worker.close()
+            until(lambda: len(times_of(url, Event.EXPIRED)) == 1, 120)
+        (claimed,), (expired,) = times_of(url, Event.CLAIMED), times_of(url, Event.EXPIRED)
+        assert expired - claimed <= lease_ttl_s + LATE_S
+        if goes == "silent":
+            assert expired - claimed > lease_ttl_s
+        assert hub.progress().jobs["pending"] == 1
