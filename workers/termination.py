@@ -40,23 +40,32 @@ class Termination:
         Returns:
             Why the episode ends with this frame, or `None` to go on.
         """
+        is_stalled = self.would_stall(x_m, y_m, commanded_mps)
         self._frames += 1
         self._track.append((x_m, y_m))
         self._held = self._held + 1 if self._is_stationary() and distance_m <= self._task.success_radius_m else 0
         self._forward = self._forward + 1 if commanded_mps > 0 else 0
         if self._held >= self._task.hold_steps:
             return EndReason.SUCCESS
-        if is_blocked and self._is_stalled():
+        if is_blocked and is_stalled:
             return EndReason.COLLISION
         return EndReason.TIMEOUT if self._frames >= self._task.max_steps else None
+
+    def would_stall(self, x_m: float, y_m: float, commanded_mps: float) -> bool:
+        """Whether the robot has made no progress by the next frame; only then it matters whether it is blocked.
+
+        Args:
+            x_m: base_link of the next frame.
+            y_m: base_link of the next frame.
+            commanded_mps: speed of its action.
+        """
+        steps = self._task.stall_steps
+        if commanded_mps <= 0 or self._forward + 1 < steps or len(self._track) < steps:
+            return False
+        return math.dist((x_m, y_m), self._track[-steps]) < self._task.stall_progress_m
 
     def _is_stationary(self) -> bool:
         if len(self._track) < 2:
             return False
         moved_m = math.dist(self._track[-1], self._track[-2])
         return moved_m * self._task.control_hz < self._task.stationary_speed_mps
-
-    def _is_stalled(self) -> bool:
-        if self._forward < self._task.stall_steps or len(self._track) <= self._task.stall_steps:
-            return False
-        return math.dist(self._track[-1], self._track[0]) < self._task.stall_progress_m

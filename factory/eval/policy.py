@@ -27,6 +27,7 @@ __all__ = [
     "Situation",
     "is_built_in",
     "kind_of_actions",
+    "looks",
 ]
 
 
@@ -118,6 +119,11 @@ class ServerAway(Exception):
 def is_built_in(policy: Policy) -> bool:
     """Whether a policy is one of ours; no other is let in or shown more than the camera sees."""
     return type(policy).__module__.startswith("factory.eval.policies.")
+
+
+def looks(policy: Policy) -> bool:
+    """Whether a policy is shown pictures: all but the built-in ones that have no use for them."""
+    return bool(getattr(policy, "looks", True)) or not is_built_in(policy)
 
 
 def kind_of_actions(policy: Policy) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from factory.eval.policy import (
     Situation,
     is_built_in,
     kind_of_actions,
+    looks,
 )
 from factory.eval.question import Question
 from factory.eval.result import EpisodeResult, EvalEnd
@@ -135,12 +136,10 @@ class _Drive:
         return view
 
     def _observation(self, view: View) -> Observation:
-        seen = Observation(
-            rgb=view.frame.rgb,
-            depth=view.frame.depth,
-            instruction=self.question.instruction,
-            step=self.simulator.steps,
-        )
+        words, step = self.question.instruction, self.simulator.steps
+        if not looks(self.policy):
+            return cast(Observation, {"instruction": words, "step": step})  # it would not look at pictures
+        seen = Observation(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
         if self.question.with_pose:
             seen["pose"] = odometry(self.simulator.track)
         return seen

@@ -6,8 +6,10 @@ Drives nobody and measures nothing; experts, policies and the Gymnasium environm
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from types import TracebackType
 from typing import Self
 
@@ -23,14 +25,14 @@ from schemas.tokens import tokens_of
 from workers import experts
 from workers.pose import Pose
 from workers.render import Frame
-from workers.sight import is_obstacle_near, see
+from workers.sight import Sighting, is_obstacle_near, see
 from workers.slew import Twist, slew
 from workers.spawn import is_spawn_firm
 from workers.stage import LoadedScene, Stage
 from workers.termination import Termination
 from workers.world import World
 
-__all__ = ["NoFirmStand", "Simulator", "View"]
+__all__ = ["Camera", "NoFirmStand", "Simulator", "View"]
 
 Floats = NDArray[np.float64]
 
@@ -39,20 +41,64 @@ class NoFirmStand(WorldError):
     """The robot does not stand firm at the start of a spec."""
 
 
+class Camera:
+    """What the camera shows from one pose; drawn when somebody first looks, for most drivers never do.
+
+    Args:
+        draw: draws it.
+        settings: what counts as visible and as near.
+        instance_id: of the target.
+    """
+
+    def __init__(self, draw: Callable[[], Frame], settings: EvalSettings, instance_id: int) -> None:
+        self._draw, self._settings, self._instance_id = draw, settings, instance_id
+
+    @cached_property
+    def frame(self) -> Frame:
+        """Colour, depth and ids."""
+        return self._draw()
+
+    @cached_property
+    def sighting(self) -> Sighting:
+        """The target in the image."""
+        return see(self.frame.ids, self.frame.depth, self._instance_id, self._settings.gains.min_mask_px)
+
+    @cached_property
+    def obstacle_near(self) -> bool:
+        """Whether something stands close before it."""
+        return is_obstacle_near(self.frame.depth, self._settings.task)
+
+
 @dataclass(frozen=True)
 class View:
-    """What there is before an action; after the end, what the last action was judged on."""
+    """What there is before an action; after the end, what the last action was judged on. An expert's senses."""
 
-    frame: Frame
+    camera: Camera
     pose: Pose
     """Of base_link in the world frame."""
     distance_m: float
     """Planar, from base_link to the target's centroid."""
+    bearing_rad: float
+    """From the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi]."""
     is_touching: bool
     """Whether there is a contact other than the floor."""
-    is_obstacle_near: bool
     end: EndReason | None = None
     """Why the episode has ended, or `None` while it goes on."""
+
+    @property
+    def frame(self) -> Frame:
+        """What the camera shows."""
+        return self.camera.frame
+
+    @property
+    def sighting(self) -> Sighting:
+        """The target in the image."""
+        return self.camera.sighting
+
+    @property
+    def obstacle_near(self) -> bool:
+        """Whether something stands close before the camera."""
+        return self.camera.obstacle_near
 
 
 class Simulator:
@@ -64,6 +110,7 @@ class Simulator:
         self.settings = settings
         self._held = ExitStack()
         self._view: View | None = None
+        self._episodes = 0
 
     def __enter__(self) -> Self:
         return self
@@ -90,6 +137,7 @@ class Simulator:
             WorldError: the scene has no such target.
         """
         self.close()
+        self._episodes += 1
         self.spec, self.place = spec, place
         self.target = _target(spec, place)
         self._job = spec.job(self.settings)
@@ -127,10 +175,9 @@ class Simulator:
         self._command = slew(self._command, self._within_bounds(wanted), self.settings.robot, self.period_s)
         self._actions.append(self._command)
         self.contact_steps += view.is_touching
-        blocked = view.is_touching or view.is_obstacle_near
-        end = self._termination.judge(view.pose.x, view.pose.y, view.distance_m, blocked, self._command.v_mps)
+        end = self._judge(view)
         if end is not None:
-            self._view = View(view.frame, view.pose, view.distance_m, view.is_touching, view.is_obstacle_near, end)
+            self._view = replace(view, end=end)
             return self._view
         self._world.command(self._command.v_mps, self._command.w_rps)
         self._world.step()
@@ -163,20 +210,17 @@ class Simulator:
         poses = self.track[: len(continuous)].astype(np.float32)
         return EpisodeArrays(continuous, tokens_of(continuous), poses)
 
-    def observe(self) -> experts.Observation:
+    def observe(self) -> experts.Senses:
         """Returns what an expert is shown of the present view: ground truth, never given to a model."""
-        view = self._view
-        if view is None:
+        if self._view is None:
             raise RuntimeError("observe() without an episode; call reset() first")
-        dx, dy = self.target.centroid_m[0] - view.pose.x, self.target.centroid_m[1] - view.pose.y
-        sighting = see(view.frame.ids, view.frame.depth, self.target.instance_id, self.settings.gains.min_mask_px)
-        return experts.Observation(
-            sighting=sighting,
-            bearing_rad=math.remainder(math.atan2(dy, dx) - view.pose.yaw, 2 * math.pi),
-            distance_m=view.distance_m,
-            obstacle_near=view.is_obstacle_near,
-            pose=view.pose,
-        )
+        return self._view
+
+    def _judge(self, view: View) -> EndReason | None:
+        """Looks for obstacles only where it matters: where there is no progress."""
+        x, y, v = view.pose.x, view.pose.y, self._command.v_mps
+        blocked = view.is_touching or (self._termination.would_stall(x, y, v) and view.obstacle_near)
+        return self._termination.judge(x, y, view.distance_m, blocked, v)
 
     def _within_bounds(self, wanted: Twist) -> Twist:
         robot = self.settings.robot
@@ -188,14 +232,20 @@ class Simulator:
     def _look(self) -> View:
         pose = self._world.pose()
         self._poses.append((pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz))
-        frame = self._stage.renderer.render(pose)
+        dx, dy = self.target.centroid_m[0] - pose.x, self.target.centroid_m[1] - pose.y
+        episode = self._episodes
         return View(
-            frame=frame,
+            camera=Camera(lambda: self._draw(pose, episode), self.settings, self.target.instance_id),
             pose=pose,
-            distance_m=math.hypot(self.target.centroid_m[0] - pose.x, self.target.centroid_m[1] - pose.y),
+            distance_m=math.hypot(dx, dy),
+            bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),
             is_touching=self._world.has_obstacle_contact(),
-            is_obstacle_near=is_obstacle_near(frame.depth, self.settings.task),
         )
+
+    def _draw(self, pose: Pose, episode: int) -> Frame:
+        if episode != self._episodes:
+            raise RuntimeError("a view of an episode that is over is looked at; keep its frame, not the view")
+        return self._stage.renderer.render(pose)
 
 
 def _target(spec: EvalSpec, place: LoadedScene) -> Target:

@@ -118,3 +118,22 @@ def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: Stage, 
 def test_a_split_without_episodes_is_named(drives: Dataset) -> None:
     with pytest.raises(UsageError, match=r"no episodes in val_id; splits with episodes: test_id, train_id"):
         specs_of_dataset(drives, [Split.TEST_ID, Split.VAL_ID])
+
+
+def test_pictures_are_drawn_when_somebody_looks_and_never_of_an_episode_that_is_over(
+    specs: SpecSet, place: LoadedScene
+) -> None:
+    laps: list[str] = []
+    with Stage("auto", laps.append) as stage, Simulator(stage, specs.settings) as simulator:
+        view = first = simulator.reset(specs.specs[0], place)
+        for _ in range(5):
+            view = simulator.step(Twist(0.5, 0.0))
+        assert "read-back" not in laps
+        drawn = view.frame
+        assert laps.count("read-back") == 1
+        assert view.frame is drawn
+        assert simulator.step(Twist(0.5, 0.0)).frame.rgb.shape == (640, 640, 3)
+        assert laps.count("read-back") == 2
+        simulator.reset(specs.specs[1], place)
+        with pytest.raises(RuntimeError, match="keep its frame"):
+            _ = first.frame

@@ -11,20 +11,41 @@ from workers.pose import Pose
 from workers.sight import Sighting
 from workers.slew import Twist
 
-__all__ = ["Expert", "Observation"]
+__all__ = ["Expert", "Observation", "Senses"]
+
+
+class Senses(Protocol):
+    """What an expert may use; all but `sighting` is ground truth. What the camera shows may be looked at when asked."""
+
+    @property
+    def sighting(self) -> Sighting:
+        """The target in the image."""
+
+    @property
+    def bearing_rad(self) -> float:
+        """Angle from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi]."""
+
+    @property
+    def distance_m(self) -> float:
+        """Planar distance from base_link to the target's centroid."""
+
+    @property
+    def obstacle_near(self) -> bool:
+        """Whether something stands close before the camera."""
+
+    @property
+    def pose(self) -> Pose:
+        """Of base_link in the world frame."""
 
 
 class Observation(NamedTuple):
-    """What an expert may use; all but `sighting` is ground truth."""
+    """Senses that have all been taken."""
 
     sighting: Sighting
     bearing_rad: float
-    """Angle from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi]."""
     distance_m: float
-    """Planar distance from base_link to the target's centroid."""
     obstacle_near: bool
     pose: Pose
-    """Of base_link in the world frame."""
 
 
 @runtime_checkable
@@ -41,6 +62,6 @@ class Expert(Protocol):
         """
         ...
 
-    def act(self, seen: Observation) -> Twist:
+    def act(self, seen: Senses) -> Twist:
         """Returns the wanted twist, within the action bounds and before the slew limit."""
         ...

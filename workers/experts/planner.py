@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from schemas.job import Job
 from schemas.scene import Target
-from workers.experts.base import Observation
+from workers.experts.base import Senses
 from workers.grid import Grid
 from workers.plan import Waypoint, plan_path
 from workers.plan.follow import Follower
@@ -37,7 +37,7 @@ class PlannerExpert:
         self._follower = None if path is None else Follower(path, self._job.robot, self._job.planner)
         return path
 
-    def act(self, seen: Observation) -> Twist:
+    def act(self, seen: Senses) -> Twist:
         """Returns the wanted twist; stands still once inside the success circle with sight of the target.
 
         Raises:
@@ -50,7 +50,7 @@ class PlannerExpert:
             return Twist(0.0, 0.0)
         return self._follower.act(seen.pose, self._job.gains.speed_gain * seen.distance_m)
 
-    def _has_arrived(self, seen: Observation) -> bool:
+    def _has_arrived(self, seen: Senses) -> bool:
         """Distance alone would stop the robot behind a wall that the target leans on."""
         is_done = self._follower is not None and self._follower.is_done
         near_enough_m = self._job.task.success_radius_m - _LAST_MARGIN_M if is_done else self._stop_m

@@ -11,7 +11,7 @@ from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import ExpertConfig
 from schemas.job import Job
 from schemas.scene import Target
-from workers.experts.base import Observation
+from workers.experts.base import Senses
 from workers.grid import Grid
 from workers.plan import Waypoint
 from workers.pose import Pose
@@ -19,23 +19,23 @@ from workers.slew import Twist
 
 __all__ = ["ProportionalExpert", "centroid_speed", "depth_speed", "literal_speed"]
 
-SpeedLaw = Callable[[Observation, bool, ExpertConfig, float], float]
+SpeedLaw = Callable[[Senses, bool, ExpertConfig, float], float]
 """(observation, visible, gains, success radius) -> speed in m/s before clamping."""
 
 
-def centroid_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m: float) -> float:  # noqa: ARG001
+def centroid_speed(seen: Senses, visible: bool, gains: ExpertConfig, radius_m: float) -> float:  # noqa: ARG001
     """k_v * d with d the planar distance to the centroid, and 0 inside the circle: the published behaviour."""
     return gains.speed_gain * seen.distance_m if seen.distance_m > radius_m else 0.0
 
 
-def depth_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
+def depth_speed(seen: Senses, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
     """k_v * (median mask depth) while visible, else k_v * d; 0 inside the circle."""
     if seen.distance_m <= radius_m:
         return 0.0
     return gains.speed_gain * (seen.sighting.measure_depth() if visible else seen.distance_m)
 
 
-def literal_speed(seen: Observation, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
+def literal_speed(seen: Senses, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
     """Paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) while visible, else k_v * d.
 
     Measured from the camera to the surface, the speed reaches 0 before the base is within the radius of the
@@ -59,7 +59,7 @@ class ProportionalExpert:
         """Returns the empty path: it follows none."""
         return ()
 
-    def act(self, seen: Observation) -> Twist:
+    def act(self, seen: Senses) -> Twist:
         """Returns the wanted twist; standing still, heading and all, once the speed law says 0 inside the circle."""
         visible = seen.sighting.pixels >= self._gains.min_mask_px
         speed = self._speed_law(seen, visible, self._gains, self._radius_m)

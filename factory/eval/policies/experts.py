@@ -14,6 +14,7 @@ class ExpertPolicy:
     """Drives as the collection's expert of that name does, from the same ground truth."""
 
     knows = "goal, map and instance ids"
+    looks = False
 
     def __init__(self, expert: ExpertName) -> None:
         self.expert = expert

@@ -12,6 +12,8 @@ __all__ = ["PlaybackPolicy", "ReplayPolicy"]
 class _Recorded:
     """Carries out the actions that the situation holds, then stands still."""
 
+    looks = False
+
     def enter(self, situation: Situation) -> None:
         """Takes the actions."""
         if situation.actions is None:

@@ -17,6 +17,7 @@ class StopPolicy:
     """Never moves."""
 
     knows = "nothing"
+    looks = False
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Has nothing to forget."""
@@ -30,6 +31,7 @@ class RandomPolicy:
     """Uniform twists over the action range, one every half second, by the episode's seed."""
 
     knows = "nothing"
+    looks = False
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:  # noqa: ARG002
         """Seeds itself."""
