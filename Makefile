@@ -29,9 +29,11 @@ check: $(READY)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-# frames a second of every scene on an otherwise idle machine, beside the plain PyBullet pipeline
+# where the time of a frame goes in every scene, beside the plain PyBullet pipeline; then the coordinator with a million
+# jobs and the reader, held against their targets: ten minutes of an otherwise idle machine
 bench: $(READY)
 	$(VENV)/bin/factory bench rollout --against plain
+	$(VENV)/bin/python -m tests.benchmarks.figures coordinator read
 
 # half an hour of kills, freezes, lost replies and full disks; every dataset must equal that of a calm run
 chaos: $(READY)

@@ -1,0 +1,81 @@
+"""The project's figures beside what they shall reach: runs `factory bench` and prints one table. Asserts nothing.
+
+Wall-clock figures mean something on an otherwise idle machine only; the load before each benchmark stands in the table.
+
+    python -m tests.benchmarks.figures [rollout] [coordinator] [read]
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from factory.cli.output import print_table
+
+__all__ = ["main"]
+
+BENCHES = {
+    "rollout": ["--against", "plain"],
+    "coordinator": ["--jobs", "1000000", "--workers", "64", "--sessions", "2000", "--bundle-mb", "32"],
+    "read": [],
+}
+
+
+class Figure(NamedTuple):
+    """One figure: what was measured, and what it is held against."""
+
+    what: str
+    measured: float
+    target: float
+    at_most: bool = False
+
+    def row(self) -> tuple[str, float, str, str]:
+        """Returns it as a line of the table."""
+        reached = self.measured <= self.target if self.at_most else self.measured >= self.target
+        return self.what, self.measured, f"{'<=' if self.at_most else '>='} {self.target:g}", "yes" if reached else "no"
+
+
+def of_rollout(report: dict[str, Any]) -> Iterator[Figure]:
+    """The loop: real time on one core in every scene, twenty times the plain pipeline, and a process below 1 GiB."""
+    for scene, found in report["scenes"].items():
+        yield Figure(f"{scene}: frames/s a core", found["frames_per_s_per_core"], 60)
+        yield Figure(f"{scene}: times plain PyBullet", found["ratio"], 20)
+        yield Figure(f"{scene}: peak memory, MiB", found["memory"]["peak_mib"], 1024, at_most=True)
+
+
+def of_coordinator(report: dict[str, Any]) -> Iterator[Figure]:
+    """The coordinator with a ledger of a million jobs."""
+    wire = report["wire"]
+    yield Figure("claim + done over zenoh, cycles/s", wire["cycles_per_s"]["median"], 1000)
+    yield Figure("start on the ledger, s (target: of 100k jobs)", wire["start_s"]["median"], 3, at_most=True)
+    crowd, rush = wire["crowd"], wire["rush"]
+    yield Figure(f"memory with {crowd['sessions']} sessions, MiB", crowd["memory"]["peak_mib"], 400, at_most=True)
+    at_once = f"{rush['workers']} x {rush['bundle_mb']:g} MB at once"
+    yield Figure(f"{at_once}: peak memory, MiB", rush["memory"]["peak_mib"], 200, at_most=True)
+    yield Figure(f"{at_once}: a bystander's claim, p99 ms", rush["claim_p99_ms"], 50, at_most=True)
+
+
+def of_read(report: dict[str, Any]) -> Iterator[Figure]:
+    """Random access to decoded frames."""
+    yield Figure("random frames (colour, depth, ids)/s a core", report["random_frames_per_s"]["median"], 250)
+
+
+FIGURES = {"rollout": of_rollout, "coordinator": of_coordinator, "read": of_read}
+
+
+def main(names: list[str]) -> None:
+    """Runs the benchmarks of these names, or all, and prints their figures."""
+    rows = []
+    for name in names or list(BENCHES):
+        command = [sys.executable, "-m", "factory", "bench", name, *BENCHES[name], "--json"]
+        report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+        rows += [figure.row() for figure in FIGURES[name](report)]
+        rows.append((f"(load before `bench {name}`)", report["machine"]["load_1m"], "", ""))
+    print_table("figures and targets", ("what", "measured", "target", "reached"), rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
