@@ -30,7 +30,7 @@ RUNS: dict[str, tuple[str, ...]] = {
 }
 """Folder -> format and its options."""
 JUDGES: dict[str, tuple[str, ...]] = {
-    "lerobot": ("lerobot_judge.py", "paper", "lerobot", "lerobot-all"),
+    "lerobot": ("lerobot_judge.py", "paper", "lerobot", "lerobot-all", "lerobot-v2.1"),
     "lerobot-v2.1": ("lerobot_v21_judge.py", "paper", "lerobot-v2.1", "lerobot-v2.1-slow"),
     "habitat": ("habitat_judge.py", "paper", "vlnce"),
 }

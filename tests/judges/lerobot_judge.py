@@ -6,10 +6,11 @@ ours, and ends with exit code 1 at the first thing that is not right.
     python tests/judges/lerobot_judge.py PAPER EXPORT [EXPORT ...]
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to lerobot`, with any
-of `--fps`, `--depth` and `--ids`.
+of `--fps`, `--depth` and `--ids`; or as `--to lerobot-v2.1`, which LeRobot's own converter first makes v3.0 of.
 """
 
 import json
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.scripts.convert_dataset_v21_to_v30 import convert_dataset
 from paper_tree import Paper, mean_commands, psnr
 
 RGB, DEPTH, IDS = "observation.images.front", "observation.images.front_depth", "observation.images.front_ids"
@@ -34,6 +36,9 @@ def say(text: str) -> None:
 def main() -> None:
     paper = Paper(Path(sys.argv[1]))
     for export in map(Path, sys.argv[2:]):
+        if json.loads((export / "meta/info.json").read_text())["codebase_version"] == "v2.1":
+            say(f"{export.name}: {judge_conversion(paper, export)}")
+            continue
         for backend in backends():
             say(f"{export.name}, {backend}: {judge(paper, export, backend)}")
         say(f"{export.name}: {judge_batches(export)}")
@@ -124,6 +129,15 @@ def judge_batches(export: Path) -> str:
     part = LeRobotDataset("judge/nav", root=export, episodes=list(range(start, stop)))
     assert len(part) == sum(data.meta.episodes["length"][start:stop])
     return f"chunks, filters and {number + 1} shuffled batches of {len(info['splits'])} splits"
+
+
+def judge_conversion(paper: Paper, export: Path) -> str:
+    """LeRobot makes version 3.0 of an export of version 2.1, which then holds the same."""
+    with tempfile.TemporaryDirectory() as place:
+        copy = Path(place) / "export"
+        shutil.copytree(export, copy)
+        convert_dataset("judge/nav", root=copy, push_to_hub=False)
+        return f"converted by LeRobot, pyav: {judge(paper, copy, 'pyav')}"
 
 
 def judge_aggregate(export: Path) -> str:
