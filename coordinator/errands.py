@@ -5,12 +5,22 @@ Holds them; what the texts say is read by those who wrote them and by the simula
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
 
 from coordinator.draw import PlannedJob
+from schemas.wire import Attachment
 
-__all__ = ["Errands"]
+__all__ = ["Errands", "Parcel"]
+
+
+class Parcel(NamedTuple):
+    """What the simulation of a job is told and given beside the job."""
+
+    text: str
+    attachment: Attachment | None = None
 
 
 @dataclass(frozen=True)
@@ -19,5 +29,7 @@ class Errands:
 
     planned: tuple[PlannedJob, ...]
     """The jobs that a new ledger is begun with."""
-    text_of: Callable[[int], str]
-    """Returns what the simulation of a job is told, by the job's index."""
+    find: Callable[[int], Parcel]
+    """Returns what goes with a job, by its index."""
+    files: Mapping[str, Path] = field(default_factory=dict)
+    """What is attached, by SHA-256."""

@@ -151,8 +151,10 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     row = ledger_claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-        errand = terms.errands.text_of(row.idx) if terms.errands is not None else None
-        return Answer(ClaimReply(job=job, lease=lease_of(row), errand=errand))
+        if terms.errands is None:
+            return Answer(ClaimReply(job=job, lease=lease_of(row)))
+        text, attachment = terms.errands.find(row.idx)
+        return Answer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
     ledger_workers.note_alive(connection, claim.sid, host, now)
     finished = not ledger_claims.has_open_jobs(connection)
     return Answer(ClaimReply(retry_after_s=terms.retry_after_s, finished=finished))

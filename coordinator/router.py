@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -75,6 +76,7 @@ class Router:
         on_gone: takes the session id of a worker whose link has closed, and must not block.
         guard: certificates and who is admitted; `None` lets in whoever can connect.
         connect: endpoints of other routers, whose workers are reached too.
+        files: served beside the scenes, by SHA-256.
 
     Raises:
         WorldError: an endpoint cannot be listened on.
@@ -90,12 +92,14 @@ class Router:
         on_gone: Callable[[str], None],
         guard: Guard | None = None,
         connect: Sequence[str] = (),
+        files: Mapping[str, Path] | None = None,
     ) -> None:
         self._run = run
         self._connect = tuple(connect)
         self._on_inquiry = on_inquiry
         self._on_gone = on_gone
-        self._scenes = _open_scenes(run, catalog)
+        served = {entry.sha256: entry.path for entry in catalog.values()} | dict(files or {})
+        self._scenes = _open_files(run, served)
         self._settings = settings
         self._guard = guard
         self._node = Node(listen, self._config, guard.admitted if guard is not None else dict, self._declare)
@@ -161,5 +165,5 @@ class Router:
             query.reply(key, os.pread(descriptor, chunk.length, chunk.offset))
 
 
-def _open_scenes(run: str, catalog: Catalog) -> Mapping[str, int]:
-    return {scene_key(run, entry.sha256): os.open(entry.path, os.O_RDONLY | os.O_CLOEXEC) for entry in catalog.values()}
+def _open_files(run: str, files: Mapping[str, Path]) -> Mapping[str, int]:
+    return {scene_key(run, sha256): os.open(path, os.O_RDONLY | os.O_CLOEXEC) for sha256, path in files.items()}

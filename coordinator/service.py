@@ -129,7 +129,8 @@ class Coordinator:
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
             self._look_for_room()
             front = stack.enter_context(self._open_front())
-            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard, connect)
+            files = errands.files if errands is not None else {}
+            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard, connect, files)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
             self.vitals = self._measured()

@@ -16,6 +16,7 @@ from schemas.job import Job
 from schemas.terms import FailReason
 
 __all__ = [
+    "MAX_ATTACHMENT_BYTES",
     "MAX_ERRAND_CHARS",
     "MAX_MESSAGE_BYTES",
     "PROTOCOL",
@@ -23,6 +24,7 @@ __all__ = [
     "AdminAction",
     "AdminReply",
     "AdminRequest",
+    "Attachment",
     "Beat",
     "BeatReply",
     "Claim",
@@ -43,6 +45,7 @@ PROTOCOL = 1
 """Version of keys and messages; it stands in every key."""
 MAX_MESSAGE_BYTES = 1 << 20
 MAX_ERRAND_CHARS = 1 << 18
+MAX_ATTACHMENT_BYTES = 1 << 30
 
 SessionId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,79}$")]
 Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
@@ -94,6 +97,13 @@ class Claim(Model):
     token: Token
 
 
+class Attachment(Model):
+    """A file that an errand needs; fetched by its digest as a compiled scene is."""
+
+    sha256: Sha256
+    size: Annotated[int, Field(ge=1, le=MAX_ATTACHMENT_BYTES)]
+
+
 class ClaimReply(Model):
     """A job with its lease, or how long to wait before asking again."""
 
@@ -101,6 +111,7 @@ class ClaimReply(Model):
     lease: Lease | None = None
     errand: Annotated[str, Field(max_length=MAX_ERRAND_CHARS)] | None = None
     """What a run of errands tells the simulation beside the job; nobody in between reads it."""
+    attachment: Attachment | None = None
     retry_after_s: NonNegative = 0.0
     finished: bool = False
     """Whether every job has reached its end, so that the worker may leave."""

@@ -30,6 +30,8 @@ class Order(Model):
     """Session id of the worker, for the provenance."""
     errand: str | None = None
     """What a run of errands says beside the job, as it came."""
+    attachment_path: Path | None = None
+    """The file that came with the errand, fetched and checked."""
 
 
 class ReportKind(StrEnum):

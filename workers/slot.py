@@ -67,7 +67,7 @@ class Slot:
         if reply is None:
             return
         if reply.job is not None and reply.lease is not None:
-            self._work(reply.job, reply.lease, reply.errand)
+            self._work(reply.job, reply.lease, reply)
         elif reply.finished:
             self._host.phase.close()
         else:
@@ -122,11 +122,11 @@ class Slot:
             host.pause(away.fail())
         return None
 
-    def _work(self, job: Job, lease: Lease, errand: str | None) -> None:
+    def _work(self, job: Job, lease: Lease, given: ClaimReply) -> None:
         begun = time.monotonic()
         with self._host.leases.held(lease):
             try:
-                report = self._attempt(job, lease, errand)
+                report = self._attempt(job, lease, given)
             except LeaseLost:
                 self._give_up(lease)
                 log.info("lease_lost", job=lease.job_id, fence=lease.fence, episode=job.episode_id)
@@ -145,16 +145,25 @@ class Slot:
         self._simulation.kill()
         self._host.spool.clear(lease)
 
-    def _attempt(self, job: Job, lease: Lease, errand: str | None) -> Report:
+    def _attempt(self, job: Job, lease: Lease, given: ClaimReply) -> Report:
         host = self._host
         try:
-            scene = self._scene(job, lease)
+            scene = self._fetch(job.scene_sha256, job.scene_bytes, lease)
+            more = given.attachment
+            attached = self._fetch(more.sha256, more.size, lease) if more is not None else None
         except FactoryError as error:
             if isinstance(error, LeaseLost):
                 raise
             return failure(FailReason.RELEASED, f"no scene: {error}")
         bundle = host.spool.path_for(lease)
-        order = Order(job=job, scene_path=scene, bundle_path=bundle, sid=host.sid, errand=errand)
+        order = Order(
+            job=job,
+            scene_path=scene,
+            bundle_path=bundle,
+            sid=host.sid,
+            errand=given.errand,
+            attachment_path=attached,
+        )
         self._simulation.order(order)
         step = 0
         while True:
@@ -168,7 +177,8 @@ class Slot:
                 step = heard.step
                 host.leases.note_step(lease, step)
 
-    def _scene(self, job: Job, lease: Lease) -> Path:
+    def _fetch(self, sha256: str, size: int, lease: Lease) -> Path:
+        """Returns the file of that digest, a scene or what is attached to an errand."""
         host = self._host
 
         def wait() -> None:
@@ -179,12 +189,12 @@ class Slot:
             away = Backoff(0.1, 2.0)
             while True:
                 self._check(lease)
-                data = host.link.fetch_scene(job.scene_sha256, chunk)
+                data = host.link.fetch_scene(sha256, chunk)
                 if data is not None:
                     return data
                 host.phase.stopping.wait(away.fail())
 
-        return host.scenes.ensure(job.scene_sha256, job.scene_bytes, fetch, wait)
+        return host.scenes.ensure(sha256, size, fetch, wait)
 
     def _check(self, lease: Lease) -> None:
         if self._host.phase.stopping.is_set():

@@ -121,7 +121,7 @@ class _Driver:
                 load_timeout_s=self._setup.load_timeout_s,
                 reconnect_s=self._setup.reconnect_s,
             )
-            self._policy = make_policy(name, outside)
+            self._policy = make_policy(name, outside, order.file)
             self._watch.is_warm = False
             self._tell(Report(kind=ReportKind.POLICY, number=order.number, detail=describe_knowledge(self._policy)))
         return self._policy

@@ -5,17 +5,22 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Mapping
+from pathlib import Path
 
 from coordinator.catalog import Catalog, SceneEntry, read_entry
 from coordinator.draw import PlannedJob
 from factory.eval.campaign import Campaign, orders_for, with_actions
 from factory.eval.from_dataset import Places
 from factory.eval.message import Errand, Order
+from factory.eval.policies import file_of
 from schemas.errors import UsageError
 from schemas.plan import Budget, Plan, canonical_json
+from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
 
-__all__ = ["catalog_of", "number_orders", "plan_of", "planned_of", "text_of"]
+__all__ = ["attachments_of", "catalog_of", "number_orders", "plan_of", "planned_of", "text_of"]
 
+Attached = Mapping[str, tuple[Attachment, Path]]
+"""Policy -> the file that it is made of."""
 _BUDGET = Budget(attempts_per_draw=1, draws=1)
 """A policy that does not arrive has a result too: no worker has a reason to report a failure of the world."""
 
@@ -44,13 +49,33 @@ def catalog_of(orders: Mapping[int, Order]) -> Catalog:
     return found
 
 
-def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, Order]) -> Plan:
+def attachments_of(campaign: Campaign) -> Attached:
+    """Returns the files that policies are made of.
+
+    Raises:
+        UsageError: one is not there, or too large.
+    """
+    found: dict[str, tuple[Attachment, Path]] = {}
+    for policy in campaign.policies:
+        path = file_of(policy)
+        if path is not None:
+            size = path.stat().st_size
+            if not 0 < size <= MAX_ATTACHMENT_BYTES:
+                raise UsageError(f"{path} has {size} bytes; 1 to {MAX_ATTACHMENT_BYTES} can be sent to workers")
+            with path.open("rb") as file:
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            found[policy] = Attachment(sha256=sha256, size=size), path
+    return found
+
+
+def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, Order], attached: Attached) -> Plan:
     """Returns the plan of the run: scenes and settings as those of the specs, named after all that is asked.
 
     Args:
         campaign: what to do.
         plan: of the dataset.
         orders: of the campaign.
+        attached: files of its policies.
 
     Raises:
         UsageError: a scene of the specs is none of the dataset's.
@@ -64,7 +89,7 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, Order]) -> Plan
         raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; make new specs of it")
     settings = campaign.specs.settings
     numbers = {name: getattr(settings, name) for name in type(settings).model_fields}
-    changes = {"name": f"eval_{_digest(campaign, orders)}", "scenes": scenes, "budget": _BUDGET, **numbers}
+    changes = {"name": f"eval_{_digest(campaign, orders, attached)}", "scenes": scenes, "budget": _BUDGET, **numbers}
     return plan.model_copy(update=changes)
 
 
@@ -96,8 +121,10 @@ def text_of(campaign: Campaign, order: Order) -> str:
     return errand.model_dump_json()
 
 
-def _digest(campaign: Campaign, orders: Mapping[int, Order]) -> str:
+def _digest(campaign: Campaign, orders: Mapping[int, Order], attached: Attached) -> str:
     digest = hashlib.sha256(canonical_json(campaign.setup).encode())
     for order in orders.values():
         digest.update(f"{order.policy}\n{canonical_json(order.question)}\n".encode())
+    for policy, (attachment, _) in attached.items():
+        digest.update(f"{policy}\n{attachment.sha256}\n".encode())
     return digest.hexdigest()[:16]

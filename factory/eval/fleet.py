@@ -15,7 +15,7 @@ from pathlib import Path
 from coordinator import ledger_admin
 from coordinator.ask import ask_progress
 from coordinator.engine import open_writer
-from coordinator.errands import Errands
+from coordinator.errands import Errands, Parcel
 from coordinator.ledger import LEDGER_FILE, holds_run, ledger_url_of
 from coordinator.ledger_records import JobFilter, list_jobs
 from coordinator.look import look_into
@@ -24,7 +24,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.states import State
 from coordinator.tls import Guard
 from factory.eval.campaign import Campaign
-from factory.eval.errands import catalog_of, number_orders, plan_of, planned_of, text_of
+from factory.eval.errands import attachments_of, catalog_of, number_orders, plan_of, planned_of, text_of
 from factory.eval.intake import Intake
 from factory.eval.judge import ResultJudge
 from factory.eval.run import Pace
@@ -76,10 +76,16 @@ def run_fleet(
     intake = Intake(store, orders, tell)
     if not intake.left:
         return True
-    run_plan, catalog = plan_of(campaign, plan, orders), catalog_of(orders)
+    attached = attachments_of(campaign)
+    run_plan, catalog = plan_of(campaign, plan, orders, attached), catalog_of(orders)
     root = store.root / _FOLDER / run_plan.run
     planned = tuple(planned_of(order, index) for index, order in intake.left.items())
-    errands = Errands(planned, lambda index: text_of(campaign, orders[index]))
+
+    def find(index: int) -> Parcel:
+        attachment, _ = attached.get(orders[index].policy, (None, None))
+        return Parcel(text_of(campaign, orders[index]), attachment)
+
+    errands = Errands(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
     judge = ResultJudge(orders, campaign.specs.settings)
     if door.connect:
         ask_progress(door.connect)  # says so when nobody is there

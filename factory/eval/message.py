@@ -37,6 +37,8 @@ class Order(Model):
     """The compiled scene."""
     actions: Actions | None = None
     """Those of the recorded episode, where the question names one."""
+    file: Path | None = None
+    """What the policy is made of, where it is not at the place that its name says."""
 
 
 class Errand(Model):
@@ -47,9 +49,16 @@ class Errand(Model):
     question: Question
     actions: Actions | None = None
 
-    def order(self, number: int, package: Path) -> Order:
+    def order(self, number: int, package: Path, file: Path | None) -> Order:
         """Returns the order for a driving process there."""
-        return Order(number=number, policy=self.policy, question=self.question, package=package, actions=self.actions)
+        return Order(
+            number=number,
+            policy=self.policy,
+            question=self.question,
+            package=package,
+            actions=self.actions,
+            file=file,
+        )
 
 
 class ReportKind(StrEnum):

@@ -63,7 +63,7 @@ class _Station:
         begun = time.monotonic()
         errand = Errand.model_validate_json(order.errand or "")
         seat = self._seat_for(errand)
-        drive = errand.order(order.job.index, order.scene_path)
+        drive = errand.order(order.job.index, order.scene_path, order.attachment_path)
         seat.give(drive)
         heard = self._wait(seat)
         seat.order_at_hand = None

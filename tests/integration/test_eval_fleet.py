@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import sys
 import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from coordinator.service import Coordinator
@@ -16,9 +19,10 @@ from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
 from factory.eval.from_dataset import specs_of_dataset
 from factory.eval.message import Setup
+from factory.eval.result import Variant
 from factory.eval.run import Pace
 from factory.eval.store import Manifest, Store
-from schemas.errors import TransientError
+from schemas.errors import TransientError, UsageError, WorldError
 from schemas.terms import Split
 from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
@@ -82,3 +86,32 @@ def test_an_evaluation_that_finds_nobody_to_join_says_so(drives: Dataset, campai
     door = Door(connect=(free_endpoint(),))
     with open_store(tmp_path / "out", campaign) as store, pytest.raises(TransientError, match="no coordinator at"):
         run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
+
+
+ECHO = """
+import hashlib, json, sys
+def tell(**report): print(json.dumps(report), flush=True)
+tell(kind="ready", renderer="none")
+for line in sys.stdin:
+    path = json.loads(line)["attachment_path"]
+    tell(kind="failure", reason="crash", detail="given " + hashlib.sha256(open(path, "rb").read()).hexdigest())
+"""
+"""A program for errands that does none of them and says what it was given."""
+
+
+def test_a_checkpoint_travels_to_the_workers_by_its_digest(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:
+    weights = np.random.default_rng(1).bytes((2 << 20) + 77)
+    (tmp_path / "policy.pt").write_bytes(weights)
+    one = campaign.specs.only(None, 1)
+    learned = dataclasses.replace(campaign, specs=one, policies=(f"bc:{tmp_path}",), variants=(Variant.ORIGINAL,))
+    endpoint = free_endpoint()
+    settings = settings_for(endpoint, tmp_path, errand_command=(sys.executable, "-c", ECHO))
+    with (
+        WorkerThread(settings),
+        open_store(tmp_path / "out", learned) as store,
+        pytest.raises(WorldError, match=f"given {hashlib.sha256(weights).hexdigest()}"),
+    ):
+        run_fleet(learned, drives.meta.plan, store, Door((endpoint,)), threading.Event(), lambda _pace: None)
+    (tmp_path / "policy.pt").unlink()
+    with open_store(tmp_path / "none", learned) as store, pytest.raises(UsageError, match="no checkpoint"):
+        run_fleet(learned, drives.meta.plan, store, Door((endpoint,)), threading.Event(), lambda _pace: None)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from factory.eval.policies.bc import BcPolicy
+from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.experts import ExpertPolicy
 from factory.eval.policies.foreign import load_class
 from factory.eval.policies.outside import Outside
@@ -17,7 +18,7 @@ from factory.eval.policy import Policy, is_built_in
 from schemas.errors import UsageError
 from schemas.terms import ExpertName
 
-__all__ = ["POLICIES", "Entry", "Outside", "check_name", "describe_knowledge", "find_policy", "make_policy"]
+__all__ = ["POLICIES", "Entry", "Outside", "check_name", "describe_knowledge", "file_of", "find_policy", "make_policy"]
 
 Maker = Callable[[str, Outside], Policy]
 """Takes what stands behind the first colon of the name, and what a policy may need."""
@@ -32,6 +33,8 @@ class Entry(NamedTuple):
     needs_recording: bool = False
     """Whether it carries out actions of archived episodes."""
     reads_instruction: bool = False
+    file_of: Callable[[str], Path] | None = None
+    """Returns the file that it is made of, from what stands behind the first colon."""
 
 
 POLICIES: Mapping[str, Entry] = MappingProxyType(
@@ -42,7 +45,7 @@ POLICIES: Mapping[str, Entry] = MappingProxyType(
         "stop": Entry(lambda _rest, _: StopPolicy(), "stop"),
         "replay": Entry(lambda _rest, _: ReplayPolicy(), "replay", needs_recording=True),
         "playback": Entry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
-        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", reads_instruction=True),
+        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file),
         "ws": Entry(lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True),
         "wss": Entry(lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True),
     }
@@ -78,23 +81,35 @@ def check_name(name: str) -> None:
         _expert_name(rest)
 
 
-def make_policy(name: str, outside: Outside) -> Policy:
+def make_policy(name: str, outside: Outside, file: Path | None = None) -> Policy:
     """Returns the policy of that name, ready for its first episode.
 
     Args:
         name: as after `--policy`.
         outside: what policies may need of their surroundings.
+        file: what it is made of, where that is not at the place its name says.
 
     Raises:
         UsageError: nothing is called that, or it cannot be made; the message says why.
         ServerAway: its server cannot be reached.
     """
     entry = find_policy(name)
-    policy = entry.make(name if entry is _FOREIGN else name.partition(":")[2], outside)
+    rest = name if entry is _FOREIGN else name.partition(":")[2]
+    policy = entry.make(rest if file is None else str(file), outside)
     missing = [method for method in ("reset", "act") if not callable(getattr(policy, method, None))]
     if missing:
         raise UsageError(f"policy {name} has no method {' and no '.join(missing)}; see docs/evaluation/README.md")
     return policy
+
+
+def file_of(name: str) -> Path | None:
+    """Returns the file that a policy is made of, if it is.
+
+    Raises:
+        UsageError: it is not there.
+    """
+    find = find_policy(name).file_of
+    return None if find is None else find(name.partition(":")[2])
 
 
 def describe_knowledge(policy: Policy) -> str:

@@ -13,18 +13,32 @@ from numpy.typing import NDArray
 
 from factory.eval.policy import EpisodeInfo, Observation
 from factory.train import look
-from factory.train.checkpoint import read_checkpoint
+from factory.train.checkpoint import POLICY, checkpoint_path, read_checkpoint
 from factory.train.torch_door import load_torch
 from factory.train.words import encode
 from schemas.errors import UsageError
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS
 
-__all__ = ["LOOKS_TO_STAND", "BcPolicy"]
+__all__ = ["LOOKS_TO_STAND", "BcPolicy", "bc_file"]
 
 LOOKS_TO_STAND = 2
 """Looks in a row that must say stop before the robot stands. It drives on meanwhile: a single wrong look on the way
 would leave a robot, whose view no longer changes, standing for good."""
 _STOP_CELL = 3
+
+
+def bc_file(name: str) -> Path:
+    """Returns the checkpoint meant by what stands behind `bc:`.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if not name:
+        raise UsageError("write bc:OUT, with the folder of `factory train bc -o OUT`")
+    path = checkpoint_path(Path(name))
+    if not path.is_file():
+        raise UsageError(f"no checkpoint {path}; `factory train bc --data DIR -o OUT` makes OUT/{POLICY}")
+    return path
 
 
 class BcPolicy:
@@ -37,13 +51,12 @@ class BcPolicy:
     """
 
     def __init__(self, name: str) -> None:
-        if not name:
-            raise UsageError("write bc:OUT, with the folder of `factory train bc -o OUT`")
+        path = bc_file(name)
         torch = self._torch = load_torch()
         from factory.train.network import BcNetwork
 
         torch.set_num_threads(1)  # a driving process has one core
-        checkpoint = read_checkpoint(Path(name))
+        checkpoint = read_checkpoint(path)
         self.meta = checkpoint.meta
         self._network = BcNetwork(self.meta.options, len(self.meta.words))
         try:
