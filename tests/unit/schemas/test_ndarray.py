@@ -52,6 +52,14 @@ def test_numpy_reads_what_we_write() -> None:
     assert np.array_equal(np.load(io.BytesIO(encode_npy(SMALL)), allow_pickle=False), SMALL)
 
 
+def test_header_in_other_words_says_the_same() -> None:
+    """Ours is known by sight; any other one is parsed."""
+    text = "{'shape':(4,3), 'fortran_order':False, 'descr':'<f4'}"
+    data = header(f"{text}\n") + SMALL.tobytes()
+    assert not encode_npy(SMALL).startswith(header(f"{text}\n"))
+    assert np.array_equal(decode_npy("x", data, np.float32, (4, 3)), SMALL)
+
+
 def test_fortran_ordered_array_is_written_in_c_order() -> None:
     assert encode_npy(np.asfortranarray(SMALL)) == encode_npy(SMALL)
 
