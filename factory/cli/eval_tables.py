@@ -9,6 +9,7 @@ import click
 from factory.cli.output import print_table
 from factory.eval.compare import Comparison
 from factory.eval.estimate import Estimate
+from factory.eval.phrases import ablation_rows, deaf_policies, ends_of
 from factory.eval.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.stats.model import Share
 
@@ -34,9 +35,7 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     _print_ablations(evaluation.policies)
     click.echo("")
     for policy in evaluation.policies:
-        ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
-        answer = "" if policy.act_ms is None else f"; {policy.act_ms:.1f} ms an answer"
-        click.echo(f"{policy.policy}: goes by {policy.knows}; {ends}{answer}")
+        click.echo(f"{policy.policy}: goes by {policy.knows}; {ends_of(policy)}")
     for remark in evaluation.remarks:
         click.echo(f"note: {remark}")
     click.echo("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP is to the closest point")
@@ -64,25 +63,12 @@ def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None
 
 
 def _print_ablations(policies: Sequence[PolicyScores]) -> None:
-    rows = [
-        (
-            policy.policy,
-            row.variant,
-            "all" if row.by == "all" else "2+ categories in view",
-            row.n,
-            _share(row.success),
-            _estimate(row.gap, 3),
-            f"{row.p:.3g}",
-        )
-        for policy in policies
-        for row in policy.ablation
-    ]
+    rows = list(ablation_rows(policies, _share, _estimate))
     if rows:
         head = ("policy", "words", "episodes", "n", "SR %", "gap of SR to the true words", "McNemar p")
         print_table("\nOther words", head, rows)
-        for policy in policies:
-            if not policy.reads_instruction:
-                click.echo(f"{policy.policy}: reads no instruction, gap 0 by construction")
+        for name in deaf_policies(policies):
+            click.echo(f"{name}: reads no instruction, gap 0 by construction")
 
 
 def _cells(score: Score) -> tuple[object, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from factory.eval.estimate import Estimate
+from factory.eval.phrases import ablation_rows, deaf_policies, ends_of
 from factory.eval.result import EpisodeResult
 from factory.eval.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.stats.model import Share
@@ -117,11 +118,10 @@ def _chart(policies: Sequence[PolicyScores]) -> str:
 
 
 def _notes(policies: Sequence[PolicyScores]) -> str:
-    lines = []
-    for policy in policies:
-        ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
-        answer = "" if policy.act_ms is None else f"; {policy.act_ms:.1f} ms an answer"
-        lines.append(f"<li><b>{escape(policy.policy)}</b> goes by {escape(policy.knows)}: {escape(ends)}{answer}</li>")
+    lines = (
+        f"<li><b>{escape(policy.policy)}</b> goes by {escape(policy.knows)}: {escape(ends_of(policy))}</li>"
+        for policy in policies
+    )
     return f"<ul>{''.join(lines)}</ul>"
 
 
@@ -133,22 +133,10 @@ def _groups(policies: Sequence[PolicyScores]) -> Iterable[str]:
 
 
 def _ablations(policies: Sequence[PolicyScores]) -> str:
-    rows = [
-        (
-            policy.policy,
-            row.variant,
-            "all" if row.by == "all" else "two or more categories in view",
-            row.n,
-            _share(row.success),
-            _estimate(row.gap, 3),
-            f"{row.p:.3g}",
-        )
-        for policy in policies
-        for row in policy.ablation
-    ]
+    rows = list(ablation_rows(policies, _share, _estimate))
     if not rows:
         return ""
-    deaf = [policy.policy for policy in policies if not policy.reads_instruction]
+    deaf = deaf_policies(policies)
     remark = f"<p>Gap 0 by construction, as they read no instruction: {escape(', '.join(deaf))}.</p>" if deaf else ""
     head = ("policy", "words", "episodes", "n", "success, %", "gap to the true words", "McNemar p")
     return f"<h2>Other words</h2>{_table(head, rows)}{remark}"
