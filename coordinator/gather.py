@@ -25,7 +25,7 @@ from coordinator.place import digest_of
 from coordinator.repair import Patient
 from coordinator.tables import episodes
 from schemas.base import Model
-from schemas.errors import WorldError
+from schemas.errors import UsageError
 from schemas.job import episode_id
 
 __all__ = ["GatherReport", "Missing", "gather"]
@@ -86,11 +86,12 @@ def gather(
         tell: told how many episodes of how many are done.
 
     Raises:
-        WorldError: a coordinator works on the dataset, a source is no gateway's directory, or the disk refuses.
+        UsageError: a source is no directory of a gateway.
+        WorldError: a coordinator works on the dataset, or the disk refuses.
     """
     for source in sources:
         if not (source / EPISODES).is_dir():
-            raise WorldError(f"{source} has no {EPISODES}/: give the --out of a gateway, or a copy of it")
+            raise UsageError(f"{source} has no {EPISODES}/: give the --out of a gateway, or a copy of it")
     missing: list[Missing] = []
     with ExitStack() as stack:
         store = patient.root if isinstance(patient.root, ObjectPath) else None

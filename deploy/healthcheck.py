@@ -1,4 +1,4 @@
-"""The image's health check: asks the coordinator if that is process 1; other roles need none."""
+"""The image's health check: asks the coordinator or gateway if that is process 1; other roles need none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ URL = "http://127.0.0.1:9464/healthz"
 def main() -> int:
     """Returns 0 when healthy."""
     words = Path("/proc/1/cmdline").read_bytes().split(b"\0")
-    if b"coordinator" not in words or b"--http" not in words:
+    if not {b"coordinator", b"gateway"} & set(words) or b"--http" not in words:
         return 0
     try:
         with urllib.request.urlopen(URL, timeout=5) as reply:

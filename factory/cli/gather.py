@@ -22,9 +22,7 @@ _LISTED = 20
 
 @click.command("gather")
 @click.argument("root", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
-@click.argument(
-    "sources", metavar="[GATEWAY_DIR]...", nargs=-1, type=click.Path(path_type=Path, exists=True, file_okay=False)
-)
+@click.argument("sources", metavar="[GATEWAY_DIR]...", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
 @click.option(
     "--requeue-missing", is_flag=True, help="Give up what is found nowhere; it is made anew, with the same content."
 )

@@ -86,7 +86,7 @@ def test_every_manifest_is_taken_by_kustomize():
     assert load_plan(str(DEPLOY / "kubernetes" / "base" / "plan.toml")).episodes == 700
 
 
-@pytest.mark.parametrize("place", ["base", "workers-as-job"])
+@pytest.mark.parametrize("place", ["base", "workers-as-job", "with-gateway"])
 def test_kustomize_renders_what_it_is_given(place):
     if shutil.which("kubectl") is None:
         pytest.skip("needs kubectl")
@@ -94,9 +94,9 @@ def test_kustomize_renders_what_it_is_given(place):
     assert done.returncode == 0, done.stderr
     rendered = list(yaml.safe_load_all(done.stdout))
     kinds = sorted(document["kind"] for document in rendered)
-    job = ["Job"] if place == "workers-as-job" else []
+    more = {"workers-as-job": ["Job"], "with-gateway": ["NetworkPolicy", "Service", "StatefulSet"]}.get(place, [])
     assert kinds == sorted(
-        ["ConfigMap", "Deployment", "Namespace", "NetworkPolicy", "NetworkPolicy", "Service", "StatefulSet", *job]
+        ["ConfigMap", "Deployment", "Namespace", "NetworkPolicy", "NetworkPolicy", "Service", "StatefulSet", *more]
     )
     assert {document["metadata"].get("namespace", "minivla") for document in rendered} == {"minivla"}
 
