@@ -1,7 +1,9 @@
 """The Gymnasium environment `MiniVLANav-v0`, registered by importing this package. Imports no simulation by itself.
 
->>> import factory.gym, gymnasium  # doctest: +SKIP
->>> env = gymnasium.make("MiniVLANav-v0", data="dataset", split="train_id")  # doctest: +SKIP
+Gymnasium imports the package when a name begins with it:
+
+>>> import gymnasium  # doctest: +SKIP
+>>> env = gymnasium.make("factory.gym:MiniVLANav-v0", data="dataset", split="train_id")  # doctest: +SKIP
 """
 
 from __future__ import annotations

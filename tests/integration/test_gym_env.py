@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import factory.gym
 from factory.dataset import Dataset
 from factory.eval.from_dataset import specs_of_dataset
 from factory.eval.spec import SpecSet
@@ -23,7 +22,7 @@ SMALL = 64
 
 
 def make(drives: Dataset, **changes: Any) -> gymnasium.Env[Any, Any]:
-    return gymnasium.make(factory.gym.ENV_ID, data=drives.root, size=SMALL, **changes)
+    return gymnasium.make("factory.gym:MiniVLANav-v0", data=drives.root, size=SMALL, **changes)
 
 
 @pytest.fixture(scope="module")
