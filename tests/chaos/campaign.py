@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -25,6 +25,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from coordinator.gather import gather
 from coordinator.repair import Patient, repair
 from coordinator.validator import Validator
 from schemas.digest import dataset_digest
@@ -110,6 +111,7 @@ def play_round(
             party.violations.append(f"{len(party.archived())} of {cast.episodes} episodes after {cast.longest_s:g} s")
             shutil.copy(party.log, root.with_suffix(".log"))
         party.end()
+        party.violations += gathering_of(party)
         party.violations += violations_of(party)
         digest = digest_of(party)
         tally.rounds += 1
@@ -124,17 +126,17 @@ def play_round(
 
 
 def run_campaign(
-    cast: Cast, root: Path, workers: int, seed: int, minutes: float, most_faults: int, per_round: int
+    casts: Sequence[Cast], root: Path, workers: int, seed: int, minutes: float, most_faults: int, per_round: int
 ) -> Tally:
-    """Plays rounds until time or faults are used up."""
+    """Plays rounds, with each cast in turn, until time or faults are used up."""
     tally = Tally()
-    calm = calm_digest(cast, root / "calm")
+    calm = calm_digest(casts[0], root / "calm")
     log.print(f"calm digest {calm}")
     begun = time.monotonic()
     number = 0
     while time.monotonic() - begun < 60 * minutes and tally.faults.total() < most_faults:
         most = min(per_round, most_faults - tally.faults.total())
-        digest = play_round(cast, root / f"round-{number}", workers, seed + number, most, tally)
+        digest = play_round(casts[number % len(casts)], root / f"round-{number}", workers, seed + number, most, tally)
         if digest != calm:
             tally.violations.append(f"seed {seed + number}: digest {digest}, calm {calm}")
         number += 1
@@ -155,6 +157,18 @@ def _await_all(party: Party, deadline: float) -> None:
 
 def digest_of(party: Party) -> str:
     return dataset_digest((str(index), digest) for index, digest in party.archived().items())
+
+
+def gathering_of(party: Party) -> Iterator[str]:
+    """Brings together what gateways keep, so that the dataset is whole; yields what cannot be had."""
+    if not party.gateways:
+        return
+    report = gather(_patient(party), party.stores, datetime.now(UTC))
+    yield from (f"{one.episode} is not whole at {one.gateway}: {one.why}" for one in report.missing)
+    for store in party.stores:
+        parts = list((store / ".staging").iterdir())
+        if parts:
+            yield f"part files are left in {store.name}"
 
 
 def violations_of(party: Party) -> Iterator[str]:
@@ -185,12 +199,14 @@ def _disagreements(party: Party) -> Iterator[str]:
     """What `factory repair` would find between files, ledger and tables; only for the run whose scene is synthetic."""
     if not party.cast.has_small_disk:
         return
-    plan = room_plan(party.cast.episodes, crashes=20)
-    catalog = room_catalog(party.place)
-    patient = Patient(party.out, f"sqlite:///{party.out / 'ledger.db'}", plan, catalog, {})
     with Validator() as validator:
-        report = repair(patient, validator, datetime.now(UTC), apply=False)
+        report = repair(_patient(party), validator, datetime.now(UTC), apply=False)
     yield from (f"{action.kind} {action.what}: {action.why}" for action in report.actions)
+
+
+def _patient(party: Party) -> Patient:
+    plan, catalog = room_plan(party.cast.episodes, crashes=20), room_catalog(party.place)
+    return Patient(party.out, party.out, f"sqlite:///{party.out / 'ledger.db'}", plan, catalog, {})
 
 
 def _print(tally: Tally) -> None:
@@ -229,6 +245,7 @@ def main() -> int:
     parser.add_argument("--per-round", type=int, default=60, help="faults of one round (default 60)")
     parser.add_argument("--episodes", type=int, default=40, help="episodes of one round (default 40)")
     parser.add_argument("--workers", type=int, default=3, help="hosts (default 3)")
+    parser.add_argument("--gateways", type=int, default=2, help="of every second round, 0 for none (default 2)")
     parser.add_argument("--seed", type=int, default=1, help="of the first round; the next ones count on (default 1)")
     parser.add_argument(
         "--simulation",
@@ -245,10 +262,11 @@ def main() -> int:
         if told.simulation == "real":
             plan = root / "plan.toml"
             plan.write_text(_REAL_PLAN.format(episodes=told.episodes))
-            cast = real_cast(plan, told.episodes)
+            casts = (real_cast(plan, told.episodes),)
         else:
             cast = fake_cast(told.episodes, 2.0)
-        tally = run_campaign(cast, root, told.workers, told.seed, told.minutes, told.faults, told.per_round)
+            casts = (cast, fake_cast(told.episodes, 2.0, told.gateways)) if told.gateways else (cast,)
+        tally = run_campaign(casts, root, told.workers, told.seed, told.minutes, told.faults, told.per_round)
         for path in root.glob("round-*.log"):
             shutil.copy(path, Path.cwd() / f"chaos-{path.name}")
     if told.json:

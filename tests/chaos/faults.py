@@ -24,6 +24,10 @@ def _slow_disk(party: Party, _number: int, rng: random.Random) -> None:
         party.disk.slow(rng.randint(20, 300))
 
 
+def _of(party: Party, number: int) -> int:
+    return number % len(party.gateways)
+
+
 FAULTS: Mapping[str, Fault] = {
     "kill -9 supervisor": lambda party, n, _rng: party.kill_worker(n, signal.SIGKILL),
     "kill -9 simulation": lambda party, n, rng: party.harm_simulation(n, signal.SIGKILL, rng),
@@ -37,15 +41,22 @@ FAULTS: Mapping[str, Fault] = {
     "replies lost": lambda party, n, rng: party.wires.mute(n, rng.uniform(0.1, 1.5)),
     "host cut off and healed": lambda party, n, rng: party.wires.cut(n, rng.uniform(0.05, 1.5) * LEASE_S),
     "link reset": lambda party, n, _rng: party.wires.cut(n, 0.0),
+    "kill -9 gateway": lambda party, n, rng: party.kill_gateway(_of(party, n), rng.uniform(0.0, 2.0)),
+    "SIGSTOP gateway": lambda party, n, rng: party.freeze(
+        party.gateways[_of(party, n)], rng.uniform(0.2, 2.0) * LEASE_S
+    ),
     "full disk": _fill_disk,
     "slow disk": _slow_disk,
 }
-"""Name -> what to do to a party's n-th worker, or to its coordinator."""
+"""Name -> what to do to a party's n-th worker, to the gateway of that number, or to its coordinator."""
+_GATEWAYS = frozenset({"kill -9 gateway", "SIGSTOP gateway"})
 
 
 def possible(party: Party) -> list[str]:
     """Returns the faults that can be had on this machine with this party."""
     missing = {"full disk", "slow disk"} if party.disk is None else set(party.disk.missing)
+    if not party.gateways:
+        missing |= _GATEWAYS
     if not party.cast.has_small_disk:
         missing.add("full disk")
     return [name for name in FAULTS if name not in missing]

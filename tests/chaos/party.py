@@ -1,4 +1,4 @@
-"""A coordinator and its workers as processes, behind wires and on a disk that can be harmed, and started again."""
+"""A coordinator, gateways and workers as processes, behind wires and on a disk that can be harmed; all restarted."""
 
 from __future__ import annotations
 
@@ -41,10 +41,19 @@ class Cast:
     """How long a round may take."""
     has_small_disk: bool
     """Whether the coordinator works on a disk of a few megabytes."""
+    gateways: int = 0
+    gateway: Callable[[Path, str, str], list[str]] | None = None
+    """(its directory, endpoint of the core, endpoint) -> command line; its name is that of the directory."""
 
 
-def fake_cast(episodes: int, longest_s: float) -> Cast:
-    """Returns the real coordinator and supervisors around a simulation without physics: the protocol is on trial."""
+def fake_cast(episodes: int, longest_s: float, gateways: int = 0) -> Cast:
+    """Returns the real parts around a simulation without physics: the protocol is on trial.
+
+    Args:
+        episodes: of the run.
+        longest_s: how long a simulation may take.
+        gateways: that the workers are connected to; without any they are to the coordinator.
+    """
     simulation = [sys.executable, "-m", "tests.builders.small_simulation", str(longest_s)]
     return Cast(
         episodes,
@@ -52,6 +61,10 @@ def fake_cast(episodes: int, longest_s: float) -> Cast:
         lambda folder, endpoint: [*_module("tests.builders.worker", endpoint, folder, 2), *simulation],
         longest_s=300.0,
         has_small_disk=True,
+        gateways=gateways,
+        gateway=lambda folder, core, endpoint: _module(
+            "tests.builders.room_gateway", folder, folder.name, core, endpoint
+        ),
     )
 
 
@@ -91,18 +104,32 @@ class Party:
         self.place = disk.path if disk is not None and cast.has_small_disk else root
         self.violations: list[str] = []
         self.restarts: Counter[str] = Counter()
+        self._started: list[subprocess.Popen[bytes]] = []
         self._endpoint = free_endpoint()
+        self._doors = [free_endpoint() for _ in range(cast.gateways)]
         self._thaw: dict[int, float] = {}
         self._stack = ExitStack()
-        self.wires = self._stack.enter_context(Wires(self._endpoint, workers))
+        doors = self._doors or [self._endpoint]
+        self.wires = self._stack.enter_context(Wires([doors[n % len(doors)] for n in range(workers)]))
         self._stack.callback(self._kill_all)
         self.coordinator = self._start_coordinator()
+        self.gateways = [self._start_gateway(number) for number in range(cast.gateways)]
         self.workers = [self._start_worker(number) for number in range(workers)]
 
     @property
     def out(self) -> Path:
         """The dataset."""
         return self.place / "out"
+
+    @property
+    def stores(self) -> list[Path]:
+        """The directories of the gateways."""
+        return [self.root / f"gw{number}" for number in range(self.cast.gateways)]
+
+    @property
+    def everybody(self) -> tuple[subprocess.Popen[bytes], ...]:
+        """Every process, in the order in which they are asked to leave."""
+        return (*self.workers, *self.gateways, self.coordinator)
 
     def archived(self) -> dict[int, str]:
         """Returns the content digest of every archived episode."""
@@ -156,6 +183,15 @@ class Party:
         time.sleep(pause_s)
         self.coordinator = self._start_coordinator()
 
+    def kill_gateway(self, number: int, pause_s: float) -> None:
+        """Kills a gateway and starts it again after a while."""
+        victim = self.gateways[number]
+        victim.kill()
+        victim.wait()
+        self._thaw.pop(victim.pid, None)
+        time.sleep(pause_s)
+        self.gateways[number] = self._start_gateway(number)
+
     def tend(self, *, everybody: bool = False) -> None:
         """Thaws who was frozen long enough, and starts again who has left with a failure, as an init system would."""
         self._thaw_due(everybody=everybody)
@@ -163,6 +199,10 @@ class Party:
             if worker.poll() not in {None, 0}:
                 self.restarts["worker"] += 1
                 self.workers[number] = self._start_worker(number)
+        for number, gateway in enumerate(self.gateways):
+            if gateway.poll() is not None:
+                self.violations.append(f"gateway {number} ended by itself with {gateway.poll()}")
+                self.gateways[number] = self._start_gateway(number)
         if self.coordinator.poll() is not None:
             if self.disk is None or not self._was_full:
                 self.violations.append(f"the coordinator ended by itself with {self.coordinator.poll()}")
@@ -178,9 +218,9 @@ class Party:
     def end(self) -> None:
         """Asks everybody to leave; who does not is a violation."""
         self.tend(everybody=True)
-        for process in (*self.workers, self.coordinator):
+        for process in self.everybody:
             process.send_signal(signal.SIGTERM)
-        for process in (*self.workers, self.coordinator):
+        for process in self.everybody:
             self._await(process, "at the end")
 
     def __enter__(self) -> Self:
@@ -192,7 +232,7 @@ class Party:
         self._stack.close()
 
     def _thaw_due(self, *, everybody: bool = False) -> None:
-        for process in (*self.workers, self.coordinator):
+        for process in self.everybody:
             if everybody or self._thaw.get(process.pid, float("inf")) < time.monotonic():
                 self._thaw.pop(process.pid, None)
                 if process.poll() is None:
@@ -209,20 +249,32 @@ class Party:
             process.wait()
 
     def _kill_all(self) -> None:
-        for process in (*getattr(self, "workers", ()), *([self.coordinator] if hasattr(self, "coordinator") else ())):
-            process.kill()
-            process.wait()
+        for process in self._started:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
 
     def _start_coordinator(self) -> subprocess.Popen[bytes]:
         extra = self.disk.environment if self.disk is not None else {}
         return self._spawn(self.cast.coordinator(self.place, self._endpoint), extra)
 
+    def _start_gateway(self, number: int) -> subprocess.Popen[bytes]:
+        assert self.cast.gateway is not None
+        return self._spawn(self.cast.gateway(self.stores[number], self._endpoint, self._doors[number]), {})
+
     def _start_worker(self, number: int) -> subprocess.Popen[bytes]:
-        return self._spawn(self.cast.worker(self.root / f"host-{number}", self.wires.endpoints[number]), {})
+        """Starts a worker that reaches one door through its wire and, with gateways, the others without any."""
+        others = [door for place, door in enumerate(self._doors) if place != number % len(self._doors)]
+        doors = ",".join((self.wires.endpoints[number], *others))
+        return self._spawn(self.cast.worker(self.root / f"host-{number}", doors), {})
 
     def _spawn(self, command: Sequence[str], extra: dict[str, str]) -> subprocess.Popen[bytes]:
         with self.log.open("ab") as log:
-            return subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=os.environ | extra)
+            process = subprocess.Popen(
+                command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=os.environ | extra
+            )
+        self._started.append(process)
+        return process
 
 
 def _children(pid: int) -> list[int]:

@@ -1,10 +1,11 @@
-"""The wire between one worker and the coordinator: a relay that can be cut, and that can lose what is answered."""
+"""The wire between a worker and whom it reaches: a relay that can be cut, and that can lose what is answered."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import threading
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
@@ -75,16 +76,14 @@ class Wires:
     """A relay a worker, all in one thread; a context manager.
 
     Args:
-        endpoint: of the coordinator, `tcp/127.0.0.1:PORT`.
-        count: how many workers.
+        targets: for each worker where its wire leads, `tcp/127.0.0.1:PORT`.
     """
 
-    def __init__(self, endpoint: str, count: int) -> None:
-        host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+    def __init__(self, targets: Sequence[str]) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="wires")
         self._thread.start()
-        self._wires = [_Wire((host, int(port))) for _ in range(count)]
+        self._wires = [_Wire(_address(target)) for target in targets]
         self.endpoints = [f"tcp/127.0.0.1:{self._call(wire.listen())}" for wire in self._wires]
 
     def cut(self, number: int, seconds: float) -> None:
@@ -139,3 +138,8 @@ class Wires:
 
     def _call(self, work):  # type: ignore[no-untyped-def]
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(10)
+
+
+def _address(endpoint: str) -> tuple[str, int]:
+    host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+    return host, int(port)
