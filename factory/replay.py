@@ -6,11 +6,11 @@ import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
+from coordinator.place import Place
 from factory.catalog import find_package
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
@@ -41,7 +41,7 @@ class Replay:
         return self.archived_digest == self.replayed_digest
 
 
-def replay_episode(root: Path, episode: Path, renderer: RendererKind, on_step: Callable[[int, int], None]) -> Replay:
+def replay_episode(root: Place, episode: Place, renderer: RendererKind, on_step: Callable[[int, int], None]) -> Replay:
     """Simulates the job of an archived episode again.
 
     Args:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+from coordinator.place import Place
 from schemas.errors import UsageError
 from schemas.job import episode_id
 
@@ -22,7 +21,7 @@ def episode_index(name: str) -> int:
     return int(digits)
 
 
-def episode_path(root: Path, name: str) -> Path:
+def episode_path(root: Place, name: str) -> Place:
     """Returns the bundle of an episode of a dataset.
 
     Raises:

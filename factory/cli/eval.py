@@ -17,6 +17,7 @@ from factory.cli.eval_specs import command as specs_command
 from factory.cli.eval_tables import print_evaluation
 from factory.cli.options import tls_option
 from factory.cli.output import json_option, print_json
+from factory.cli.places import DIRECTORY
 from factory.dataset import Dataset
 from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
@@ -31,7 +32,7 @@ __all__ = ["command"]
 
 
 @click.group("eval", invoke_without_command=True)
-@click.option("--data", "root", type=click.Path(path_type=Path), metavar="DIR", help="The dataset: its scenes, splits.")
+@click.option("--data", "root", type=DIRECTORY, metavar="DIR", help="The dataset: its scenes, splits.")
 @click.option("--split", "splits", type=SplitList(), help="S[,S...] or `all`; default: the test splits.")
 @click.option("--policy", "policies", multiple=True, metavar="P", help="Repeat for several; see below.")
 @click.option("--specs", "specs_path", type=click.Path(path_type=Path), metavar="FILE", help="Of `factory eval specs`.")

@@ -8,8 +8,9 @@ from pathlib import Path
 import click
 from rich.progress import Progress
 
+from coordinator.place import Place
 from factory.cli.eval_options import SplitList, splits_of
-from factory.cli.options import dataset_argument
+from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.dataset import Dataset
 from factory.eval.from_dataset import specs_of_dataset
@@ -24,7 +25,7 @@ __all__ = ["command"]
 
 
 @click.command("specs")
-@dataset_argument
+@place_argument
 @click.option("--split", "splits", type=SplitList(), help="S[,S...] or `all`; default: the test splits.")
 @click.option("--unfiltered", is_flag=True, help="Draw start states anew, whether or not an expert would arrive.")
 @click.option("--episodes", type=click.IntRange(1), metavar="N", help="How many; default: all, or 100 drawn anew.")
@@ -32,7 +33,7 @@ __all__ = ["command"]
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="A JSON file.")
 @json_option
 def command(
-    root: Path,
+    root: Place,
     splits: tuple[Split, ...] | None,
     unfiltered: bool,
     episodes: int | None,
@@ -40,7 +41,7 @@ def command(
     out: Path,
     as_json: bool,
 ) -> int:
-    """Write evaluation episodes of the dataset DIR as data: the same file gives the same numbers."""
+    """Write evaluation episodes of the dataset as data: the same file gives the same numbers."""
     configure_logs()
     dataset = Dataset(root)
     chosen = splits_of(dataset, splits)

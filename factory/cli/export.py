@@ -12,8 +12,9 @@ from pydantic import ValidationError
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 
+from coordinator.place import Place
 from factory.cli.export_options import format_options
-from factory.cli.options import dataset_argument
+from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, say_duration, stderr
 from factory.export.base import Options
 from factory.export.estimate import Estimate, estimate_export
@@ -31,7 +32,7 @@ Command = Callable[..., Any]
 
 
 @click.command("export")
-@dataset_argument
+@place_argument
 @click.option("--to", "format_name", required=True, type=click.Choice(list(EXPORTERS)), help="The format.")
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Directory of the export; resumed.")
 @click.option("--split", "splits", multiple=True, type=click.Choice(SPLITS), help="Only this split; may be repeated.")
@@ -41,7 +42,7 @@ Command = Callable[..., Any]
 @format_options
 @json_option
 def command(
-    root: Path,
+    root: Place,
     format_name: str,
     out: Path,
     splits: tuple[str, ...],
@@ -51,7 +52,7 @@ def command(
     as_json: bool,
     **chosen: Any,
 ) -> int:
-    """Write the dataset DIR to --out in another format; exit 1 when episodes had to be skipped.
+    """Write the dataset to --out in another format; exit 1 when episodes had to be skipped.
 
     Interrupted by Ctrl-C, a kill or a full disk, the same command goes on where it was.
     """

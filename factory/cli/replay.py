@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import cast
 
 import click
 from rich.progress import Progress
 
+from coordinator.place import Place
 from factory.cli.episodes import episode_path
-from factory.cli.options import dataset_argument
+from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, stderr
 from factory.logs import configure_logs
 from factory.replay import Replay, replay_episode
@@ -20,12 +20,12 @@ __all__ = ["command"]
 
 
 @click.command("replay")
-@dataset_argument
+@place_argument
 @click.argument("episode")
 @click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
 @json_option
-def command(root: Path, episode: str, renderer: str, as_json: bool) -> int:
-    """Simulate EPISODE (`ep_000001` or a number) of the dataset DIR again; exit 1 when the content differs."""
+def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
+    """Simulate EPISODE (`ep_000001` or a number) of the dataset again; exit 1 when the content differs."""
     configure_logs()
     path = episode_path(root, episode)
     with Progress(console=stderr, transient=True) as bar:

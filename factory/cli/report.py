@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from factory.cli.options import dataset_argument
+from coordinator.place import Place
+from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, stderr
 from factory.logs import configure_logs
 
@@ -19,12 +20,12 @@ __all__ = ["command"]
 
 
 @click.command("report")
-@dataset_argument
+@place_argument
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the report.")
 @click.option("--force", is_flag=True, help="Write into a folder that is not empty; what else it holds is kept.")
 @json_option
-def command(root: Path, out: Path, force: bool, as_json: bool) -> int:
-    """Draw the paper's figures of the dataset DIR into OUT/figures and the page OUT/report.html.
+def command(root: Place, out: Path, force: bool, as_json: bool) -> int:
+    """Draw the paper's figures of the dataset into OUT/figures and the page OUT/report.html.
 
     The page needs no network. Exit 1 when something was left out for damage; the page says what and why.
     """
@@ -40,7 +41,7 @@ def command(root: Path, out: Path, force: bool, as_json: bool) -> int:
     return 1 if any(remark.is_damage for remark in summary.remarks) else 0
 
 
-def _make(root: Path, out: Path, force: bool) -> Summary:
+def _make(root: Place, out: Path, force: bool) -> Summary:
     from factory.report import make_report  # matplotlib takes half a second and may be missing
 
     columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

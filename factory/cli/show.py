@@ -7,9 +7,10 @@ from pathlib import Path
 
 import click
 
+from coordinator.place import Place
 from factory.catalog import find_package
 from factory.cli.episodes import episode_path
-from factory.cli.options import dataset_argument
+from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json
 from factory.contact_sheet import draw_contact_sheet
 from factory.film import draw_film, film_rate, write_gif, write_mp4
@@ -24,15 +25,15 @@ _KINDS = (".png", ".mp4", ".gif")
 
 
 @click.command("show")
-@dataset_argument
+@place_argument
 @click.argument("episode")
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="PNG, MP4 or GIF; default EPISODE.png."
 )
 @click.option("--columns", type=click.IntRange(2, 24), default=6, show_default=True, help="Frames across, of a PNG.")
 @json_option
-def command(root: Path, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
-    """Show EPISODE (`ep_000001` or a number) of the dataset DIR.
+def command(root: Place, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
+    """Show EPISODE (`ep_000001` or a number) of the dataset.
 
     A .png is a contact sheet; a .mp4 or .gif is a film at the speed of life: colour, depth, ids and the track from
     above, with the instruction beneath.

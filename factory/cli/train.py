@@ -10,7 +10,9 @@ import click
 from pydantic import ValidationError
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from coordinator.place import Place
 from factory.cli.output import json_option, print_json, print_table, say_duration, stderr
+from factory.cli.places import PLACE
 from factory.dataset import Dataset
 from factory.logs import configure_logs
 from factory.train import BcOptions, EpochMeasures, TrainReport
@@ -29,7 +31,7 @@ def command() -> None:
 
 
 @command.command("bc")
-@click.option("--data", "root", type=click.Path(path_type=Path), required=True, metavar="DIR", help="The dataset.")
+@click.option("--data", "root", type=PLACE, required=True, metavar="DIR|URL", help="The dataset.")
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder of the result."
 )
@@ -63,7 +65,7 @@ def command() -> None:
 @click.option("--resume", is_flag=True, help="Go on with the training in OUT.")
 @json_option
 def bc(
-    root: Path,
+    root: Place,
     out: Path,
     split: str,
     scenes: tuple[str, ...],

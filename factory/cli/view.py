@@ -7,9 +7,10 @@ from pathlib import Path
 import click
 from rich.progress import Progress
 
+from coordinator.place import Place
 from factory.catalog import find_package
 from factory.cli.episodes import episode_index
-from factory.cli.options import dataset_argument
+from factory.cli.options import place_argument
 from factory.cli.output import stderr
 from factory.dataset import Dataset
 from factory.view import view_episode
@@ -21,12 +22,12 @@ __all__ = ["command"]
 
 
 @click.command("view")
-@dataset_argument
+@place_argument
 @click.argument("episode")
 @click.option("--save", type=click.Path(path_type=Path), metavar="FILE.rrd", help="Write a recording; open no viewer.")
 @click.option("--stride", type=click.IntRange(1, 1000), default=2, show_default=True, help="Show every n-th frame.")
-def command(root: Path, episode: str, save: Path | None, stride: int) -> None:
-    """Open EPISODE (`ep_000001` or a number) of the dataset DIR in the Rerun viewer.
+def command(root: Place, episode: str, save: Path | None, stride: int) -> None:
+    """Open EPISODE (`ep_000001` or a number) of the dataset in the Rerun viewer.
 
     Colour, depth and ids, the robot on the map, the way it drove, actions and instruction.
     Needs the extra: pip install 'minivla-factory[view]'.

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from coordinator.place import Place
 from factory.dataset import Dataset
 from factory.episode import Episode
 from factory.export.base import Finish, Options, Piece
@@ -50,7 +51,7 @@ OnProgress = Callable[[Progress], None]
 class ExportOrder:
     """What is to be exported where."""
 
-    root: Path
+    root: Place
     """Of the dataset."""
     out: Path
     format: str
@@ -137,9 +138,10 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, M
         WorldError: there is no dataset.
     """
     whole = Dataset(order.root)
-    one, two = order.root.resolve(), order.out.resolve()
-    if one == two or one in two.parents or two in one.parents:
-        raise UsageError(f"--out {order.out}: dataset and export may not lie in each other; choose a folder beside")
+    if isinstance(order.root, Path):
+        one, two = order.root.resolve(), order.out.resolve()
+        if one == two or one in two.parents or two in one.parents:
+            raise UsageError(f"--out {order.out}: dataset and export may not lie in each other; choose a folder beside")
     dataset = select(whole, order.splits, order.episodes)
     exporter.check(order.options, dataset.meta)
     source = Source(

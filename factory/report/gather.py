@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coordinator.archive import EPISODES, SCENES
+from coordinator.place import Place
 from coordinator.summary import EpisodeSummary, file_name_of
 from factory.catalog import find_package
 from factory.episode import Episode
@@ -32,7 +32,7 @@ _SHARE_WANTED = 0.08
 """Share of the picture that the target of a good sample covers."""
 
 
-def gather(root: Path, on_progress: Progress = lambda _done, _all: None, samples: int = 8) -> Material:
+def gather(root: Place, on_progress: Progress = lambda _done, _all: None, samples: int = 8) -> Material:
     """Returns all that a report of the dataset shows.
 
     Args:
@@ -58,7 +58,7 @@ def gather(root: Path, on_progress: Progress = lambda _done, _all: None, samples
     return Material(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
 
 
-def _read_drive(root: Path, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:
+def _read_drive(root: Place, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:
     name = file_name_of(row.episode_id)
     with Episode(root / name, row) as episode:
         try:
@@ -72,7 +72,7 @@ def _read_drive(root: Path, row: EpisodeSummary, is_sample: bool, drives: Drives
             _read_sample(episode, name, drives, rows, root)
 
 
-def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: Path) -> None:
+def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: Place) -> None:
     try:
         drives.samples.append(_best_frame(episode))
     except ArchiveCorrupt as error:
@@ -94,7 +94,7 @@ def _best_frame(episode: Episode) -> Sample:
     return Sample(episode.summary, t, episode.rgb(t), masks[t])
 
 
-def _read_maps(root: Path, rows: Rows) -> dict[str, FloorMap]:
+def _read_maps(root: Place, rows: Rows) -> dict[str, FloorMap]:
     found: dict[str, FloorMap] = {}
     for name, sha256 in rows.meta.scenes.items():
         try:
@@ -105,6 +105,6 @@ def _read_maps(root: Path, rows: Rows) -> dict[str, FloorMap]:
     return found
 
 
-def _said(error: Exception, root: Path) -> str:
+def _said(error: Exception, root: Place) -> str:
     """Returns what an error says on one line, without where the dataset happens to lie: the page does not know."""
     return " ".join(str(error).replace(f"{root}/", "").split())

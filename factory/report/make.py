@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from coordinator.place import Place
 from factory.report.compare import compare
 from factory.report.drawers import DRAWERS
 from factory.report.exhibit import Drawer, Exhibit
@@ -19,7 +20,7 @@ Progress = Callable[[str, int, int], None]
 
 
 def make_report(
-    root: Path, out: Path, force: bool = False, on_progress: Progress = lambda _what, _done, _all: None
+    root: Place, out: Path, force: bool = False, on_progress: Progress = lambda _what, _done, _all: None
 ) -> Summary:
     """Writes the report of a dataset: `report.html`, `figures/*.svg`, `figures/*.png` and `report.json`.
 
