@@ -30,6 +30,13 @@ class Options(Model):
     has too must be the same.
     """
 
+    def check(self, meta: DatasetMeta) -> None:
+        """Holds the options against a dataset, before anything is written.
+
+        Raises:
+            UsageError: they contradict each other or the dataset, e.g. a rate that does not divide the dataset's.
+        """
+
 
 class Facts(Model):
     """What `finish` must know of a piece without opening it; kept as JSON, so that a resumed export has it too."""
@@ -114,11 +121,8 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     facts: type[FactsT]
 
     def check(self, options: OptionsT, meta: DatasetMeta) -> None:
-        """Looks at the options before anything is written.
-
-        Raises:
-            UsageError: they contradict each other or the dataset, e.g. a rate that does not divide the dataset's.
-        """
+        """Looks at options before anything is written; raises what they raise."""
+        options.check(meta)
 
     @abstractmethod
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> FactsT:

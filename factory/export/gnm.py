@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import Field
 
-from coordinator.dataset_meta import DatasetMeta
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Piece
 from factory.export.card import CARD_FILE, export_card
@@ -77,10 +76,6 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
     options = GnmOptions
     facts = GnmFacts
-
-    def check(self, options: GnmOptions, meta: DatasetMeta) -> None:
-        """Refuses a rate that does not divide the dataset's."""
-        stride_of(options.fps, meta.plan.task.control_hz)
 
     def write_episode(self, episode: Episode, options: GnmOptions, folder: Path) -> GnmFacts:
         """Writes `minivla_nav/<id>/`."""

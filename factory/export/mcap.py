@@ -13,7 +13,6 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.dataset_meta import DatasetMeta
 from coordinator.place import Place
 from factory.catalog import find_package
 from factory.episode import Episode
@@ -67,10 +66,6 @@ class McapExporter(Exporter[McapOptions, Facts]):
     requires = (Requirement("mcap", "mcap"),)
     options = McapOptions
     facts = Facts
-
-    def check(self, options: McapOptions, meta: DatasetMeta) -> None:
-        """Refuses a rate that does not divide the dataset's."""
-        stride_of(options.fps, meta.plan.task.control_hz)
 
     def write_episode(self, episode: Episode, options: McapOptions, folder: Path) -> Facts:
         """Writes `episodes/<id>.mcap`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from coordinator.dataset_meta import DatasetMeta
 from factory.export.base import Options
 from schemas.errors import UsageError
 
@@ -19,6 +20,10 @@ class Decimated(Options):
         le=240,
         description="Frames a second; a divisor of the dataset's rate, which is the default.",
     )
+
+    def check(self, meta: DatasetMeta) -> None:
+        """Refuses a rate that does not divide the dataset's."""
+        stride_of(self.fps, meta.plan.task.control_hz)
 
 
 def stride_of(fps: int | None, recorded_hz: int) -> int:

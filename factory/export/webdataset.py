@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 from isal import igzip
 from pydantic import Field
 
-from coordinator.dataset_meta import DatasetMeta
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Piece
 from factory.export.card import CARD_FILE, export_card
@@ -82,10 +81,6 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
     assembles = True
     options = WebdatasetOptions
     facts = WebdatasetFacts
-
-    def check(self, options: WebdatasetOptions, meta: DatasetMeta) -> None:
-        """Refuses a rate that does not divide the dataset's."""
-        stride_of(options.fps, meta.plan.task.control_hz)
 
     def write_episode(self, episode: Episode, options: WebdatasetOptions, folder: Path) -> WebdatasetFacts:
         """Writes the members of every kept frame, in order."""

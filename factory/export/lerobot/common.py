@@ -32,10 +32,6 @@ class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
     assembles = True
     facts = LeRobotFacts
 
-    def check(self, options: OptionsT, meta: DatasetMeta) -> None:
-        """Refuses a rate that does not divide the dataset's."""
-        stride_of(options.fps, meta.plan.task.control_hz)
-
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> LeRobotFacts:
         """Writes videos and columns of one episode."""
         return write_piece(episode, _widened(options), folder)
