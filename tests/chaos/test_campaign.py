@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.chaos.campaign import Tally, digest_of, play_round, violations_of
+from tests.chaos.campaign import Tally, digest_of, gathering_of, play_round, violations_of
 from tests.chaos.party import Party, fake_cast
 
 EPISODES = 10
@@ -36,6 +36,30 @@ def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_pa
     assert digest == calm[0]
     assert tally.faults.total() >= FAULTS // 2
     assert tally.outcomes["success"] == tally.episodes == EPISODES
+
+
+def test_workers_change_over_when_a_gateway_is_killed_and_the_gathered_dataset_equals_a_calm_ones(calm, tmp_path):
+    with Party(tmp_path, fake_cast(EPISODES, 3.0, gateways=2), 2) as party:
+        deadline = time.monotonic() + 240
+        killed: list[int] = []
+        while len(party.archived()) < EPISODES:
+            assert time.monotonic() < deadline, party.log.read_text()[-4000:]
+            done = len(party.archived())
+            if not killed and done >= 2:  # whoever has archived; it stays away until the other has taken over
+                party.gateways[0].kill()
+                party.gateways[0].wait()
+                killed.append(done)
+            elif killed and done > EPISODES // 2 and party.gateways[0].poll() is not None:
+                party.kill_gateway(0, 0.0)
+            if not killed or party.gateways[0].poll() is None:
+                party.tend()
+            time.sleep(0.05)
+        party.end()
+        assert party.violations == []
+        assert party.query("select count(*) from keepers where gateway = 'gw1'") > [(0,)]  # the one that was left
+        assert list(gathering_of(party)) == []
+        assert list(violations_of(party)) == []
+        assert digest_of(party) == calm[0]
 
 
 def test_a_campaign_would_notice_what_is_torn_missing_too_many_or_forgotten(calm):

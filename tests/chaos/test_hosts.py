@@ -21,17 +21,22 @@ pytestmark = pytest.mark.skipif(bool(REASON), reason=REASON)
 
 
 class Site:
-    """A coordinator on host 0 and a worker on each other host."""
+    """A coordinator on host 0, gateways on the next ones if any, and a worker on each host that is left."""
 
-    def __init__(self, root: Path, hosts: Hosts, stack: ExitStack) -> None:
+    def __init__(self, root: Path, hosts: Hosts, stack: ExitStack, gateways: int = 0) -> None:
         self.root, self.log = root, root / "log"
         endpoint = f"tcp/{hosts.addresses[0]}:7447"
         hub = ("tests.builders.room_coordinator", root, EPISODES, endpoint, LEASE_S)
         self.processes = [self._start(hosts.inside(0), *hub)]
         stack.callback(self._kill)
+        doors = []
+        for number in range(1, gateways + 1):
+            doors.append(f"tcp/{hosts.addresses[number]}:7447")
+            gateway = ("tests.builders.room_gateway", root / f"gw{number}", f"gw{number}", endpoint, doors[-1])
+            self.processes.append(self._start(hosts.inside(number), *gateway))
         simulation = (sys.executable, "-m", "tests.builders.small_simulation", 6.0)
-        for number in range(1, len(hosts.addresses)):
-            worker = ("tests.builders.worker", endpoint, root / f"host-{number}", 1, *simulation)
+        for number in range(gateways + 1, len(hosts.addresses)):
+            worker = ("tests.builders.worker", ",".join(doors) or endpoint, root / f"host-{number}", 1, *simulation)
             self.processes.append(self._start(hosts.inside(number), *worker))
 
     def ask(self, sql: str) -> int:
@@ -87,3 +92,23 @@ def test_a_host_behind_a_narrow_lossy_link_brings_its_episodes_too(tmp_path):
         site = Site(tmp_path, hosts, stack)
         site.wait(lambda: site.archived() == EPISODES, 180)
         assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
+
+
+def test_workers_leave_a_gateway_that_is_cut_off_for_another_and_it_comes_back_with_what_it_keeps(tmp_path):
+    with ExitStack() as stack:
+        hosts = stack.enter_context(Hosts(4))
+        site = Site(tmp_path, hosts, stack, gateways=2)
+        kept = "select count(*) from keepers where gateway = "
+        site.wait(lambda: site.archived() >= 1)
+        busy = 1 if site.ask(f"{kept}'gw1'") else 2
+        hosts.cut(busy)
+        before = site.ask(f"{kept}'gw{busy}'")
+        site.wait(lambda: site.archived() >= min(EPISODES, before + 2))  # by way of the other one
+        hosts.heal(busy)
+        site.wait(lambda: site.archived() == EPISODES)
+        assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
+        assert site.ask("select count(*) from keepers") == EPISODES
+        assert not list((tmp_path / "out" / "episodes").iterdir())
+        files = [path.name for number in (1, 2) for path in (tmp_path / f"gw{number}" / "episodes").iterdir()]
+        assert sorted(files) == [f"ep_{index:06d}.zip" for index in range(1, EPISODES + 1)]
+        assert all(process.poll() in {None, 0} for process in site.processes)
