@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive import Archive
 from coordinator.catalog import Catalog
-from coordinator.dataset_meta import DatasetMeta, GateOutcome
+from coordinator.dataset_meta import DatasetMeta, GateOutcome, read_dataset_meta
 from coordinator.dataset_tables import FailedAttempt, write_tables
 from coordinator.instances import all_sides, shared_categories
 from coordinator.ledger_outcomes import SUCCESS
 from coordinator.ledger_records import read_summaries
-from coordinator.tables import attempts, jobs
+from coordinator.tables import attempts, episodes, jobs
+from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
 
-__all__ = ["read_failures", "write_checkpoint"]
+__all__ = ["is_checkpoint_owed", "read_failures", "write_checkpoint"]
 
 _YIELD_ROWS = 1000
 
@@ -52,6 +53,22 @@ def write_checkpoint(
         shared if plan.disjoint_instances else None,
         gate,
     )
+
+
+def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
+    """Whether the tables lag behind the ledger: the last coordinator was killed, or its store away, at the end."""
+    failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
+    counts = (
+        connection.execute(select(func.count()).select_from(episodes)).scalar_one(),
+        connection.execute(failed).scalar_one(),
+    )
+    try:
+        meta = read_dataset_meta(archive.root)
+    except ArchiveCorrupt:
+        return True
+    except WorldError:
+        return any(counts)
+    return (meta.episodes, meta.failed_attempts) != counts
 
 
 def read_failures(connection: Connection) -> Iterator[FailedAttempt]:

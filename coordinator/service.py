@@ -19,7 +19,7 @@ import structlog
 from coordinator import ledger_claims
 from coordinator.beacon import light, quench
 from coordinator.catalog import Catalog
-from coordinator.checkpoint import write_checkpoint
+from coordinator.checkpoint import is_checkpoint_owed, write_checkpoint
 from coordinator.dataset_meta import GateOutcome
 from coordinator.dispatch import Dispatch
 from coordinator.engine import open_reader, open_writer
@@ -207,7 +207,9 @@ class Coordinator:
         self._reader = open_reader(url)
         stack.callback(self._reader.dispose)
         reconciled = reconcile(self._archive, self._engine, terms, checker, self._clock())
-        if is_new or reconciled.adopted or reconciled.requeued:
+        with self._reader.connect() as connection:
+            is_owed = is_checkpoint_owed(self._archive, connection)
+        if is_new or reconciled.adopted or reconciled.requeued or is_owed:
             self._changed.set()
 
     def _open_pullers(self, checker: Judge) -> Pullers:

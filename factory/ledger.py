@@ -21,14 +21,14 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
     """Opens the ledger of a dataset for reading.
 
     Raises:
-        UsageError: there is no such directory.
+        UsageError: there is no such directory, or no home of such a URL on this machine.
         WorldError: the directory holds no ledger.
     """
     if url is None and not site.home.is_dir():
-        what = (
-            f"no directory {site.home}" if site.store is None else f"no ledger of {site} on this machine ({site.home})"
-        )
-        raise UsageError(f"{what}; start a run with `factory run demo --out {site}`")
+        begin = f"start a run with `factory run demo --out {site}`"
+        if site.store is None:
+            raise UsageError(f"no directory {site}; {begin}")
+        raise UsageError(f"no ledger of {site} here ({site.home}); {begin}, or `factory repair {site}` rebuilds it")
     return look_into(ledger_url_of(site.home, url))
 
 

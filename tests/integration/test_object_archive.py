@@ -294,3 +294,26 @@ def test_store_that_is_away_is_no_damage(store: ObjectPath, relay: StoreRelay, t
     patient = Patient(store, run.root, run.url, run.plan, run.catalog, {})
     with Validator() as validator:
         assert "403" in said_by(lambda: repair(patient, validator, run.desk.now, apply=False))
+
+
+@pytest.mark.parametrize("kind", ["directory", "bucket"])
+def test_tables_that_a_killed_coordinator_owed_are_written_by_the_next(
+    kind: str, store: ObjectPath, tmp_path: Path
+) -> None:
+    run = ArchivedRun(tmp_path / "out", planned=2, done=2)
+    tables = ("metadata.parquet", "attempts.parquet", "dataset_meta.json")
+    if kind == "bucket":
+        copy_to(store, run.root)
+    place = store if kind == "bucket" else run.root
+    older = ArchivedRun(tmp_path / "older", planned=2, done=1)
+    for name in tables:
+        if isinstance(place, ObjectPath):
+            place.objects.put(name, (older.root / name).read_bytes())
+        else:
+            (place / name).write_bytes((older.root / name).read_bytes())
+    assert len(Dataset(place)) == 1
+    settings = CoordinatorSettings(reserve_bytes=0)
+    remote = store if kind == "bucket" else None
+    with Coordinator(run.root, run.plan, run.catalog, ANY_PORT, settings=settings, store=remote) as running:
+        assert running.is_finished()
+    assert (len(Dataset(place)), Dataset(place).meta.complete) == (2, True)
