@@ -39,6 +39,7 @@ __all__ = ["command"]
     show_default=True,
     help="Seconds to look for the coordinator at the start.",
 )
+@click.option("--import-policies", is_flag=True, help="Let evaluations name classes that are imported here.")
 @click.option("--until-eof", is_flag=True, hidden=True, help="Leave when stdin is closed.")
 @tls_option
 @verbose_option
@@ -48,6 +49,7 @@ def command(
     renderer: str,
     spool: Path | None,
     wait_s: float,
+    import_policies: bool,
     until_eof: bool,
     tls: Path | None,
     verbose: bool,
@@ -64,10 +66,15 @@ def command(
         cores=cores,
         renderer=cast(RendererKind, renderer),
         wait_s=wait_s,
-        errand_command=(sys.executable, "-m", "factory.eval.station", "--renderer", renderer),
+        errand_command=_errand_command(renderer, import_policies),
         **more,
     )
     with stop_on_signals() as (stop, at_once):
         if until_eof:
             stop_at_eof(sys.stdin.fileno(), stop)
         return run_worker(settings, stop, at_once)
+
+
+def _errand_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
+    words = (sys.executable, "-m", "factory.eval.station", "--renderer", renderer)
+    return (*words, "--import-policies") if import_policies else words

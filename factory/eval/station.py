@@ -20,6 +20,7 @@ from factory.eval.message import Errand, ReportKind
 from factory.eval.message import Order as Drive
 from factory.eval.message import Report as Outcome
 from factory.eval.note import note_of
+from factory.eval.policies import is_foreign
 from factory.eval.result import EpisodeResult
 from factory.eval.seat import Ended, Seat
 from schemas.terms import FailReason, RendererKind
@@ -30,15 +31,18 @@ from workers.pipe import listen, take_stdout
 __all__ = ["main"]
 
 _HEAR_S, _TELL_S = 0.1, 1.0
+_NO_IMPORTS = "this worker imports no classes; start it with --import-policies where its coordinator is trusted"
 
 
 def main() -> int:
     """Serves orders until stdin closes."""
     parser = argparse.ArgumentParser(prog="factory.eval.station", description="Drives policies for a worker.")
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
-    renderer = cast(RendererKind, parser.parse_args().renderer)
+    parser.add_argument("--import-policies", action="store_true")
+    arguments = parser.parse_args()
+    renderer = cast(RendererKind, arguments.renderer)
     out, lines = take_stdout(), listen(0)
-    station = _Station(renderer, out)
+    station = _Station(renderer, arguments.import_policies, out)
     try:
         station.tell(worker.Report(kind=worker.ReportKind.READY, renderer=f"{renderer}, with the first episode"))
         while True:
@@ -50,8 +54,8 @@ def main() -> int:
 class _Station:
     """Keeps one seat, for the campaign that was served last."""
 
-    def __init__(self, renderer: RendererKind, out: BinaryIO) -> None:
-        self._renderer, self._out = renderer, out
+    def __init__(self, renderer: RendererKind, may_import: bool, out: BinaryIO) -> None:
+        self._renderer, self._may_import, self._out = renderer, may_import, out
         self._seat: Seat | None = None
 
     def tell(self, report: worker.Report) -> None:
@@ -62,6 +66,10 @@ class _Station:
         """Does one order and tells what came of it."""
         begun = time.monotonic()
         errand = Errand.model_validate_json(order.errand or "")
+        if is_foreign(errand.policy) and not self._may_import:
+            # the name came over the network, and importing it runs whatever is there
+            self.tell(failure(FailReason.CRASH, f"policy {errand.policy}: {_NO_IMPORTS}"))
+            return
         seat = self._seat_for(errand)
         drive = errand.order(order.job.index, order.scene_path, order.attachment_path)
         seat.give(drive)

@@ -91,7 +91,7 @@ def test_a_policy_that_no_worker_can_make_ends_the_evaluation_with_the_reason(
 ) -> None:
     words = ("eval", "--data", drives, "--specs", specs, "--episodes", 1, "--policy", "nowhere.to_be:Found")
     run = factory.start(*words, "--listen", endpoint, "-o", tmp_path / "out")
-    factory.start("worker", "--connect", endpoint, "--spool", tmp_path / "spool", "--wait", 120)
+    factory.start("worker", "--import-policies", "--connect", endpoint, "--spool", tmp_path / "spool", "--wait", 120)
     _, log = run.communicate(timeout=240)
     assert run.returncode == 1
     assert "No module named 'nowhere'" in log

@@ -18,7 +18,17 @@ from factory.eval.policy import Policy, is_built_in
 from schemas.errors import UsageError
 from schemas.terms import ExpertName
 
-__all__ = ["POLICIES", "Entry", "Outside", "check_name", "describe_knowledge", "file_of", "find_policy", "make_policy"]
+__all__ = [
+    "POLICIES",
+    "Entry",
+    "Outside",
+    "check_name",
+    "describe_knowledge",
+    "file_of",
+    "find_policy",
+    "is_foreign",
+    "make_policy",
+]
 
 Maker = Callable[[str, Outside], Policy]
 """Takes what stands behind the first colon of the name, and what a policy may need."""
@@ -67,6 +77,15 @@ def find_policy(name: str) -> Entry:
         known = ", ".join(entry.usage for entry in (*POLICIES.values(), _FOREIGN))
         raise UsageError(f"no policy {name!r}; there are {known}")
     return _FOREIGN
+
+
+def is_foreign(name: str) -> bool:
+    """Whether making the policy imports a module of the user's.
+
+    Raises:
+        UsageError: nothing is called that.
+    """
+    return find_policy(name) is _FOREIGN
 
 
 def check_name(name: str) -> None:

@@ -1,0 +1,56 @@
+"""The process at the end of a worker's pipe in a run of errands: what it refuses by itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from factory.eval.message import Errand, Setup
+from factory.eval.question import Question
+from factory.eval.spec import EvalSettings
+from schemas.terms import FailReason
+from tests.builders.bundle import job_for
+from tests.builders.eval_results import spec_of
+from workers.order import Order, Report, ReportKind, read_report, to_line
+
+
+def said_to(policy: str, tmp_path: Path) -> list[Report]:
+    """Returns the reports on one errand."""
+    question = Question(spec=spec_of(), spec_digest="d" * 64, instruction="")
+    errand = Errand(setup=Setup(settings=EvalSettings()), policy=policy, question=question)
+    order = Order(
+        job=job_for(1),
+        scene_path=tmp_path / "no.scene",
+        bundle_path=tmp_path / "1.1.zip",
+        sid="host-1",
+        errand=errand.model_dump_json(),
+    )
+    command = [sys.executable, "-m", "factory.eval.station"]
+    found: list[Report] = []
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(to_line(order))
+        process.stdin.flush()
+        for line in process.stdout:
+            report = read_report(line)
+            assert report is not None, line
+            found.append(report)
+            if report.kind is ReportKind.FAILURE:
+                process.stdin.close()  # it ends with its worker
+    assert process.returncode == 0
+    return found
+
+
+def test_classes_are_imported_only_where_the_worker_allows_it(tmp_path: Path) -> None:
+    ready, refused = said_to("tests.builders.policies:Tokens", tmp_path)
+    assert ready.kind is ReportKind.READY
+    assert refused.reason is FailReason.CRASH
+    assert "--import-policies" in refused.detail
+
+
+def test_a_scene_that_is_not_there_is_no_result(tmp_path: Path) -> None:
+    last = said_to("stop", tmp_path)[-1]
+    assert last.reason is FailReason.CRASH
+    assert "no.scene" in last.detail
