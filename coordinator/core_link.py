@@ -1,10 +1,15 @@
-"""A gateway's questions to its core: asked through its own router, answered or unknown. Decides nothing."""
+"""A gateway's questions to its core: asked through its own router, answered or unknown.
+
+Also the one place that notices silence and opens the router anew; it decides nothing about what was asked.
+"""
 
 from __future__ import annotations
 
 import threading
+import time
 from typing import TypeVar
 
+import structlog
 from pydantic import ValidationError
 
 from coordinator.node import Node
@@ -18,7 +23,9 @@ __all__ = ["CoreLink"]
 _ANY_RUN = "*"
 _TIMEOUT_S = 5.0
 _PAUSE_S = 0.5
+_REOPEN_S = 10.0
 R = TypeVar("R", bound=Model)
+log = structlog.get_logger(__name__)
 
 
 class CoreLink:
@@ -34,6 +41,13 @@ class CoreLink:
         self._name = name
         self.run = _ANY_RUN
         """The run that is asked about; any, until it is known."""
+        self._heard = self._opened = time.monotonic()
+        self._healing = threading.Lock()
+
+    @property
+    def silence_s(self) -> float:
+        """Seconds since the core has answered anything, or since the start."""
+        return time.monotonic() - self._heard
 
     def ask(self, verb: Verb, message: Model, kind: type[R]) -> R:
         """Returns the answer.
@@ -45,9 +59,11 @@ class CoreLink:
         key = verb_key(self.run, self._name, verb)
         found = list(self._node.ask(key, message.model_dump_json(), _TIMEOUT_S))
         if not found:
+            self._heal()
             raise TransientError(f"the core does not answer {verb!r} to gateway {self._name}; it is asked again")
         if len(found) > 1:
             raise WorldError(f"{len(found)} cores answer gateway {self._name}: --connect to those of one run only")
+        self._heard = time.monotonic()
         return _read(found[0], kind)
 
     def insist(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
@@ -63,6 +79,18 @@ class CoreLink:
             except TransientError:
                 if stop.wait(_PAUSE_S):
                     raise
+
+    def _heal(self) -> None:
+        """Opens the router anew after a long silence: a half-open link, or one that zenoh has given up, heals so."""
+        with self._healing:
+            if time.monotonic() - max(self._heard, self._opened) < _REOPEN_S:
+                return
+            log.warning("core_away", silence_s=round(self.silence_s), remedy="the router is opened anew; else none")
+            try:
+                self._node.reopen()
+            except WorldError as error:
+                raise TransientError(str(error)) from error
+            self._opened = time.monotonic()
 
 
 def _read(payload: bytes, kind: type[R]) -> R:

@@ -6,7 +6,6 @@ Bulk ends here: the core hears which episodes lie in the directory, under the sa
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
@@ -82,7 +81,6 @@ class Gateway:
         self._connect = tuple(connect)
         self._closing = stop = stop or threading.Event()
         self._meters = Meters()
-        self._heard = time.monotonic()
         checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
             stack.callback(checker.close)
@@ -113,9 +111,8 @@ class Gateway:
         A full disk is no trouble here: workers must stay connected to bring what they have.
         """
         found = [] if self._node.is_open else ["not listening to workers"]
-        silence_s = time.monotonic() - self._heard
-        if silence_s > _SILENCE_S:
-            found.append(f"the core has not answered for {silence_s:.0f} s")
+        if self._core.silence_s > _SILENCE_S:
+            found.append(f"the core has not answered for {self._core.silence_s:.0f} s")
         return tuple(found)
 
     def snapshot(self) -> Snapshot:
@@ -190,7 +187,6 @@ class Gateway:
         except TransientError as error:
             log.debug("no_orders", error=str(error))
             return
-        self._heard = time.monotonic()
         for order in told.orders:
             self._pullers.offer(_pull_of(order))
 

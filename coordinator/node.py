@@ -117,12 +117,21 @@ class Node:
         admitted = self._look_admitted()
         if admitted == self._admitted and self.is_open:
             return False
-        with self._opening:
-            self._admitted = admitted
-            self._session.close()
-            self._session = _reopen(self.endpoints, lambda endpoints: self._configure(endpoints, admitted))
-            self._declare(self._session)
+        self._admitted = admitted
+        self.reopen()
         return True
+
+    def reopen(self) -> None:
+        """Opens the session anew under the same endpoints; who was connected comes back by himself.
+
+        Raises:
+            WorldError: the endpoints cannot be listened on now; ask again.
+        """
+        with self._opening:
+            if self.is_open:
+                self._session.close()
+            self._session = _reopen(self.endpoints, lambda endpoints: self._configure(endpoints, self._admitted))
+            self._declare(self._session)
 
     def close(self) -> None:
         """Closes the session; what zenoh runs in threads ends with it."""
