@@ -16,6 +16,7 @@ __all__ = [
     "Crowd",
     "Machine",
     "Memory",
+    "MemoryBench",
     "PlainPace",
     "ReadBench",
     "RenderBench",
@@ -98,6 +99,8 @@ class SceneRollout(Model):
     cpu: Spread
     """Frames per second of CPU time."""
     stages: tuple[StageCost, ...]
+    delivery: tuple[StageCost, ...]
+    """What the coordinator spends on a bundle, `validate` and `archive`; not in the figures above."""
     episodes: int
     """That succeeded, and were timed."""
     frames: int
@@ -112,6 +115,25 @@ class SceneRollout(Model):
     plain: PlainPace | None = None
     ratio: float | None = None
     """Wall-clock frames per second over those of the plain pipeline."""
+
+
+class MemoryBench(Model):
+    """`factory bench memory`."""
+
+    bench: str = "memory"
+    machine: Machine
+    renderer: str
+    scenes: tuple[str, ...]
+    """That took turns."""
+    episodes: int
+    succeeded: int
+    frames: int
+    """In those that succeeded."""
+    settled_mib: float
+    """Median over the second tenth of the episodes: every scene has been shown, caches are full."""
+    last_mib: float
+    """Median over the last tenth; what it has over `settled_mib` is the growth."""
+    memory: Memory
 
 
 class RolloutBench(Model):
@@ -132,6 +154,8 @@ class SceneRender(Model):
     frames_per_s: Spread
     """All three images, wall clock."""
     stages: tuple[StageCost, ...]
+    without_colour: StageCost | None
+    """Drawing depth and ids alone; the rest of `render` is what colour costs. `None` where the renderer cannot."""
     triangles: int
     """In the scene."""
     triangles_in_view: float

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 
-from factory.bench.model import SceneRender, Spread
+from factory.bench.model import SceneRender, Spread, StageCost
 from factory.bench.watch import StageTimes, Watch, stage_costs
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
@@ -15,8 +16,10 @@ from workers.camera import optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
 from workers.render import Renderer
 from workers.render.cull import PartBounds, visible_parts
+from workers.render.gl import GlRenderer
+from workers.render.shaders import BARE
 
-__all__ = ["bench_render", "poses_in"]
+__all__ = ["bench_render", "open_without_colour", "poses_in"]
 
 _SEED = 20
 
@@ -30,30 +33,57 @@ def poses_in(scene: CompiledScene, count: int) -> list[Pose]:
     return [Pose.planar(x, y, yaw, height) for (x, y), yaw in zip(points.tolist(), yaws.tolist(), strict=True)]
 
 
+def open_without_colour(like: Renderer, watch: Watch) -> AbstractContextManager[Renderer | None]:
+    """Opens a renderer like that one which leaves colour out, or nothing where there is none."""
+    return GlRenderer(lap=watch, plain=BARE, textured=BARE) if isinstance(like, GlRenderer) else nullcontext()
+
+
 def bench_render(
-    scene: CompiledScene, renderer: Renderer, watch: Watch, camera: CameraConfig, frames: int, repeats: int
+    scene: CompiledScene,
+    renderer: Renderer,
+    bare: Renderer | None,
+    watch: Watch,
+    camera: CameraConfig,
+    frames: int,
+    repeats: int,
 ) -> SceneRender:
     """Renders the same poses in every repeat, after one round that warms up, and returns the figures.
 
     Args:
         scene: the place.
         renderer: opened with `watch` as its lap.
+        bare: from `open_without_colour`.
         watch: keeps the time of the stages.
         camera: of the robot.
         frames: poses.
         repeats: rounds that are timed.
     """
     poses = poses_in(scene, frames)
-    renderer.load(scene, camera)
-    _round(renderer, watch, poses)
-    rounds = [_round(renderer, watch, poses) for _ in range(repeats)]
+    seconds, stages = _time(renderer, scene, watch, camera, poses, repeats)
+    without = () if bare is None else _time(bare, scene, watch, camera, poses, repeats)[1]
     return SceneRender(
         frames=frames,
-        frames_per_s=Spread.of([frames / seconds for seconds, _ in rounds]),
-        stages=stage_costs([(frames, times) for _, times in rounds]),
+        frames_per_s=Spread.of([frames / each for each in seconds]),
+        stages=stages,
+        without_colour=next((cost for cost in without if cost.stage == "render"), None),
         triangles=len(scene.positions) // 3,
         triangles_in_view=_triangles_in_view(scene, camera, poses),
     )
+
+
+def _time(
+    renderer: Renderer,
+    scene: CompiledScene,
+    watch: Watch,
+    camera: CameraConfig,
+    poses: Sequence[Pose],
+    repeats: int,
+) -> tuple[list[float], tuple[StageCost, ...]]:
+    """Returns the seconds of every round and the stages, after one round that warms up."""
+    renderer.load(scene, camera)
+    _round(renderer, watch, poses)
+    rounds = [_round(renderer, watch, poses) for _ in range(repeats)]
+    return [seconds for seconds, _ in rounds], stage_costs([(len(poses), times) for _, times in rounds])
 
 
 def _round(renderer: Renderer, watch: Watch, poses: Sequence[Pose]) -> tuple[float, StageTimes]:

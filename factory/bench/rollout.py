@@ -14,8 +14,9 @@ from typing import BinaryIO
 import numpy as np
 
 from coordinator.catalog import SceneEntry
+from factory.bench.deliver import time_delivery
 from factory.bench.machine import measure_memory, resident_mib
-from factory.bench.model import Memory, SceneRollout, Spread
+from factory.bench.model import Memory, SceneRollout, Spread, StageCost
 from factory.bench.plain import run_plain
 from factory.bench.watch import StageTimes, Watch, stage_costs
 from schemas.bundle import BundleReader
@@ -62,11 +63,12 @@ def bench_rollout(
     stage.load(entry.path, entry.sha256)
     with tempfile.TemporaryFile() as file:
         poses, sizes = _warm_up(jobs, stage, file)
+        delivery = time_delivery(file, repeats)
         tell()
         start_mib = resident_mib()
         rounds = [[_timed(job, stage, watch, file, tell) for job in jobs] for _ in range(repeats)]
         memory = measure_memory(start_mib)
-    return _summarise(rounds, sizes, memory, jobs, entry, stage, poses, plain_frames)
+    return _summarise(rounds, delivery, sizes, memory, jobs, entry, stage, poses, plain_frames)
 
 
 def _warm_up(jobs: Sequence[Job], stage: Stage, file: BinaryIO) -> tuple[list[Pose], dict[str, float]]:
@@ -107,6 +109,7 @@ def _ignore(step: int) -> None:
 
 def _summarise(
     rounds: list[list[_Run]],
+    delivery: tuple[StageCost, ...],
     sizes: dict[str, float],
     memory: Memory,
     jobs: Sequence[Job],
@@ -127,6 +130,7 @@ def _summarise(
         wall=wall,
         cpu=cpu,
         stages=stage_costs([(frames, _add(run.stages for run in runs)) for runs in won]),
+        delivery=delivery,
         episodes=len(won[0]),
         frames=frames,
         failed_attempts=len(rounds[0]) - len(won[0]),

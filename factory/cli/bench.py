@@ -21,15 +21,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from coordinator.plan_file import load_plan
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.machine import describe_machine
+from factory.bench.memory import bench_memory
 from factory.bench.model import RenderBench, RolloutBench
 from factory.bench.read import bench_read
-from factory.bench.render import bench_render
+from factory.bench.render import bench_render, open_without_colour
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import make_sample
 from factory.bench.watch import Watch
 from factory.bench.work import first_attempts, narrow
 from factory.catalog import open_catalog
-from factory.cli.bench_tables import show_coordinator, show_read, show_render, show_rollout
+from factory.cli.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
 from factory.cli.output import json_option, print_json, stderr
 from factory.dataset import Dataset
 from factory.logs import configure_logs
@@ -44,6 +45,8 @@ __all__ = ["command"]
 
 _PLAIN_FRAMES = 12
 _SAMPLE_PLAN = "demo"
+_MEMORY_JOBS = 25
+"""Different jobs of each scene; they are run in turn."""
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Report = TypeVar("Report", bound=Model)
@@ -118,10 +121,27 @@ def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as
         for name, entry in catalog.items():
             with Stage(cast(RendererKind, renderer), watch) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
-                results[name] = bench_render(scene, stage.renderer, watch, CameraConfig(), frames, repeats)
+                with open_without_colour(stage.renderer, watch) as bare:
+                    results[name] = bench_render(scene, stage.renderer, bare, watch, CameraConfig(), frames, repeats)
                 described = stage.renderer.description
             tell()
     _print(RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render)
+
+
+@command.command("memory")
+@_scene_option
+@click.option("--episodes", type=click.IntRange(20), default=200, show_default=True, help="Short ones, in all.")
+@_renderer_option
+@json_option
+def memory(scenes: tuple[str, ...], episodes: int, renderer: str, as_json: bool) -> None:
+    """Watch one simulation's memory over many short episodes, in all scenes by turns."""
+    plan = narrow(load_plan("paper"), scenes, _MEMORY_JOBS)
+    with _bar("memory", episodes) as tell, _nowhere() as nowhere:
+        catalog = open_catalog(plan, nowhere, scene_cache())
+        turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
+        with Stage(cast(RendererKind, renderer)) as stage:
+            report = bench_memory([job for turn in turns for job in turn], catalog, stage, episodes, tell)
+    _print(report, as_json, show_memory)
 
 
 @command.command("coordinator")

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import click
 
-from factory.bench.model import CoordinatorBench, Machine, ReadBench, RenderBench, RolloutBench, Spread, StageCost
+from factory.bench.model import (
+    CoordinatorBench,
+    Machine,
+    MemoryBench,
+    ReadBench,
+    RenderBench,
+    RolloutBench,
+    Spread,
+    StageCost,
+)
 from factory.cli.output import print_table
 
-__all__ = ["show_coordinator", "show_read", "show_render", "show_rollout"]
+__all__ = ["show_coordinator", "show_memory", "show_read", "show_render", "show_rollout"]
 
 
 def show_rollout(report: RolloutBench) -> None:
@@ -34,7 +43,8 @@ def show_rollout(report: RolloutBench) -> None:
         for name, found in report.scenes.items()
     ]
     print_table(f"The loop on one core, {report.repeats} runs of the same jobs of plan {report.plan}", columns, rows)
-    _print_stages({name: found.stages for name, found in report.scenes.items()})
+    _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
+    _print_stages("in the coordinator", {name: found.delivery for name, found in report.scenes.items()})
     kinds = list(dict.fromkeys(kind for found in report.scenes.values() for kind in found.kb_per_frame))
     sizes = [
         (name, *(found.kb_per_frame.get(kind, 0.0) for kind in kinds), sum(found.kb_per_frame.values()))
@@ -55,15 +65,30 @@ def show_render(report: RenderBench) -> None:
         (
             *(name, _round(found.frames_per_s.median), _range(found.frames_per_s)),
             *(found.frames, found.triangles, round(found.triangles_in_view)),
+            None if found.without_colour is None else _round(found.without_colour.cpu_ms.median),
         )
         for name, found in report.scenes.items()
     ]
     print_table(
         f"Rendering alone, {report.repeats} runs",
-        ("scene", "frames/s", "spread", "frames", "triangles", "in view"),
+        ("scene", "frames/s", "spread", "frames", "triangles", "in view", "depth + ids alone, ms"),
         rows,
     )
-    _print_stages({name: found.stages for name, found in report.scenes.items()})
+    _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
+
+
+def show_memory(report: MemoryBench) -> None:
+    """Prints what a simulation held over many short episodes."""
+    _say_machine(report.machine, report.renderer)
+    rows = [
+        ("episodes that succeeded", f"{report.succeeded} of {report.episodes}"),
+        ("frames in them", report.frames),
+        ("before the first, MiB", report.memory.start_mib),
+        ("second tenth, MiB", report.settled_mib),
+        ("last tenth, MiB", report.last_mib),
+        ("peak, MiB", report.memory.peak_mib),
+    ]
+    print_table(f"Resident memory, {', '.join(report.scenes)} by turns", ("what", "figure"), rows)
 
 
 def show_coordinator(report: CoordinatorBench) -> None:
@@ -125,12 +150,12 @@ def _say_machine(machine: Machine, renderer: str | None = None) -> None:
     click.echo()
 
 
-def _print_stages(scenes: dict[str, tuple[StageCost, ...]]) -> None:
+def _print_stages(where: str, scenes: dict[str, tuple[StageCost, ...]]) -> None:
     names = list(dict.fromkeys(cost.stage for costs in scenes.values() for cost in costs))
     by_scene = [{cost.stage: cost.cpu_ms.median for cost in costs} for costs in scenes.values()]
     rows = [(name, *(found.get(name, 0.0) for found in by_scene)) for name in names]
     rows.append(("all", *(sum(found.values()) for found in by_scene)))
-    print_table("\nms of CPU time a frame, by stage", ("stage", *scenes), rows)
+    print_table(f"\nms of CPU time a frame, {where}", ("stage", *scenes), rows)
 
 
 def _range(spread: Spread) -> str:

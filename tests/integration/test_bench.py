@@ -10,7 +10,8 @@ import pytest
 from coordinator.catalog import read_entry
 from coordinator.open_archive import open_archive
 from factory.bench.coordinator import bench_coordinator
-from factory.bench.render import bench_render
+from factory.bench.memory import bench_memory
+from factory.bench.render import bench_render, open_without_colour
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import Sample
 from factory.bench.watch import Watch
@@ -21,10 +22,11 @@ from schemas.scene import encode_scene
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
+from workers.pose import Pose
 from workers.render.choose import open_renderer
 from workers.stage import Stage
 
-LOOP = ["start", "render", "read-back", "control", "png rgb", "depth", "png ids", "bundle", "physics"]
+LOOP = ["start", "render", "read-back", "control", "png rgb", "depth", "png ids", "bundle", "physics", "route"]
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +43,7 @@ def job_in(room: Path, **changes: object) -> Job:
         "scene_sha256": hashlib.sha256(data).hexdigest(),
         "scene_bytes": len(data),
         "category": "crate",
+        "instruction": "Go to the crate.",
         "target_id": box_room().info.targets[0].target_id,
         "task": TaskConfig(),
     }
@@ -59,6 +62,8 @@ def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -
     # the stages are all of the loop: nothing between them is lost
     whole_ms = 1000 / found.frames_per_cpu_s
     assert sum(cost.cpu_ms.median for cost in found.stages) == pytest.approx(whole_ms, rel=0.1)
+    assert [cost.stage for cost in found.delivery] == ["validate", "archive"]
+    assert all(cost.cpu_ms.low > 0 for cost in found.delivery)
     assert found.kb_per_frame["rgb_front"] > found.kb_per_frame["actions_tokens.npy"] > 0
     assert found.plain is not None
     assert found.ratio == pytest.approx(found.wall.median / found.plain.frames_per_s)
@@ -76,11 +81,29 @@ def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
 @pytest.mark.gl
 def test_rendering_is_timed_apart_from_reading_back() -> None:
     watch = Watch()
-    with open_renderer("gl", lap=watch) as renderer:
-        found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
+    with open_renderer("gl", lap=watch) as renderer, open_without_colour(renderer, watch) as bare:
+        found = bench_render(box_room(), renderer, bare, watch, CameraConfig(), 3, 2)
+        assert bare is not None
+        pose = Pose.planar(0.0, 0.0, 0.5)
+        shown, judged = renderer.render(pose), bare.render(pose)
     assert [cost.stage for cost in found.stages] == ["render", "read-back"]
+    # what is timed without colour is the same picture
+    assert found.without_colour is not None
+    assert (shown.depth == judged.depth).all()
+    assert (shown.ids == judged.ids).all()
     assert 0 < found.triangles_in_view <= found.triangles
     assert found.frames_per_s.runs == 2
+
+
+@pytest.mark.gl
+def test_memory_is_watched_over_short_episodes_that_succeed(room: Path) -> None:
+    told: list[int] = []
+    with Stage("gl") as stage:
+        found = bench_memory([job_in(room)], {"box_room": read_entry(room)}, stage, 20, lambda: told.append(1))
+    assert len(told) == found.episodes == found.succeeded == 20
+    assert found.frames < 20 * 20
+    assert found.memory.start_mib < found.settled_mib <= found.memory.peak_mib
+    assert found.last_mib <= found.memory.peak_mib
 
 
 def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Path) -> None:

@@ -41,12 +41,16 @@ _TOP_ROW_FIRST = np.diag((1.0, -1.0, 1.0, 1.0))
 class GlRenderer:
     """A `Renderer` on an OpenGL 4.3 context of its own; every call makes that context current."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
+    def __init__(
+        self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap, plain: ShaderPair = PLAIN, textured: ShaderPair = TEXTURED
+    ) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
             lap: told the end of the stages `render` and `read-back` of every frame.
+            plain: draws the parts without a texture.
+            textured: draws the others; with `BARE` for both, colour is neither computed nor defined.
 
         Raises:
             WorldError: this machine has no usable EGL driver.
@@ -60,7 +64,7 @@ class GlRenderer:
         self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
         self._scene: _GpuScene | None = None
         with self._context:
-            self._plain, self._textured = (_Program(self._context, pair) for pair in (PLAIN, TEXTURED))
+            self._plain, self._textured = (_Program(self._context, pair) for pair in (plain, textured))
             shape = (size, size)
             self._rgb = self._context.texture(shape, 3)
             self._depth = self._context.texture(shape, 1, dtype="f4")
@@ -138,7 +142,8 @@ class _Program:
         self._context = context
         self._pair = pair
         self._program: Any = context.program(vertex_shader=pair.vertex, fragment_shader=pair.fragment)
-        self._program["light"] = _LIGHT_UNIT
+        if "light" in self._program:
+            self._program["light"] = _LIGHT_UNIT
 
     def set_view(self, clip: NDArray[np.float64]) -> None:
         self._program["clip_from_world"].write(clip.T.astype(np.float32).tobytes())

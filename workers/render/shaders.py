@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["PLAIN", "TEXTURED", "VERTEX", "ShaderPair"]
+__all__ = ["BARE", "PLAIN", "TEXTURED", "VERTEX", "ShaderPair"]
 
 VERTEX = np.dtype(
     [
@@ -89,3 +89,28 @@ void main() {
     ("position", "uv", "light_uv", "colour", "instance", "layer"),
 )
 """For parts with a texture."""
+
+BARE = ShaderPair(
+    """
+#version 330
+in vec3 position; in int instance;
+uniform mat4 clip_from_world;
+flat out int frag_instance;
+void main() {
+    gl_Position = clip_from_world * vec4(position, 1.0);
+    frag_instance = instance;
+}
+""",
+    """
+#version 330
+flat in int frag_instance;
+layout(location = 1) out float depth; layout(location = 2) out uint id;
+void main() {
+    depth = 1.0 / gl_FragCoord.w;
+    id = uint(frag_instance);
+}
+""",
+    "3f4 20x 1u2 2x",
+    ("position", "instance"),
+)
+"""For depth and ids alone, of any part: what an expert needs. A benchmark tells with it what colour costs."""
