@@ -17,7 +17,7 @@ from schemas.measure import measure_track
 from schemas.scene import SceneInfo, Target
 from schemas.terms import EndReason, FailReason
 from workers.experts import Expert, make_expert
-from workers.plan import geodesic_m
+from workers.plan import Waypoint, geodesic_m
 from workers.pose import Pose
 from workers.rollout import Drive, drive
 from workers.spawn import draw_poses, is_spawn_firm
@@ -70,15 +70,9 @@ def run_attempt(job: Job, stage: Stage, out: BinaryIO, sid: str, on_step: Callab
             planned = expert.begin(world.pose(), place.grid, target)
             if planned is None:
                 return Failure(FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_words(start)}", 0)
-            route = Route(geodesic_m=_geodesic_m(job, target, place, world), planned=planned)
-            return _drive_and_seal(job, target, place, stage, world, expert, route, draws, out, sid, on_step)
+            return _drive_and_seal(job, target, place, stage, world, expert, planned, draws, out, sid, on_step)
     detail = f"no firm start for {job.target_id} in tier {job.tier} within {job.spawn.physics_draws} draws"
     return Failure(FailReason.SPAWN, detail, 0)
-
-
-def _geodesic_m(job: Job, target: Target, place: LoadedScene, world: World) -> float | None:
-    pose = world.pose()
-    return geodesic_m(place.grid, (pose.x, pose.y), target, job.task.success_radius_m)
 
 
 def _words(pose: Pose) -> str:
@@ -92,12 +86,13 @@ def _drive_and_seal(
     stage: Stage,
     world: World,
     expert: Expert,
-    route: Route,
+    planned: tuple[Waypoint, ...],
     draws: int,
     out: BinaryIO,
     sid: str,
     on_step: Callable[[int], None],
 ) -> Outcome:
+    start = world.pose()
     writer = BundleWriter(out, stage.lap)
     stage.renderer.load(place.scene, job.camera)
     stage.lap("start")
@@ -114,6 +109,9 @@ def _drive_and_seal(
     if done.end_reason is not EndReason.SUCCESS:
         writer.abandon()
         return Failure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
+    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task.success_radius_m)
+    stage.lap("route")
+    route = Route(geodesic_m=reach_m, planned=planned)
     provenance = Provenance(created_at=datetime.now(UTC), worker=sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
     sealed = writer.finish(done.arrays, meta)
