@@ -79,7 +79,7 @@ class BundleWriter:
         names = _frame_names(len(self._digests))
         colour = encode_png(rgb)
         self._lap("png rgb")
-        metres = encode_npy_zst(depth)
+        metres = encode_npy_zst(depth, checksum=False)  # the container has a CRC, the frame a digest
         self._lap("depth")
         instances = encode_png(ids)
         self._lap("png ids")

@@ -29,13 +29,14 @@ class _Codecs(threading.local):
     """Contexts of zstandard, kept because making one costs as much as an image; none may be used by two threads."""
 
     def __init__(self) -> None:
-        self._compressors: dict[int, zstandard.ZstdCompressor] = {}
+        self._compressors: dict[tuple[int, bool], zstandard.ZstdCompressor] = {}
         self._decompressor: zstandard.ZstdDecompressor | None = None
 
-    def compressor(self, level: int) -> zstandard.ZstdCompressor:
-        if level not in self._compressors:
-            self._compressors[level] = zstandard.ZstdCompressor(level, write_checksum=True, write_content_size=True)
-        return self._compressors[level]
+    def compressor(self, level: int, checksum: bool) -> zstandard.ZstdCompressor:
+        key = (level, checksum)
+        if key not in self._compressors:
+            self._compressors[key] = zstandard.ZstdCompressor(level, write_checksum=checksum, write_content_size=True)
+        return self._compressors[key]
 
     def decompressor(self) -> zstandard.ZstdDecompressor:
         if self._decompressor is None:
@@ -108,9 +109,15 @@ def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[i
     return stream.tell(), tuple(int(side) for side in shape)
 
 
-def encode_npy_zst(array: NDArray[np.generic], level: int = 1) -> bytes:
-    """Returns `.npy` inside one zstandard frame that states its size and carries a checksum."""
-    return _codecs.compressor(level).compress(encode_npy(array))
+def encode_npy_zst(array: NDArray[np.generic], level: int = 1, *, checksum: bool = True) -> bytes:
+    """Returns `.npy` inside one zstandard frame that states its size.
+
+    Args:
+        array: any.
+        level: of zstandard.
+        checksum: whether the frame carries one of its own; a quarter of the time at level 1.
+    """
+    return _codecs.compressor(level, checksum).compress(encode_npy(array))
 
 
 def decode_npy_zst(
