@@ -169,6 +169,26 @@ def test_import_of_the_package_stays_light() -> None:
         _ = factory.Dataest
 
 
+_FAULTS = """
+import resource, sys
+from factory.dataset import Dataset
+
+frames = [(episode, t) for episode in Dataset(sys.argv[1]) for t in range(len(episode))]
+for episode, t in frames:
+    episode.frame(t)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for episode, t in frames:
+    frame = episode.frame(t)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before) / len(frames))
+"""
+
+
+def test_memory_of_a_frame_serves_the_next_one(shared: Path) -> None:
+    """A frame has about 900 pages; where they are given back to the system each is faulted in again."""
+    done = subprocess.run([sys.executable, "-c", _FAULTS, str(shared)], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 150
+
+
 def test_frame_dataset_walks_over_all_frames(shared: Path) -> None:
     samples = FrameDataset(Dataset(shared))
     assert len(samples) == 36
