@@ -80,5 +80,5 @@ def test_a_missing_table_is_named(tmp_path: Path) -> None:
         load_rules(tmp_path / "absent.yaml")
 
 
-def test_racks_and_monitors_are_never_called_after_what_they_show() -> None:
+def test_racks_shelves_and_monitors_are_never_called_after_what_they_show() -> None:
     assert load_rules().uncoloured == {"rack", "shelf", "monitor"}
