@@ -120,10 +120,6 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     options: type[OptionsT]
     facts: type[FactsT]
 
-    def check(self, options: OptionsT, meta: DatasetMeta) -> None:
-        """Looks at options before anything is written; raises what they raise."""
-        options.check(meta)
-
     @abstractmethod
     def write_episode(self, episode: Episode, options: OptionsT, folder: Path) -> FactsT:
         """Writes one episode into an empty folder; memory does not grow with its length.

@@ -143,7 +143,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, M
         if one == two or one in two.parents or two in one.parents:
             raise UsageError(f"--out {order.out}: dataset and export may not lie in each other; choose a folder beside")
     dataset = select(whole, order.splits, order.episodes)
-    exporter.check(order.options, dataset.meta)
+    order.options.check(dataset.meta)
     source = Source(
         run=whole.meta.run,
         dataset_digest=whole.digest,
