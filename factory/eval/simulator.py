@@ -24,7 +24,7 @@ from schemas.terms import EndReason
 from schemas.tokens import tokens_of
 from workers import experts
 from workers.pose import Pose
-from workers.render import Frame
+from workers.render import Frame, Relief, Renderer
 from workers.sight import Sighting, is_obstacle_near, see
 from workers.slew import Twist, slew
 from workers.spawn import is_spawn_firm
@@ -45,13 +45,21 @@ class Camera:
     """What the camera shows from one pose; drawn when somebody first looks, for most drivers never do.
 
     Args:
-        draw: draws it.
+        draw: draws all of it.
+        draw_relief: draws it without colour, for those that need none.
         settings: what counts as visible and as near.
         instance_id: of the target.
     """
 
-    def __init__(self, draw: Callable[[], Frame], settings: EvalSettings, instance_id: int) -> None:
-        self._draw, self._settings, self._instance_id = draw, settings, instance_id
+    def __init__(
+        self,
+        draw: Callable[[], Frame],
+        draw_relief: Callable[[], Relief],
+        settings: EvalSettings,
+        instance_id: int,
+    ) -> None:
+        self._draw, self._draw_relief = draw, draw_relief
+        self._settings, self._instance_id = settings, instance_id
 
     @cached_property
     def frame(self) -> Frame:
@@ -59,14 +67,19 @@ class Camera:
         return self._draw()
 
     @cached_property
+    def relief(self) -> Frame | Relief:
+        """Depth and ids."""
+        return self.frame if "frame" in self.__dict__ else self._draw_relief()
+
+    @cached_property
     def sighting(self) -> Sighting:
         """The target in the image."""
-        return see(self.frame.ids, self.frame.depth, self._instance_id, self._settings.gains.min_mask_px)
+        return see(self.relief.ids, self.relief.depth, self._instance_id, self._settings.gains.min_mask_px)
 
     @cached_property
     def obstacle_near(self) -> bool:
         """Whether something stands close before it."""
-        return is_obstacle_near(self.frame.depth, self._settings.task)
+        return is_obstacle_near(self.relief.depth, self._settings.task)
 
 
 @dataclass(frozen=True)
@@ -235,17 +248,22 @@ class Simulator:
         dx, dy = self.target.centroid_m[0] - pose.x, self.target.centroid_m[1] - pose.y
         episode = self._episodes
         return View(
-            camera=Camera(lambda: self._draw(pose, episode), self.settings, self.target.instance_id),
+            camera=Camera(
+                lambda: self._renderer(episode).render(pose),
+                lambda: self._renderer(episode).render_relief(pose),
+                self.settings,
+                self.target.instance_id,
+            ),
             pose=pose,
             distance_m=math.hypot(dx, dy),
             bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),
             is_touching=self._world.has_obstacle_contact(),
         )
 
-    def _draw(self, pose: Pose, episode: int) -> Frame:
+    def _renderer(self, episode: int) -> Renderer:
         if episode != self._episodes:
             raise RuntimeError("a view of an episode that is over is looked at; keep its frame, not the view")
-        return self._stage.renderer.render(pose)
+        return self._stage.renderer
 
 
 def _target(spec: EvalSpec, place: LoadedScene) -> Target:

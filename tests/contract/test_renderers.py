@@ -260,3 +260,18 @@ def is_edge(ids: np.ndarray) -> np.ndarray:
     padded = np.pad(ids, 1, mode="edge")
     neighbours = (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])
     return np.asarray(np.any([other != ids for other in neighbours], axis=0))
+
+
+def test_a_relief_is_the_frame_without_its_colour(renderer: Renderer) -> None:
+    renderer.load(furnished_room(), CAMERA)
+    for pose in (ORIGIN, Pose.planar(-1.0, 0.4, 0.6), Pose.planar(0.5, -1.0, 2.5), Pose.planar(30.0, 0.0, 0.0)):
+        relief, frame = renderer.render_relief(pose), renderer.render(pose)
+        again = renderer.render_relief(pose)
+        for found in (relief, again):
+            np.testing.assert_array_equal(found.depth, frame.depth)
+            np.testing.assert_array_equal(found.ids, frame.ids)
+
+
+def test_a_relief_needs_a_scene_too(renderer: Renderer) -> None:
+    with pytest.raises(UsageError, match="load"):
+        renderer.render_relief(ORIGIN)

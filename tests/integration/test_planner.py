@@ -19,7 +19,7 @@ from workers.experts import make_expert
 from workers.grid import Grid
 from workers.plan import geodesic_m
 from workers.pose import Pose
-from workers.render import Frame
+from workers.render import Frame, Relief
 from workers.rollout import Drive, drive
 from workers.spawn import draw_poses
 from workers.stage import prepare_scene
@@ -39,6 +39,9 @@ class Darkness:
 
     def render(self, pose: Pose) -> Frame:
         return DARK
+
+    def render_relief(self, pose: Pose) -> Relief:
+        return Relief(DARK.depth, DARK.ids)
 
     def close(self) -> None: ...
 

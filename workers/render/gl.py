@@ -20,10 +20,10 @@ from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene
 from workers.camera import OpticalPose, optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
-from workers.render import Frame
+from workers.render import Frame, Relief
 from workers.render.cull import PartBounds, visible_parts
 from workers.render.occlude import Screens
-from workers.render.shaders import PLAIN, TEXTURED, VERTEX, ShaderPair
+from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
 from workers.render.shelf import SceneShelf
 
 __all__ = ["GlRenderer"]
@@ -65,6 +65,7 @@ class GlRenderer:
         self._scene: _GpuScene | None = None
         with self._context:
             self._plain, self._textured = (_Program(self._context, pair) for pair in (plain, textured))
+            self._bare = _Program(self._context, BARE)
             shape = (size, size)
             self._rgb = self._context.texture(shape, 3)
             self._depth = self._context.texture(shape, 1, dtype="f4")
@@ -104,35 +105,62 @@ class GlRenderer:
         Raises:
             UsageError: no scene was loaded.
         """
-        if self._scene is None:
-            raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
-        optical = optical_pose(pose, self._camera)
-        clip = _TOP_ROW_FIRST @ projection_matrix(self._camera) @ view_matrix(optical)
-        parts = self._scene.parts_to_draw(clip, optical, self._camera)
+        scene = self._loaded()
+        clip, parts = self._look(scene, pose)
         with self._context:
             self._target.use()
             self._target.clear()  # zero bits in all three targets, the integer one included
             self._plain.set_view(clip)
             self._textured.set_view(clip)
-            self._scene.draw(parts)
+            scene.draw(parts)
             self._context.finish()  # reading would wait just as long; so the wait is told apart from the copy
             self._lap("render")
-            frame = self._read()
+            rgb = np.empty((self._size, self._size, 3), np.uint8)
+            self._rgb.read_into(rgb)
+            relief = self._read_relief()
         self._lap("read-back")
-        return frame
+        return Frame(rgb, relief.depth, relief.ids)
 
-    def _read(self) -> Frame:
-        size = self._size
-        rgb = np.empty((size, size, 3), np.uint8)
-        depth, ids = np.empty((size, size), np.float32), np.empty((size, size), np.uint16)
-        self._rgb.read_into(rgb)
+    def render_relief(self, pose: Pose) -> Relief:
+        """Returns depth and ids without drawing colour; the same parts in the same order give the same bits.
+
+        Raises:
+            UsageError: no scene was loaded.
+        """
+        scene = self._loaded()
+        clip, parts = self._look(scene, pose)
+        with self._context:
+            self._target.use()
+            self._target.clear()  # the colour stays as undefined as `BARE` leaves it
+            self._bare.set_view(clip)
+            scene.draw_bare(parts)
+            self._context.finish()
+            self._lap("render")
+            relief = self._read_relief()
+        self._lap("read-back")
+        return relief
+
+    def _loaded(self) -> _GpuScene:
+        if self._scene is None:
+            raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
+        return self._scene
+
+    def _look(self, scene: _GpuScene, pose: Pose) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        """Returns the clip matrix of a pose and the parts to be drawn from it."""
+        optical = optical_pose(pose, self._camera)
+        clip = _TOP_ROW_FIRST @ projection_matrix(self._camera) @ view_matrix(optical)
+        return clip, scene.parts_to_draw(clip, optical, self._camera)
+
+    def _read_relief(self) -> Relief:
+        shape = (self._size, self._size)
+        depth, ids = np.empty(shape, np.float32), np.empty(shape, np.uint16)
         self._depth.read_into(depth)
         np.minimum(depth, self._camera.far_m, out=depth)  # the far plane cuts to half a millimetre
         self._ids.read_into(ids)
-        return Frame(rgb, depth, ids)
+        return Relief(depth, ids)
 
     def _prepare(self, scene: CompiledScene) -> _GpuScene:
-        return _GpuScene(self._context, self._plain, self._textured, scene)
+        return _GpuScene(self._context, self._plain, self._textured, self._bare, scene)
 
 
 class _Program:
@@ -155,7 +183,14 @@ class _Program:
 class _GpuScene:
     """A scene on the device: its vertices, textures and light map; and what tells which of its parts are in view."""
 
-    def __init__(self, context: moderngl.Context, plain: _Program, textured: _Program, scene: CompiledScene) -> None:
+    def __init__(
+        self,
+        context: moderngl.Context,
+        plain: _Program,
+        textured: _Program,
+        bare: _Program,
+        scene: CompiledScene,
+    ) -> None:
         self._is_textured = scene.part_texture >= 0
         self._bounds, self._screens = PartBounds.of(scene), Screens.of(scene)
         self._draws = np.zeros(len(scene.part_first), _DRAW)
@@ -164,6 +199,7 @@ class _GpuScene:
         self._commands = context.buffer(reserve=max(1, self._draws.nbytes), dynamic=True)
         self._vertices = context.buffer(_interleave(scene).tobytes() or bytes(VERTEX.itemsize))
         self._plain, self._textured = plain.reading(self._vertices), textured.reading(self._vertices)
+        self._bare = bare.reading(self._vertices)
         self._textures = _upload_textures(context, scene.textures)
         self._light = _upload_light(context, scene.light_map)
 
@@ -174,11 +210,7 @@ class _GpuScene:
 
     def draw(self, parts: NDArray[np.intp]) -> None:
         """Draws parts in the order given, the plain ones first: what they hide needs no texture looked up."""
-        is_textured = self._is_textured[parts]
-        order = np.concatenate((parts[~is_textured], parts[is_textured]))
-        plain = len(parts) - int(is_textured.sum())
-        if len(order):
-            self._commands.write(self._draws[order].tobytes())
+        order, plain = self._order(parts)
         self._light.use(_LIGHT_UNIT)
         if plain:
             self._plain.render_indirect(self._commands, count=plain)
@@ -186,9 +218,31 @@ class _GpuScene:
             self._textures.use(_TEXTURE_UNIT)
             self._textured.render_indirect(self._commands, count=len(order) - plain, first=plain)
 
+    def draw_bare(self, parts: NDArray[np.intp]) -> None:
+        """Draws depth and ids of parts, in the order of `draw`."""
+        order, _ = self._order(parts)
+        if len(order):
+            self._bare.render_indirect(self._commands, count=len(order))
+
+    def _order(self, parts: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
+        """Lays down what is to be drawn, the plain parts first; returns it, and how many are plain."""
+        is_textured = self._is_textured[parts]
+        order = np.concatenate((parts[~is_textured], parts[is_textured]))
+        if len(order):
+            self._commands.write(self._draws[order].tobytes())
+        return order, len(parts) - int(is_textured.sum())
+
     def close(self) -> None:
         """Frees the device memory."""
-        for held in (self._plain, self._textured, self._vertices, self._commands, self._textures, self._light):
+        for held in (
+            self._plain,
+            self._textured,
+            self._bare,
+            self._vertices,
+            self._commands,
+            self._textures,
+            self._light,
+        ):
             held.release()
 
 

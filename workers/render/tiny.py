@@ -23,7 +23,7 @@ from schemas.scene import CompiledScene
 from workers.bullet import MESH_TRIANGLES, BulletClient, CameraImage, bullet_version
 from workers.camera import optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
-from workers.render import Frame
+from workers.render import Frame, Relief
 from workers.render.shelf import SceneShelf
 
 __all__ = ["TinyRenderer", "TinyScene"]
@@ -83,6 +83,11 @@ class TinyRenderer:
         frame = self._frame(image, self._scene.instance_of_body)
         self._lap("read-back")
         return frame
+
+    def render_relief(self, pose: Pose) -> Relief:
+        """Returns depth and ids; saves nothing here."""
+        frame = self.render(pose)
+        return Relief(frame.depth, frame.ids)
 
     def _frame(self, image: CameraImage, instance_of_body: NDArray[np.uint16]) -> Frame:
         near, far = self._camera.near_m, self._camera.far_m
