@@ -10,7 +10,7 @@ from statistics import median
 from tempfile import TemporaryFile
 
 from coordinator.catalog import Catalog
-from factory.bench.machine import describe_machine, measure_memory, resident_mib
+from factory.bench.machine import describe_machine, forget_peak, measure_memory, resident_mib
 from factory.bench.model import MemoryBench
 from schemas.job import Job
 from workers.attempt import Success, run_attempt
@@ -35,6 +35,7 @@ def bench_memory(
         episodes: how many, at least 20.
         tell: told after every episode.
     """
+    forget_peak()
     machine, start_mib = describe_machine(), resident_mib()
     held, frames, done = [], 0, 0
     for number in range(episodes):

@@ -15,7 +15,7 @@ import numpy as np
 
 from coordinator.catalog import SceneEntry
 from factory.bench.deliver import time_delivery
-from factory.bench.machine import measure_memory, resident_mib
+from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
 from factory.bench.plain import run_plain
 from factory.bench.watch import StageTimes, Watch, stage_costs
@@ -60,6 +60,7 @@ def bench_rollout(
     Raises:
         WorldError: no job succeeds, so that there is nothing to time.
     """
+    forget_peak()
     stage.load(entry.path, entry.sha256)
     with tempfile.TemporaryFile() as file:
         poses, sizes = _warm_up(jobs, stage, file)

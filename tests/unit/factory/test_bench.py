@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from coordinator.plan_file import load_plan
-from factory.bench.machine import describe_machine, measure_memory, resident_mib
+from factory.bench.machine import describe_machine, forget_peak, measure_memory, resident_mib
 from factory.bench.model import Spread
 from factory.bench.read import bench_read
 from factory.bench.render import poses_in
@@ -67,6 +67,17 @@ def test_the_poses_to_render_are_the_same_every_time_and_stand_on_surveyed_point
     assert poses == poses_in(scene, 20)
     surveyed = {tuple(point) for point in scene.spawns.astype(np.float64).tolist()}
     assert {(pose.x, pose.y) for pose in poses} <= surveyed
+
+
+def test_a_peak_can_be_forgotten() -> None:
+    held = mmap.mmap(-1, 200 << 20)
+    held.write(b"x" * len(held))
+    held.close()
+    before = measure_memory(resident_mib())
+    forget_peak()
+    after = measure_memory(resident_mib())
+    assert after.peak_mib < before.peak_mib - 100
+    assert after.peak_mib >= after.end_mib - 1
 
 
 def test_the_machine_is_named_and_its_memory_is_that_of_this_process() -> None:
