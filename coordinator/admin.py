@@ -14,7 +14,7 @@ from coordinator.ask import OPERATOR, ask_admin
 from coordinator.beacon import sight
 from coordinator.engine import open_reader, open_writer
 from coordinator.ledger import ledger_url_of, read_info
-from coordinator.open_archive import open_archive
+from coordinator.staging import Staging
 from schemas.errors import TransientError, UsageError
 from schemas.identity import TlsFiles
 from schemas.wire import AdminAction, AdminReply, AdminRequest
@@ -51,7 +51,7 @@ def administer(
     if beacon is not None:
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its beacon behind: the lock tells
             return ask_admin([_from_here(endpoint) for endpoint in beacon.endpoints], request, name, tls)
-    with open_archive(root):
+    with contextlib.closing(Staging(root, str(root))):  # the lock of the one coordinator
         return _administer_offline(url, request, now)
 
 
