@@ -163,7 +163,8 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
 def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> Answer:
     ledger_workers.note_alive(connection, beat.sid, host, now)
     outcome = ledger_claims.beat(connection, beat, now, terms.lease_ttl_s)
-    reply = BeatReply(lost=outcome.lost, drop=outcome.drop, drain=terms.is_draining())
+    waiting = tuple(lease_of(row) for row in outcome.waiting)
+    reply = BeatReply(lost=outcome.lost, drop=outcome.drop, waiting=waiting, drain=terms.is_draining())
     return Answer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
 
 

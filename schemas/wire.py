@@ -144,6 +144,8 @@ class BeatReply(Model):
     """Leases that are no longer theirs: stop simulating."""
     drop: tuple[Lease, ...] = ()
     """Bundles that are not wanted any more, archived or stale: delete them."""
+    waiting: tuple[Lease, ...] = ()
+    """Bundles that are announced and will be pulled: they need not be announced again."""
     drain: bool = False
     """Whether to claim no more and leave when done."""
 

@@ -73,8 +73,9 @@ class Heartbeat:
         if reply.drain and not host.phase.closing.is_set():
             log.info("draining", by="coordinator")
             host.phase.close()
+        settled = {*reply.drop, *reply.waiting}
         for entry in spooled:
-            if entry.lease not in reply.drop:
+            if entry.lease not in settled:
                 self._announce(entry)
 
     def _announce(self, entry: Spooled) -> None:

@@ -231,6 +231,14 @@ def test_a_worker_of_another_version_is_refused_by_name(worker):
     assert VERSION in refusal.error
 
 
+def test_a_beat_says_which_bundles_need_not_be_announced_again(worker):
+    _, lease = worker.job()
+    worker.is_frozen = True  # so that the bundle is announced and stays
+    worker.deliver(lease, b"x")
+    reply = worker.beat()
+    assert (reply.waiting, reply.drop) == ((lease,), ())
+
+
 def test_a_beat_of_unknown_leases_loses_them_all(worker):
     _, lease = worker.job()
     stale = lease.model_copy(update={"fence": lease.fence + 1})
