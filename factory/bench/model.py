@@ -127,8 +127,9 @@ class MemoryBench(Model):
     """That took turns."""
     episodes: int
     succeeded: int
+    """Of the few that were not cut short."""
     frames: int
-    """In those that succeeded."""
+    """In all."""
     settled_mib: float
     """Median over the second tenth of the episodes: every scene has been shown, caches are full."""
     last_mib: float

@@ -130,7 +130,7 @@ def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as
 
 @command.command("memory")
 @_scene_option
-@click.option("--episodes", type=click.IntRange(20), default=200, show_default=True, help="Short ones, in all.")
+@click.option("--episodes", type=click.IntRange(20), default=200, show_default=True, help="In all; most are cut short.")
 @_renderer_option
 @json_option
 def memory(scenes: tuple[str, ...], episodes: int, renderer: str, as_json: bool) -> None:

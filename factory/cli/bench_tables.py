@@ -81,8 +81,9 @@ def show_memory(report: MemoryBench) -> None:
     """Prints what a simulation held over many short episodes."""
     _say_machine(report.machine, report.renderer)
     rows = [
-        ("episodes that succeeded", f"{report.succeeded} of {report.episodes}"),
-        ("frames in them", report.frames),
+        ("episodes", report.episodes),
+        ("driven to success, the others cut short", report.succeeded),
+        ("frames", report.frames),
         ("before the first, MiB", report.memory.start_mib),
         ("second tenth, MiB", report.settled_mib),
         ("last tenth, MiB", report.last_mib),

@@ -96,12 +96,13 @@ def test_rendering_is_timed_apart_from_reading_back() -> None:
 
 
 @pytest.mark.gl
-def test_memory_is_watched_over_short_episodes_that_succeed(room: Path) -> None:
+def test_memory_is_watched_over_episodes_cut_short_and_whole_ones(room: Path) -> None:
     told: list[int] = []
     with Stage("gl") as stage:
         found = bench_memory([job_in(room)], {"box_room": read_entry(room)}, stage, 20, lambda: told.append(1))
-    assert len(told) == found.episodes == found.succeeded == 20
-    assert found.frames < 20 * 20
+    assert len(told) == found.episodes == 20
+    assert found.succeeded == 1
+    assert found.frames > 19 * 5
     assert found.memory.start_mib < found.settled_mib <= found.memory.peak_mib
     assert found.last_mib <= found.memory.peak_mib
 
