@@ -8,8 +8,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 TINY_PLAN = """
@@ -32,8 +33,8 @@ episodes = 2
 class FactoryCli:
     """`factory` with a cache and home of its own; keeps what it started and kills the rest at the end."""
 
-    def __init__(self, home: Path, cache: Path) -> None:
-        self._environment = {**os.environ, "HOME": str(home), "MINIVLA_CACHE": str(cache)}
+    def __init__(self, home: Path, cache: Path, variables: Mapping[str, str] = MappingProxyType({})) -> None:
+        self._environment = {**os.environ, "HOME": str(home), "MINIVLA_CACHE": str(cache), **variables}
         self._environment.pop("XDG_CACHE_HOME", None)
         self._started: list[subprocess.Popen[str]] = []
 

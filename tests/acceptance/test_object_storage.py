@@ -1,0 +1,29 @@
+"""A run whose dataset lies in a bucket, as a user makes and reads it."""
+
+from __future__ import annotations
+
+import json
+
+from tests.acceptance.factory_cli import FactoryCli
+
+
+def test_a_run_into_a_bucket_is_made_resumed_checked_and_told(plan, scene_cache, object_store, tmp_path):
+    state = tmp_path / "state"
+    variables = {**object_store.variables(), "MINIVLA_STATE": str(state)}
+    factory = FactoryCli(tmp_path, scene_cache.parent / "cache", variables)
+    url = f"s3://{object_store.new_bucket()}/tiny"
+    small = ("--scene", "hospital", "--episodes", 1)
+    try:
+        made = json.loads(factory("run", plan, "--out", url, "--workers", 1, *small, "--json", timeout_s=600).stdout)
+        assert (made["dataset"], made["episodes"], made["failed"]) == (url, 1, 0)
+        resumed = factory.json("run", "--out", url, "--workers", 1)
+        assert resumed["digest"] == made["digest"]
+        checked = factory.json("verify", url, "--deep")
+        assert (checked["ok"], checked["complete"], checked["digest"]) == (True, True, made["digest"])
+        assert factory.json("status", url)["finished"]
+        assert "works on a dataset directory, not on" in factory("eval", "--data", url, expect=2).stderr
+    finally:
+        factory.end()
+    (home,) = (state / "archives").iterdir()
+    assert (home / "ledger.db").is_file()
+    assert not (home / "episodes").exists()
