@@ -43,7 +43,7 @@ def read_actions(answer: Any, kind: str, max_v_mps: float, max_w_rps: float) -> 
     if isinstance(answer, Mapping):
         answer, kind = _unwrap(answer)
     if kind not in ACTION_KINDS:
-        raise _invalid(f"a policy's actions are {' or '.join(ACTION_KINDS)}, this one says {kind!r}")
+        raise _invalid(f"a policy's actions are {' or '.join(ACTION_KINDS)}, this one says {kind[:40]!r}")
     numbers = _numbers(answer)
     if kind == "tokens":
         numbers = actions_of(_tokens(numbers)).astype(np.float64)
