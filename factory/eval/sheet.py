@@ -1,7 +1,7 @@
 """A few numbers in shared memory: what a driving process is busy with, for the one that watches it.
 
 Written without a lock and without a system call, so that a policy that hangs with the interpreter's lock in its hands
-is found out all the same. Knows no policy and no process.
+is found out all the same; a checksum tells the reader what it caught half written. Knows no policy and no process.
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ import os
 import struct
 import tempfile
 import time
+import zlib
 from enum import IntEnum
 from typing import NamedTuple, Self
 
 __all__ = ["Busy", "Sheet", "State"]
 
 _LAYOUT = struct.Struct("=qdqddddq")
+_CHECK = struct.Struct("=L")
+_TRIES = 100
 
 
 class Busy(IntEnum):
@@ -48,25 +51,31 @@ class Sheet:
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
-        self._memory = mmap.mmap(descriptor, _LAYOUT.size)
+        self._memory = mmap.mmap(descriptor, _LAYOUT.size + _CHECK.size)
+        self._last = State(since_s=time.monotonic())
 
     @classmethod
     def fresh(cls) -> Self:
         """Returns a new sheet in an unnamed file."""
         with tempfile.TemporaryFile() as file:
-            file.truncate(_LAYOUT.size)
-            sheet = cls(os.dup(file.fileno()))
-        sheet.write(State(since_s=time.monotonic()))
-        return sheet
+            file.truncate(_LAYOUT.size + _CHECK.size)
+            return cls(os.dup(file.fileno()))
 
     def write(self, state: State) -> None:
         """Replaces what stands there."""
-        _LAYOUT.pack_into(self._memory, 0, *state)
+        body = _LAYOUT.pack(*state)
+        self._memory[:] = body + _CHECK.pack(zlib.crc32(body))
 
     def read(self) -> State:
-        """Returns what stands there."""
-        busy, *rest = _LAYOUT.unpack_from(self._memory)
-        return State(Busy(busy), *rest)
+        """Returns what stands there, or what was read last where the writer got stuck or died in the middle."""
+        for _ in range(_TRIES):
+            data = self._memory[:]
+            body, check = data[: _LAYOUT.size], data[_LAYOUT.size :]
+            if check == _CHECK.pack(zlib.crc32(body)):
+                busy, *rest = _LAYOUT.unpack(body)
+                self._last = State(Busy(busy), *rest)
+                break
+        return self._last
 
     def close(self) -> None:
         """Frees the memory and the descriptor."""
