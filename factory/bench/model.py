@@ -155,8 +155,8 @@ class SceneRender(Model):
     frames_per_s: Spread
     """All three images, wall clock."""
     stages: tuple[StageCost, ...]
-    without_colour: StageCost | None
-    """Drawing depth and ids alone; the rest of `render` is what colour costs. `None` where the renderer cannot."""
+    without_colour: tuple[StageCost, ...]
+    """Depth and ids alone, as an expert sees them; the rest of `stages` is what colour costs."""
     triangles: int
     """In the scene."""
     triangles_in_view: float

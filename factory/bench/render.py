@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,10 +15,8 @@ from workers.camera import optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
 from workers.render import Renderer
 from workers.render.cull import PartBounds, visible_parts
-from workers.render.gl import GlRenderer
-from workers.render.shaders import BARE
 
-__all__ = ["bench_render", "open_without_colour", "poses_in"]
+__all__ = ["bench_render", "poses_in"]
 
 _SEED = 20
 
@@ -33,15 +30,9 @@ def poses_in(scene: CompiledScene, count: int) -> list[Pose]:
     return [Pose.planar(x, y, yaw, height) for (x, y), yaw in zip(points.tolist(), yaws.tolist(), strict=True)]
 
 
-def open_without_colour(like: Renderer, watch: Watch) -> AbstractContextManager[Renderer | None]:
-    """Opens a renderer like that one which leaves colour out, or nothing where there is none."""
-    return GlRenderer(lap=watch, plain=BARE, textured=BARE) if isinstance(like, GlRenderer) else nullcontext()
-
-
 def bench_render(
     scene: CompiledScene,
     renderer: Renderer,
-    bare: Renderer | None,
     watch: Watch,
     camera: CameraConfig,
     frames: int,
@@ -52,45 +43,39 @@ def bench_render(
     Args:
         scene: the place.
         renderer: opened with `watch` as its lap.
-        bare: from `open_without_colour`.
         watch: keeps the time of the stages.
         camera: of the robot.
         frames: poses.
         repeats: rounds that are timed.
     """
     poses = poses_in(scene, frames)
-    seconds, stages = _time(renderer, scene, watch, camera, poses, repeats)
-    without = () if bare is None else _time(bare, scene, watch, camera, poses, repeats)[1]
+    renderer.load(scene, camera)
+    seconds, stages = _time(renderer.render, watch, poses, repeats)
+    _, without = _time(renderer.render_relief, watch, poses, repeats)
     return SceneRender(
         frames=frames,
         frames_per_s=Spread.of([frames / each for each in seconds]),
         stages=stages,
-        without_colour=next((cost for cost in without if cost.stage == "render"), None),
+        without_colour=without,
         triangles=len(scene.positions) // 3,
         triangles_in_view=_triangles_in_view(scene, camera, poses),
     )
 
 
 def _time(
-    renderer: Renderer,
-    scene: CompiledScene,
-    watch: Watch,
-    camera: CameraConfig,
-    poses: Sequence[Pose],
-    repeats: int,
+    draw: Callable[[Pose], object], watch: Watch, poses: Sequence[Pose], repeats: int
 ) -> tuple[list[float], tuple[StageCost, ...]]:
     """Returns the seconds of every round and the stages, after one round that warms up."""
-    renderer.load(scene, camera)
-    _round(renderer, watch, poses)
-    rounds = [_round(renderer, watch, poses) for _ in range(repeats)]
+    _round(draw, watch, poses)
+    rounds = [_round(draw, watch, poses) for _ in range(repeats)]
     return [seconds for seconds, _ in rounds], stage_costs([(len(poses), times) for _, times in rounds])
 
 
-def _round(renderer: Renderer, watch: Watch, poses: Sequence[Pose]) -> tuple[float, StageTimes]:
+def _round(draw: Callable[[Pose], object], watch: Watch, poses: Sequence[Pose]) -> tuple[float, StageTimes]:
     begun = time.perf_counter()
     watch.start()
     for pose in poses:
-        renderer.render(pose)
+        draw(pose)
     return time.perf_counter() - begun, watch.take()
 
 

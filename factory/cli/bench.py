@@ -24,7 +24,7 @@ from factory.bench.machine import describe_machine
 from factory.bench.memory import bench_memory
 from factory.bench.model import RenderBench, RolloutBench
 from factory.bench.read import bench_read
-from factory.bench.render import bench_render, open_without_colour
+from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import make_sample
 from factory.bench.watch import Watch
@@ -121,8 +121,7 @@ def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as
         for name, entry in catalog.items():
             with Stage(cast(RendererKind, renderer), watch) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
-                with open_without_colour(stage.renderer, watch) as bare:
-                    results[name] = bench_render(scene, stage.renderer, bare, watch, CameraConfig(), frames, repeats)
+                results[name] = bench_render(scene, stage.renderer, watch, CameraConfig(), frames, repeats)
                 described = stage.renderer.description
             tell()
     _print(RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render)

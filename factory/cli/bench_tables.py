@@ -65,16 +65,16 @@ def show_render(report: RenderBench) -> None:
         (
             *(name, _round(found.frames_per_s.median), _range(found.frames_per_s)),
             *(found.frames, found.triangles, round(found.triangles_in_view)),
-            None if found.without_colour is None else _round(found.without_colour.cpu_ms.median),
         )
         for name, found in report.scenes.items()
     ]
     print_table(
         f"Rendering alone, {report.repeats} runs",
-        ("scene", "frames/s", "spread", "frames", "triangles", "in view", "depth + ids alone, ms"),
+        ("scene", "frames/s", "spread", "frames", "triangles", "in view"),
         rows,
     )
     _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
+    _print_stages("without colour", {name: found.without_colour for name, found in report.scenes.items()})
 
 
 def show_memory(report: MemoryBench) -> None:

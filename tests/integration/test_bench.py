@@ -11,7 +11,7 @@ from coordinator.catalog import read_entry
 from coordinator.open_archive import open_archive
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.memory import bench_memory
-from factory.bench.render import bench_render, open_without_colour
+from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import Sample
 from factory.bench.watch import Watch
@@ -22,7 +22,6 @@ from schemas.scene import encode_scene
 from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
-from workers.pose import Pose
 from workers.render.choose import open_renderer
 from workers.stage import Stage
 
@@ -81,16 +80,10 @@ def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
 @pytest.mark.gl
 def test_rendering_is_timed_apart_from_reading_back() -> None:
     watch = Watch()
-    with open_renderer("gl", lap=watch) as renderer, open_without_colour(renderer, watch) as bare:
-        found = bench_render(box_room(), renderer, bare, watch, CameraConfig(), 3, 2)
-        assert bare is not None
-        pose = Pose.planar(0.0, 0.0, 0.5)
-        shown, judged = renderer.render(pose), bare.render(pose)
+    with open_renderer("gl", lap=watch) as renderer:
+        found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
     assert [cost.stage for cost in found.stages] == ["render", "read-back"]
-    # what is timed without colour is the same picture
-    assert found.without_colour is not None
-    assert (shown.depth == judged.depth).all()
-    assert (shown.ids == judged.ids).all()
+    assert [cost.stage for cost in found.without_colour] == ["render", "read-back"]
     assert 0 < found.triangles_in_view <= found.triangles
     assert found.frames_per_s.runs == 2
 

@@ -41,16 +41,12 @@ _TOP_ROW_FIRST = np.diag((1.0, -1.0, 1.0, 1.0))
 class GlRenderer:
     """A `Renderer` on an OpenGL 4.3 context of its own; every call makes that context current."""
 
-    def __init__(
-        self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap, plain: ShaderPair = PLAIN, textured: ShaderPair = TEXTURED
-    ) -> None:
+    def __init__(self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
             lap: told the end of the stages `render` and `read-back` of every frame.
-            plain: draws the parts without a texture.
-            textured: draws the others; with `BARE` for both, colour is neither computed nor defined.
 
         Raises:
             WorldError: this machine has no usable EGL driver.
@@ -64,8 +60,9 @@ class GlRenderer:
         self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
         self._scene: _GpuScene | None = None
         with self._context:
-            self._plain, self._textured = (_Program(self._context, pair) for pair in (plain, textured))
-            self._bare = _Program(self._context, BARE)
+            self._plain, self._textured, self._bare = (
+                _Program(self._context, pair) for pair in (PLAIN, TEXTURED, BARE)
+            )
             shape = (size, size)
             self._rgb = self._context.texture(shape, 3)
             self._depth = self._context.texture(shape, 1, dtype="f4")
