@@ -1,0 +1,53 @@
+"""A run whose episodes end up at two gateways, brought together again: all as a user calls it, with real physics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.acceptance.factory_cli import FactoryCli, wait_for
+from tests.builders.fake_coordinator import free_endpoint
+
+
+def test_what_two_gateways_keep_is_gathered_into_the_dataset_that_one_worker_makes(
+    factory: FactoryCli, plan: Path, calm: Path, tmp_path: Path
+):
+    out, core, doors = tmp_path / "out", free_endpoint(), [free_endpoint(), free_endpoint()]
+    hub = factory.start("coordinator", "start", plan, "--out", out, "--listen", core)
+    gateways = []
+    for name, door in zip(("gw1", "gw2"), doors, strict=True):
+        words = ("--connect", core, "--out", tmp_path / name, "--listen", door, "--name", name, "--http", "127.0.0.1:0")
+        gateways.append(factory.start("gateway", "start", *words))
+        wait_for(lambda name=name: (tmp_path / name / "gateway.json").exists())  # joined
+    factory("worker", "--connect", ",".join(doors), "--spool", tmp_path / "spool", "--wait", 60)
+    assert hub.wait(180) == 0
+    progress = factory.json("status", out)
+    assert sum(progress["by_gateway"].values()) == progress["jobs"]["archived"] == 5
+    assert "factory gather" in factory("status", out).stdout
+    assert list((out / "episodes").iterdir()) == []
+    for gateway in gateways:
+        gateway.terminate()
+        assert gateway.wait(60) == 0
+
+    assert "has no episodes" in factory("gather", out, tmp_path, expect=2).stderr
+    kept = [tmp_path / name for name in ("gw1", "gw2")]
+    nothing = factory.json("gather", out, expect=1)
+    assert (nothing["gathered"], len(nothing["missing"])) == (0, 5)
+    whole = factory.json("gather", out, *kept)
+    assert (whole["gathered"], whole["missing"], whole["episodes"]) == (5, [], 5)
+    verdict = factory.json("verify", out, "--deep")
+    assert verdict["digest"] == factory.json("verify", calm)["digest"]
+    assert factory.json("status", out)["by_gateway"] == {}
+
+
+def test_a_gateway_without_a_core_waits_for_it_until_it_is_told_to_stop(factory: FactoryCli, tmp_path: Path):
+    words = ("--connect", free_endpoint(), "--out", tmp_path / "gw", "--listen", free_endpoint(), "--name", "gw1")
+    waiting = factory.start("gateway", "start", *words)
+    wait_for(lambda: (tmp_path / "gw" / "episodes").exists())
+    waiting.terminate()
+    _, err = waiting.communicate(timeout=60)
+    assert (waiting.returncode, "had answered" in err) == (130, True), err
+
+
+def test_without_certificates_a_gateway_listens_on_loopback_only(factory: FactoryCli, tmp_path: Path):
+    words = ("--connect", "tcp/127.0.0.1:7447", "--out", tmp_path / "gw", "--listen", "tcp/0.0.0.0:7448")
+    assert "--tls" in factory("gateway", "start", *words, expect=2).stderr
