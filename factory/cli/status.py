@@ -76,7 +76,9 @@ def draw_progress(progress: Progress) -> Group:
     failures = {name: count for name, count in progress.attempts.items() if name != "success"}
     tries = ", ".join(f"{count} {name}" for name, count in failures.items()) or "none"
     foot = f"failed attempts: {tries}; redrawn: {progress.redrawn}"
-    parts = [Text(head, style="bold")]
+    kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
+    away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
+    parts = [Text(head, style="bold"), *away]
     groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
     return Group(*parts, *(_group_table(name, rows) for name, rows in groups.items()), _workers(progress), Text(foot))
 
