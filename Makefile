@@ -39,16 +39,31 @@ bench: $(READY)
 chaos: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30
 
-# every format with sizes and times, and LeRobot's own loader in an environment of its own (Python 3.12, 3 GB)
-test-formats: $(READY) $(JUDGE)/.ready
+# every format with sizes and times, and what reads it: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1) and
+# Habitat's (Python 3.11), each in an environment of its own, 13 GB in all
+test-formats: $(READY) $(JUDGE)/.ready $(JUDGE)-v2.1/.ready $(JUDGE)-habitat/.ready
 	rm -rf build/formats
 	$(VENV)/bin/factory run demo --episodes 8 --out build/formats/data
-	$(VENV)/bin/python tests/judges/formats.py build/formats/data build/formats/out $(JUDGE)/bin/python
+	$(VENV)/bin/python tests/judges/formats.py build/formats/data build/formats/out lerobot=$(JUDGE)/bin/python \
+	    lerobot-v2.1=$(JUDGE)-v2.1/bin/python habitat=$(JUDGE)-habitat/bin/python
 
 $(JUDGE)/.ready:
 	python3.12 -m venv $(JUDGE)
 	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1"
 	touch $(JUDGE)/.ready
+
+# torchvision of that time asks PyAV for what later versions do not know
+$(JUDGE)-v2.1/.ready:
+	python3.12 -m venv $(JUDGE)-v2.1
+	$(JUDGE)-v2.1/bin/python -m pip install --quiet "lerobot==0.3.3" "av==15.1.0"
+	touch $(JUDGE)-v2.1/.ready
+
+# gym 0.23 can only be built by setuptools of its time
+$(JUDGE)-habitat/.ready:
+	$(PYTHON) -m venv $(JUDGE)-habitat
+	$(JUDGE)-habitat/bin/python -m pip install --quiet "setuptools<66" wheel
+	$(JUDGE)-habitat/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh
+	touch $(JUDGE)-habitat/.ready
 
 # training, recipes and their tests, in an environment of their own: PyTorch is large
 test-train: $(TRAIN)/.ready
@@ -66,4 +81,4 @@ scenes-check: $(READY)
 	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
 clean:
-	rm -rf $(VENV) $(JUDGE) $(TRAIN) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(TRAIN) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
