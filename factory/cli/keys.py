@@ -56,9 +56,7 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
 @_folder_argument
 @click.argument("name")
 @click.option("--role", type=click.Choice([str(role) for role in Role]), default=str(Role.WORKER), show_default=True)
-@click.option(
-    "--address", multiple=True, help="Name or IP address under which one who listens is reached; repeatable."
-)
+@click.option("--address", multiple=True, help="Name or IP address under which one who listens is reached; repeatable.")
 @_days_option(365)
 @click.option("--renew", is_flag=True, help="Replace the certificate that is there.")
 @json_option
@@ -81,9 +79,7 @@ def revoke_(folder: Path, name: str, as_json: bool) -> None:
     if as_json:
         print_json({"revoked": name, "lists": lists})
     else:
-        click.echo(
-            f"{name} is out; where those who listen are other machines copy there: {', '.join(lists) or '-'}"
-        )
+        click.echo(f"{name} is out; where those who listen are other machines copy there: {', '.join(lists) or '-'}")
 
 
 @command.command("list")
