@@ -9,12 +9,12 @@ import contextlib
 from datetime import datetime
 from pathlib import Path
 
-from coordinator import ledger_admin
-from coordinator.ask import OPERATOR, ask_admin
-from coordinator.beacon import sight
-from coordinator.engine import open_reader, open_writer
-from coordinator.ledger import ledger_url_of, read_info
-from coordinator.staging import Staging
+from coordinator.archive.staging import Staging
+from coordinator.ledger import operator
+from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.opening import ledger_url_of, read_info
+from coordinator.wire.ask import OPERATOR, ask_admin
+from coordinator.wire.beacon import sight
 from schemas.errors import TransientError, UsageError
 from schemas.identity import TlsFiles
 from schemas.wire import AdminAction, AdminReply, AdminRequest
@@ -72,7 +72,7 @@ def _check_readable(url: str) -> None:
 def _administer_offline(url: str, request: AdminRequest, now: datetime) -> AdminReply:
     if request.action is AdminAction.DRAIN:
         raise UsageError("no coordinator runs on the directory, so there is nobody to drain")
-    change = ledger_admin.retry if request.action is AdminAction.RETRY else ledger_admin.cancel
+    change = operator.retry if request.action is AdminAction.RETRY else operator.cancel
     engine = open_writer(url)
     try:
         with engine.begin() as connection:

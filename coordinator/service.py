@@ -16,32 +16,32 @@ from typing import Self
 
 import structlog
 
-from coordinator import ledger_claims
-from coordinator.beacon import light, quench
-from coordinator.catalog import Catalog
-from coordinator.checkpoint import is_checkpoint_owed, write_checkpoint
-from coordinator.dataset_meta import GateOutcome
-from coordinator.dispatch import Dispatch
-from coordinator.engine import open_reader, open_writer
-from coordinator.errands import Errands
-from coordinator.front import Front
+from coordinator.archive.object_path import ObjectPath
+from coordinator.archive.opening import open_archive
+from coordinator.check.validator import Validator
+from coordinator.dataset.checkpoint import is_checkpoint_owed, write_checkpoint
+from coordinator.dataset.meta import GateOutcome
 from coordinator.housekeeper import Housekeeper
-from coordinator.ledger import ledger_url_of, open_run
-from coordinator.ledger_book import LedgerBook
-from coordinator.ledger_guard import require_ledger
+from coordinator.ledger import claims
+from coordinator.ledger.book import LedgerBook
+from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.guard import require_ledger
+from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.ledger.progress import count_frames, read_progress
+from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
-from coordinator.object_path import ObjectPath
-from coordinator.open_archive import open_archive
-from coordinator.progress import count_frames, read_progress
-from coordinator.protocol import Terms
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.errands import Errands
 from coordinator.puller import Judge, Pullers
-from coordinator.reconcile import reconcile
-from coordinator.router import Router
+from coordinator.repair.reconcile import reconcile
 from coordinator.settings import CoordinatorSettings
-from coordinator.tls import Guard
-from coordinator.validator import Validator
 from coordinator.vitals import Vitals
-from coordinator.writer import Writer
+from coordinator.wire.beacon import light, quench
+from coordinator.wire.dispatch import Dispatch
+from coordinator.wire.front import Front
+from coordinator.wire.protocol import Terms
+from coordinator.wire.router import Router
+from coordinator.wire.tls import Guard
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.wire import Progress
@@ -158,7 +158,7 @@ class Coordinator:
     def is_finished(self) -> bool:
         """Whether no job can change any more without an operator."""
         with self._reader.connect() as connection:
-            return not ledger_claims.has_open_jobs(connection)
+            return not claims.has_open_jobs(connection)
 
     def wait(self, timeout_s: float | None = None, stop: threading.Event | None = None) -> bool:
         """Waits until the run is finished.
@@ -262,7 +262,7 @@ class Coordinator:
         )
 
     def _expire(self) -> None:
-        expired = self._writer.call(lambda connection: ledger_claims.expire(connection, self._clock()))
+        expired = self._writer.call(lambda connection: claims.expire(connection, self._clock()))
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")

@@ -9,8 +9,8 @@ from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
 from typing import Protocol
 
+from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
-from coordinator.writer import Writer
 from schemas.errors import FactoryError
 from schemas.wire import Progress
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from coordinator.archive import SCENES, STAGING
-from coordinator.catalog import Catalog, SceneEntry, read_entry
-from coordinator.draw import find_impossible
-from coordinator.nearest import find_nearest
-from coordinator.object_path import ObjectPath
-from coordinator.place import Place
+from coordinator.archive.contract import SCENES, STAGING
+from coordinator.archive.object_path import ObjectPath
+from coordinator.archive.place import Place
+from coordinator.plan.catalog import Catalog, SceneEntry, read_entry
+from coordinator.plan.draw import find_impossible
+from coordinator.plan.nearest import find_nearest
 from factory.packages import package_file
 from factory.scenes.build import build_scene, import_scene, load_edits
 from factory.scenes.limits import StageLimits

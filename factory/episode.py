@@ -12,8 +12,8 @@ from typing import Any, BinaryIO, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.place import Place
-from coordinator.summary import EpisodeSummary
+from coordinator.archive.place import Place
+from coordinator.dataset.summary import EpisodeSummary
 from schemas.bundle import BundleReader
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle

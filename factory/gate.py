@@ -13,8 +13,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator.catalog import Catalog
-from coordinator.draw import expand, to_job
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.draw import expand, to_job
 from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model

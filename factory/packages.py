@@ -5,8 +5,8 @@ from __future__ import annotations
 import secrets
 from pathlib import Path
 
-from coordinator.disk import translated
-from coordinator.place import Place, digest_of
+from coordinator.archive.disk import translated
+from coordinator.archive.place import Place, digest_of
 from factory.settings import cache_directory
 
 __all__ = ["package_file"]

@@ -9,14 +9,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from coordinator.archive import SCENES
-from coordinator.catalog import Catalog, SceneEntry, read_entry
-from coordinator.dataset_meta import read_dataset_meta
-from coordinator.engine import ledger_trouble
-from coordinator.ledger import ledger_url_of, read_info
-from coordinator.look import look_into
-from coordinator.place import Place, at_hand
-from coordinator.repair import Patient
+from coordinator.archive.contract import SCENES
+from coordinator.archive.place import Place, at_hand
+from coordinator.dataset.meta import read_dataset_meta
+from coordinator.ledger.engine import ledger_trouble
+from coordinator.ledger.look import look_into
+from coordinator.ledger.opening import ledger_url_of, read_info
+from coordinator.plan.catalog import Catalog, SceneEntry, read_entry
+from coordinator.repair.mend import Patient
 from factory.catalog import open_catalog
 from factory.packages import package_file
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError

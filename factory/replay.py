@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.catalog import find_package
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError

@@ -17,10 +17,10 @@ from typing import Self
 
 import structlog
 
-from coordinator.catalog import Catalog
-from coordinator.dataset_meta import GateOutcome
-from coordinator.disk import require_room
-from coordinator.object_path import ObjectPath
+from coordinator.archive.disk import require_room
+from coordinator.archive.object_path import ObjectPath
+from coordinator.dataset.meta import GateOutcome
+from coordinator.plan.catalog import Catalog
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import write_target_lists

@@ -11,8 +11,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator.object_path import ObjectPath
-from coordinator.place import Place, place_of
+from coordinator.archive.object_path import ObjectPath
+from coordinator.archive.place import Place, place_of
 from factory.settings import state_directory, store_endpoint
 
 __all__ = ["Site", "site_of"]

@@ -14,14 +14,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive import EPISODES, QUARANTINE, SCENES, index_of_file
-from coordinator.catalog import SceneEntry, read_entry
-from coordinator.dataset_card import CARD_FILE
-from coordinator.dataset_meta import META_FILE, DatasetMeta
-from coordinator.dataset_tables import ATTEMPTS_FILE, METADATA_FILE
-from coordinator.draw import cells
-from coordinator.place import Place, at_hand, children, table_of
-from coordinator.summary import EpisodeSummary
+from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file
+from coordinator.archive.place import Place, at_hand, children, table_of
+from coordinator.dataset.card import CARD_FILE
+from coordinator.dataset.meta import META_FILE, DatasetMeta
+from coordinator.dataset.summary import EpisodeSummary
+from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
+from coordinator.plan.catalog import SceneEntry, read_entry
+from coordinator.plan.draw import cells
 from factory.dataset import Dataset
 from factory.scenes.target_list import list_file_name
 from factory.verify_episode import EpisodeCheck, check_episode, target_of

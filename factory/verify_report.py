@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 
 __all__ = ["Finding", "Kind", "Report"]
 

@@ -21,10 +21,10 @@ DOORS = {
     "moderngl": {"workers/render/"},
     "zenoh": {
         "workers/link.py",
-        "coordinator/node.py",
-        "coordinator/router.py",
-        "coordinator/zenoh_config.py",
-        "coordinator/ask.py",
+        "coordinator/wire/node.py",
+        "coordinator/wire/router.py",
+        "coordinator/wire/zenoh_config.py",
+        "coordinator/wire/ask.py",
         "factory/bench/fleet.py",
     },
     "sqlalchemy": {"coordinator/"},
@@ -37,8 +37,8 @@ DOORS = {
     "mcap": {"factory/export/mcap.py"},
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},
-    "obstore": {"coordinator/object_store.py"},
-    "pyarrow": {"coordinator/dataset_tables.py", "coordinator/table_reader.py", "factory/"},
+    "obstore": {"coordinator/archive/object_store.py"},
+    "pyarrow": {"coordinator/dataset/tables.py", "coordinator/dataset/table_reader.py", "factory/"},
 }
 
 

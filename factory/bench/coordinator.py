@@ -14,16 +14,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from coordinator import ledger_claims, ledger_outcomes
-from coordinator.catalog import Catalog
-from coordinator.engine import open_writer
-from coordinator.ledger import ledger_url_of, open_run
-from coordinator.ledger_claims import lease_of
-from coordinator.open_archive import open_archive
-from coordinator.progress import read_progress
-from coordinator.summary import summary_of
-from coordinator.validator import Validator
-from coordinator.writer import Writer
+from coordinator.archive.opening import open_archive
+from coordinator.check.validator import Validator
+from coordinator.dataset.summary import summary_of
+from coordinator.ledger import claims, outcomes
+from coordinator.ledger.claims import lease_of
+from coordinator.ledger.engine import open_writer
+from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.ledger.progress import read_progress
+from coordinator.ledger.writer import Writer
+from coordinator.plan.catalog import Catalog
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import CoordinatorBench, Spread
 from factory.bench.sample import Sample
@@ -130,18 +130,18 @@ def _together(writer: Writer, works: Sequence[Callable[[Any], Any]]) -> list[Any
 
 
 def _claim(connection: Any) -> Any:
-    return ledger_claims.claim(connection, _SID, secrets.token_hex(16), datetime.now(UTC), _TTL_S)
+    return claims.claim(connection, _SID, secrets.token_hex(16), datetime.now(UTC), _TTL_S)
 
 
 def _announcing(lease: Lease) -> Callable[[Any], Any]:
     done = Done(sid=_SID, lease=lease, sha256=_SHA256, size=1000)
-    return lambda connection: ledger_outcomes.announce(connection, done, datetime.now(UTC), _TTL_S)
+    return lambda connection: outcomes.announce(connection, done, datetime.now(UTC), _TTL_S)
 
 
 def _archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], Any]:
     job = meta.job.model_copy(update={"index": index})
     summary = summary_of(meta.model_copy(update={"job": job, "episode_id": job.episode_id}), _SHA256, 1000)
-    return lambda connection: ledger_outcomes.archive(connection, lease, summary, datetime.now(UTC))
+    return lambda connection: outcomes.archive(connection, lease, summary, datetime.now(UTC))
 
 
 def _validate(samples: Sequence[Sample], repeats: int) -> list[float]:

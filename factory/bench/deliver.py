@@ -10,8 +10,8 @@ import tempfile
 from pathlib import Path
 from typing import BinaryIO
 
-from coordinator.open_archive import open_archive
-from coordinator.validate import validate
+from coordinator.archive.opening import open_archive
+from coordinator.check.validate import validate
 from factory.bench.model import StageCost
 from factory.bench.watch import StageTimes, Watch, stage_costs
 from schemas.bundle import BundleReader

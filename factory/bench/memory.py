@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from statistics import median
 from tempfile import TemporaryFile
 
-from coordinator.catalog import Catalog
+from coordinator.plan.catalog import Catalog
 from factory.bench.machine import describe_machine, forget_peak, measure_memory, resident_mib
 from factory.bench.model import MemoryBench
 from schemas.job import Job

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from coordinator.catalog import SceneEntry
+from coordinator.plan.catalog import SceneEntry
 from factory.bench.deliver import time_delivery
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost

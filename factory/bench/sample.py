@@ -9,12 +9,12 @@ from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
 
-from coordinator.archive import Archive
-from coordinator.archive_directory import DirectoryArchive
-from coordinator.catalog import Catalog
-from coordinator.dataset_tables import write_tables
-from coordinator.draw import expand, to_job
-from coordinator.summary import EpisodeSummary, summary_of
+from coordinator.archive.contract import Archive
+from coordinator.archive.directory import DirectoryArchive
+from coordinator.dataset.summary import EpisodeSummary, summary_of
+from coordinator.dataset.tables import write_tables
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.draw import expand, to_job
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from coordinator.catalog import Catalog
+from coordinator.plan.catalog import Catalog
 from factory.bench.fleet import bundle_of, claim_and_announce, claim_until_told, deliver_together, stay_connected
 from factory.bench.hub import Opened, serve_hub
 from factory.bench.model import Crowd, Memory, Rush, Spread, WireBench

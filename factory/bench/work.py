@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.catalog import Catalog
-from coordinator.draw import expand, to_job
-from coordinator.plan_file import shrink
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.draw import expand, to_job
+from coordinator.plan.file import shrink
 from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.plan import Plan

@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from coordinator.plan_file import load_plan
+from coordinator.plan.file import load_plan
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.machine import describe_machine
 from factory.bench.memory import bench_memory

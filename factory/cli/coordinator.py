@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from coordinator.disk import require_room
-from coordinator.plan_file import load_plan
+from coordinator.archive.disk import require_room
+from coordinator.plan.file import load_plan
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog, write_target_lists

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from coordinator.service import DEFAULT_LISTEN
-from coordinator.tls import Guard
+from coordinator.wire.tls import Guard
 from factory.listen import require_loopback, require_tls_endpoints
 
 __all__ = ["open_door"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from schemas.errors import UsageError
 from schemas.job import episode_id
 

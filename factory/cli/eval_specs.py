@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from rich.progress import Progress
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.cli.eval_options import SplitList, splits_of
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, print_table, stderr

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.cli.export_options import format_options
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, say_duration, stderr

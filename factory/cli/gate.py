@@ -10,7 +10,7 @@ from typing import cast
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from coordinator.plan_file import load_plan
+from coordinator.plan.file import load_plan
 from factory.catalog import open_catalog
 from factory.cli.options import shrunk_plan, verbose_option
 from factory.cli.output import json_option, print_json, print_table, stderr

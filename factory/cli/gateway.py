@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from coordinator.disk import require_room
-from coordinator.gateway import Gateway
+from coordinator.archive.disk import require_room
+from coordinator.gateway.service import Gateway
 from coordinator.settings import CoordinatorSettings
-from coordinator.tls import Guard, read_credentials
+from coordinator.wire.tls import Guard, read_credentials
 from factory.cli.http import http_options, status_pages
 from factory.cli.options import tls_option, verbose_option
 from factory.listen import require_loopback, require_tls_endpoints

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from rich.progress import Progress
 
-from coordinator.gather import GatherReport, gather
+from coordinator.gateway.gather import GatherReport, gather
 from factory.cli.options import ledger_option
 from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.logs import configure_logs

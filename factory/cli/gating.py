@@ -12,9 +12,9 @@ from typing import Any, Literal, TypeVar
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from coordinator.catalog import Catalog
-from coordinator.dataset_meta import GateOutcome
-from coordinator.plan_file import shrink
+from coordinator.dataset.meta import GateOutcome
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.file import shrink
 from factory.cli.output import print_table, stderr
 from factory.gate import GateReport, Pilot, judge, run_pilot
 from factory.stats.model import Share

@@ -10,9 +10,9 @@ from typing import Any
 
 import click
 
-from coordinator.ledger_records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
-from coordinator.states import State
-from coordinator.tls import read_credentials
+from coordinator.ledger.records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
+from coordinator.ledger.states import State
+from coordinator.wire.tls import read_credentials
 from factory.cli.episodes import episode_index
 from factory.cli.options import ledger_option, site_argument, tls_option
 from factory.cli.output import json_option, print_json, print_table

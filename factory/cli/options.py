@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from coordinator.plan_file import shrink
+from coordinator.plan.file import shrink
 from factory.cli.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from coordinator.place import Place, place_of
+from coordinator.archive.place import Place, place_of
 from factory.site import Site, site_of
 from schemas.errors import UsageError
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
-from coordinator.cells import cells
-from coordinator.draw import find_impossible
-from coordinator.nearest import find_nearest
-from coordinator.plan_file import load_plan
-from coordinator.plan_spelling import spell_plan
+from coordinator.plan.cells import cells
+from coordinator.plan.draw import find_impossible
+from coordinator.plan.file import load_plan
+from coordinator.plan.nearest import find_nearest
+from coordinator.plan.spelling import spell_plan
 from factory.catalog import collect_scenes
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan
 from factory.cli.output import json_option, print_json, print_table

@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 import click
 from rich.progress import Progress
 
-from coordinator.plan_file import load_plan
-from coordinator.repair import repair
-from coordinator.repair_report import RepairReport
-from coordinator.validator import Validator
+from coordinator.check.validator import Validator
+from coordinator.plan.file import load_plan
+from coordinator.repair.mend import repair
+from coordinator.repair.report import RepairReport
 from factory.cli.options import ledger_option, site_argument
 from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.logs import configure_logs

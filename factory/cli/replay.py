@@ -8,7 +8,7 @@ from typing import cast
 import click
 from rich.progress import Progress
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.cli.episodes import episode_path
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, stderr

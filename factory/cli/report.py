@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, stderr
 from factory.logs import configure_logs

@@ -10,7 +10,7 @@ import click
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 
-from coordinator.plan_file import load_plan
+from coordinator.plan.file import load_plan
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
 from factory.cli.gating import GateMode, gate_option, hold_gate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json
 from factory.cli.stats_tables import print_statistics

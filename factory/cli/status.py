@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from coordinator.tls import read_credentials
+from coordinator.wire.tls import read_credentials
 from factory.cli.options import ledger_option, tls_option
 from factory.cli.output import json_option, print_json, say_duration, stdout
 from factory.cli.places import SITE
@@ -48,7 +48,7 @@ def command(
 
 def _source(site: Site | None, connect: str | None, ledger: str | None, tls: Path | None) -> Callable[[], Progress]:
     if connect is not None:
-        from coordinator.ask import ask_progress
+        from coordinator.wire.ask import ask_progress
 
         if tls is None:
             return lambda: ask_progress((connect,))

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.cli.output import print_table
 from factory.dataset import Dataset
 from schemas.wire import Progress

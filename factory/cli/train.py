@@ -10,7 +10,7 @@ import click
 from pydantic import ValidationError
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.cli.output import json_option, print_json, print_table, say_duration, stderr
 from factory.cli.places import PLACE
 from factory.dataset import Dataset

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from rich.progress import Progress
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.catalog import find_package
 from factory.cli.episodes import episode_index
 from factory.cli.options import place_argument

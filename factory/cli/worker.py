@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import click
 
-from coordinator.tls import read_credentials
+from coordinator.wire.tls import read_credentials
 from factory.cli.options import tls_option, verbose_option
 from factory.listen import require_tls_endpoints
 from factory.logs import configure_logs

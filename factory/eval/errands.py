@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from coordinator.catalog import Catalog, SceneEntry, read_entry
-from coordinator.draw import PlannedJob
+from coordinator.plan.catalog import Catalog, SceneEntry, read_entry
+from coordinator.plan.draw import PlannedJob
 from factory.eval.campaign import Campaign, orders_for, with_actions
 from factory.eval.from_dataset import Places
 from factory.eval.message import Errand, Order

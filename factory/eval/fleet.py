@@ -12,17 +12,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator import ledger_admin
-from coordinator.ask import ask_progress
-from coordinator.engine import open_writer
-from coordinator.errands import Errands, Parcel
-from coordinator.ledger import LEDGER_FILE, holds_run, ledger_url_of
-from coordinator.ledger_records import JobFilter, list_jobs
-from coordinator.look import look_into
+from coordinator.ledger import operator
+from coordinator.ledger.engine import open_writer
+from coordinator.ledger.look import look_into
+from coordinator.ledger.opening import LEDGER_FILE, holds_run, ledger_url_of
+from coordinator.ledger.records import JobFilter, list_jobs
+from coordinator.ledger.states import State
+from coordinator.plan.errands import Errands, Parcel
 from coordinator.service import Coordinator, utc_now
 from coordinator.settings import CoordinatorSettings
-from coordinator.states import State
-from coordinator.tls import Guard
+from coordinator.wire.ask import ask_progress
+from coordinator.wire.tls import Guard
 from factory.eval.campaign import Campaign
 from factory.eval.errands import attachments_of, catalog_of, number_orders, plan_of, planned_of, text_of
 from factory.eval.intake import Intake
@@ -123,7 +123,7 @@ def _try_failed_again(root: Path) -> None:
     try:
         with engine.begin() as connection:
             if holds_run(connection):
-                ledger_admin.retry(connection, (), utc_now())
+                operator.retry(connection, (), utc_now())
     finally:
         engine.dispose()
 

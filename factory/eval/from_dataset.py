@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.catalog import find_package
 from factory.dataset import Dataset
 from factory.episode import Episode

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coordinator.dataset_meta import software_versions
+from coordinator.dataset.meta import software_versions
 from factory.eval.policies import find_policy
 from schemas.base import Model
 

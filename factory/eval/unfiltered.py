@@ -11,9 +11,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 
 import numpy as np
 
-from coordinator.catalog import Catalog
-from coordinator.draw import PlannedJob, expand, redraw
-from coordinator.plan_file import shrink
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.draw import PlannedJob, expand, redraw
+from coordinator.plan.file import shrink
 from factory.catalog import find_package
 from factory.dataset import Dataset
 from factory.eval.from_dataset import Places, categories_in_view

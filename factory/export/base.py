@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Generic, NamedTuple, TypeVar
 
-from coordinator.dataset_meta import DatasetMeta
-from coordinator.summary import EpisodeSummary
+from coordinator.dataset.meta import DatasetMeta
+from coordinator.dataset.summary import EpisodeSummary
 from factory.dataset import Dataset
 from factory.episode import Episode
 from factory.export.output import Output

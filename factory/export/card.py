@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from coordinator.dataset_meta import DatasetMeta
+from coordinator.dataset.meta import DatasetMeta
 
 __all__ = ["CARD_FILE", "TAGS", "export_card"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from coordinator.disk import translated
+from coordinator.archive.disk import translated
 from factory.dataset import Dataset
 from factory.export.manifest import require_ours
 from factory.export.registry import find_exporter, require_packages

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from coordinator.dataset_meta import DatasetMeta, software_versions
+from coordinator.dataset.meta import DatasetMeta, software_versions
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.report import Skip
 from schemas.base import Model, Sha256

@@ -13,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.catalog import find_package
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Requirement

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from coordinator.dataset_meta import DatasetMeta
+from coordinator.dataset.meta import DatasetMeta
 from factory.export.base import Options
 from schemas.errors import UsageError
 

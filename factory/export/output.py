@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from coordinator.disk import sync_directory, sync_file, translated, world_error
+from coordinator.archive.disk import sync_directory, sync_file, translated, world_error
 from schemas.errors import WorldError
 
 __all__ = ["WORK_FOLDER", "Output", "sync_tree"]

@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import Field
 
-from coordinator.dataset_meta import META_FILE, DatasetMeta
-from coordinator.dataset_tables import METADATA_FILE
-from coordinator.summary import PUBLISHED_COLUMNS
+from coordinator.dataset.meta import META_FILE, DatasetMeta
+from coordinator.dataset.summary import PUBLISHED_COLUMNS
+from coordinator.dataset.tables import METADATA_FILE
 from factory.dataset import Dataset
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Options

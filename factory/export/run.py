@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.dataset import Dataset
 from factory.episode import Episode
 from factory.export.base import Finish, Options, Piece

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from coordinator.disk import translated
+from coordinator.archive.disk import translated
 from factory.episode import Episode
 from factory.export.output import sync_tree
 from factory.export.registry import find_exporter

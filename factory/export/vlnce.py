@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.catalog import find_package
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Options, Piece

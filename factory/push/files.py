@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator.archive import EPISODES, QUARANTINE, SCENES, STAGING
-from coordinator.dataset_meta import META_FILE
+from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, STAGING
+from coordinator.dataset.meta import META_FILE
 from schemas.errors import UsageError, WorldError
 
 __all__ = ["BATCH_BYTES", "BATCH_FILES", "PushFile", "PushPlan", "batches_of", "plan_push", "require_repository"]

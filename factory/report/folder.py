@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import ValidationError
 
-from coordinator.dataset_meta import META_FILE
+from coordinator.dataset.meta import META_FILE
 from factory.report.comparison import Comparison
 from factory.stats.model import Remark
 from schemas.base import Model

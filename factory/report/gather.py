@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.archive import EPISODES, SCENES
-from coordinator.place import Place
-from coordinator.summary import EpisodeSummary, file_name_of
+from coordinator.archive.contract import EPISODES, SCENES
+from coordinator.archive.place import Place
+from coordinator.dataset.summary import EpisodeSummary, file_name_of
 from factory.catalog import find_package
 from factory.episode import Episode
 from factory.report.floor_map import map_of

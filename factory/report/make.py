@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.report.compare import compare
 from factory.report.drawers import DRAWERS
 from factory.report.exhibit import Drawer, Exhibit

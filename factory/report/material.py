@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.dataset_meta import DatasetMeta
-from coordinator.dataset_tables import FailedAttempt
-from coordinator.summary import EpisodeSummary
+from coordinator.dataset.meta import DatasetMeta
+from coordinator.dataset.summary import EpisodeSummary
+from coordinator.dataset.tables import FailedAttempt
 from factory.stats import Statistics
 from schemas.tokens import GRID_POINTS
 

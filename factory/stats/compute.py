@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coordinator.place import Place
+from coordinator.archive.place import Place
 from factory.stats import attempts, counts, rollouts
 from factory.stats.model import Statistics
 from factory.stats.rows import Rows, read_rows

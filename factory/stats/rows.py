@@ -10,12 +10,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive import EPISODES
-from coordinator.cells import cells
-from coordinator.dataset_meta import META_FILE, DatasetMeta
-from coordinator.dataset_tables import ATTEMPTS_FILE, METADATA_FILE, FailedAttempt
-from coordinator.place import Place, children, table_of
-from coordinator.summary import EpisodeSummary, file_name_of
+from coordinator.archive.contract import EPISODES
+from coordinator.archive.place import Place, children, table_of
+from coordinator.dataset.meta import META_FILE, DatasetMeta
+from coordinator.dataset.summary import EpisodeSummary, file_name_of
+from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE, FailedAttempt
+from coordinator.plan.cells import cells
 from factory.dataset import Dataset
 from factory.stats.model import Remark
 from schemas.base import Model

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from coordinator.disk import sync_directory, translated
+from coordinator.archive.disk import sync_directory, translated
 from factory.dataset import Dataset, Episode
 from factory.train import look
 from factory.train.labels import chosen_frames, label_episode, stop_frame

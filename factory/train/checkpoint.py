@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from coordinator.disk import sync_directory, translated
+from coordinator.archive.disk import sync_directory, translated
 from factory.train.look import LOOK_VERSION
 from factory.train.options import CHECKPOINT_FORMAT, CheckpointMeta
 from factory.train.torch_door import load_torch

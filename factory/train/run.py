@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from coordinator.disk import translated
+from coordinator.archive.disk import translated
 from factory.dataset import Dataset
 from factory.settings import cache_directory
 from factory.train.cache import FrameCache, open_cache

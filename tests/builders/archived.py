@@ -6,15 +6,15 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from coordinator import ledger_outcomes
-from coordinator.archive import Archive
-from coordinator.checkpoint import write_checkpoint
-from coordinator.draw import to_job
-from coordinator.ledger import ledger_url_of, planned_of
-from coordinator.ledger_claims import lease_of
-from coordinator.open_archive import open_archive
-from coordinator.repair import Patient
-from coordinator.summary import summary_of
+from coordinator.archive.contract import Archive
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.checkpoint import write_checkpoint
+from coordinator.dataset.summary import summary_of
+from coordinator.ledger import outcomes
+from coordinator.ledger.claims import lease_of
+from coordinator.ledger.opening import ledger_url_of, planned_of
+from coordinator.plan.draw import to_job
+from coordinator.repair.mend import Patient
 from schemas.terms import FailReason
 from schemas.wire import Done
 from tests.builders.bundle import parts_for
@@ -96,9 +96,9 @@ class ArchivedRun:
             archive.publish(staged, index)
         done = Done(sid="host-1", lease=lease, sha256=digest, size=len(data))
         with self.desk.open() as connection:
-            ledger_outcomes.announce(connection, done, self.desk.now, TTL_S)
+            outcomes.announce(connection, done, self.desk.now, TTL_S)
             summary = summary_of(parts.sealed(), digest, len(data))
-            assert ledger_outcomes.archive(connection, lease, summary, self.desk.now)
+            assert outcomes.archive(connection, lease, summary, self.desk.now)
 
     def _write_tables(self, archive: Archive) -> None:
         with self.desk.engine.connect() as connection:

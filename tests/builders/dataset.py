@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from coordinator.archive import Archive
-from coordinator.dataset_tables import FailedAttempt, write_tables
-from coordinator.open_archive import open_archive
-from coordinator.summary import EpisodeSummary, summary_of
+from coordinator.archive.contract import Archive
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.summary import EpisodeSummary, summary_of
+from coordinator.dataset.tables import FailedAttempt, write_tables
 from schemas.plan import Plan
 from schemas.scene import Instance, Target, encode_scene
 from schemas.terms import Split, Tier

@@ -14,14 +14,14 @@ from typing import Any
 from sqlalchemy import Engine, Row, select
 from sqlalchemy.engine import Connection
 
-from coordinator import ledger_claims, ledger_outcomes
-from coordinator.catalog import Catalog, SceneEntry
-from coordinator.draw import redraw
-from coordinator.engine import open_writer
-from coordinator.ledger import open_run
-from coordinator.ledger_claims import lease_of
-from coordinator.summary import EpisodeSummary, summary_of
-from coordinator.tables import jobs
+from coordinator.dataset.summary import EpisodeSummary, summary_of
+from coordinator.ledger import claims, outcomes
+from coordinator.ledger.claims import lease_of
+from coordinator.ledger.engine import open_writer
+from coordinator.ledger.opening import open_run
+from coordinator.ledger.tables import jobs
+from coordinator.plan.catalog import Catalog, SceneEntry
+from coordinator.plan.draw import redraw
 from schemas.episode import EpisodeMeta
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.scene import Instance, SceneInfo, Target
@@ -112,14 +112,14 @@ class Desk:
         """Turns the clock on and sweeps; returns how many leases expired."""
         self.now += timedelta(seconds=seconds)
         with self.open() as connection:
-            return ledger_claims.expire(connection, self.now)
+            return claims.expire(connection, self.now)
 
     def new_token(self) -> str:
         return f"{next(self._tokens):032x}"
 
     def claim(self, sid: str = "host-1", token: str | None = None) -> Row[Any] | None:
         with self.open() as connection:
-            return ledger_claims.claim(connection, sid, token or self.new_token(), self.now, TTL_S)
+            return claims.claim(connection, sid, token or self.new_token(), self.now, TTL_S)
 
     def lease(self, sid: str = "host-1") -> Lease:
         """Claims and returns the lease; there must be a job."""
@@ -130,12 +130,12 @@ class Desk:
     def done(self, lease: Lease, sid: str = "host-1", sha256: str = SHA256) -> bool:
         report = Done(sid=sid, lease=lease, sha256=sha256, size=1000)
         with self.open() as connection:
-            return ledger_outcomes.announce(connection, report, self.now, TTL_S).accepted
+            return outcomes.announce(connection, report, self.now, TTL_S).accepted
 
     def fail(self, lease: Lease, reason: FailReason, sid: str = "host-1") -> bool:
         report = Fail(sid=sid, lease=lease, reason=reason, detail="measured", steps=7, seconds=1.5)
         with self.open() as connection:
-            return ledger_outcomes.fail(
+            return outcomes.fail(
                 connection,
                 report,
                 self.now,
@@ -147,7 +147,7 @@ class Desk:
         """What a puller does last, however late it is."""
         with self.open() as connection:
             row = connection.execute(select(jobs).where(jobs.c.id == lease.job_id)).one()
-            return ledger_outcomes.archive(connection, lease, summary_for(row), self.now)
+            return outcomes.archive(connection, lease, summary_for(row), self.now)
 
     def rows(self, index: int | None = None) -> list[Any]:
         query = select(jobs).order_by(jobs.c.idx, jobs.c.draw)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from coordinator.gateway import Gateway
+from coordinator.gateway.service import Gateway
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import TransientError
 from workers.stopping import stop_on_signals

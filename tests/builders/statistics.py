@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from coordinator.dataset_meta import DatasetMeta
-from coordinator.dataset_tables import FailedAttempt
-from coordinator.summary import EpisodeSummary, summary_of
+from coordinator.dataset.meta import DatasetMeta
+from coordinator.dataset.summary import EpisodeSummary, summary_of
+from coordinator.dataset.tables import FailedAttempt
 from factory.stats.rows import Rows
 from schemas.job import episode_id
 from schemas.plan import Plan, ScenePlan

@@ -25,9 +25,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from coordinator.gather import gather
-from coordinator.repair import Patient, repair
-from coordinator.validator import Validator
+from coordinator.check.validator import Validator
+from coordinator.gateway.gather import gather
+from coordinator.repair.mend import Patient, repair
 from schemas.digest import dataset_digest
 from tests.builders.ledger import room_catalog, room_plan
 from tests.chaos.disk import Disk

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from coordinator.open_archive import open_archive
+from coordinator.archive.opening import open_archive
 
 _WRITER = """
 import hashlib, sys
 from pathlib import Path
-from coordinator.open_archive import open_archive
+from coordinator.archive.opening import open_archive
 with open_archive(Path(sys.argv[1])) as archive:
     for index in range(int(sys.argv[2]), 100000):
         with archive.stage(index) as staged:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.catalog import read_entry
-from coordinator.open_archive import open_archive
+from coordinator.archive.opening import open_archive
+from coordinator.plan.catalog import read_entry
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render

@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from coordinator.http import HttpAddress, StatusServer
-from coordinator.plan_file import load_plan
+from coordinator.plan.file import load_plan
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.main import cli

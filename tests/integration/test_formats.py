@@ -19,8 +19,8 @@ import yaml
 from mcap.reader import make_reader
 from PIL import Image
 
-from coordinator.dataset_tables import write_tables
-from coordinator.open_archive import open_archive
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.tables import write_tables
 from factory.dataset import Dataset
 from factory.export.registry import find_exporter
 from factory.export.run import ExportOrder, run_export

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from coordinator.gateway import Gateway
-from coordinator.relay import Duty, Hold, Join, Orders
+from coordinator.gateway.relay import Duty, Hold, Join, Orders
+from coordinator.gateway.service import Gateway
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.tls import Guard
-from coordinator.zenoh_config import client_config
+from coordinator.wire.tls import Guard
+from coordinator.wire.zenoh_config import client_config
 from factory.keys import revoke
 from schemas.base import Model
 from schemas.errors import UsageError

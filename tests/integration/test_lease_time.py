@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.look import look_into
+from coordinator.ledger.look import look_into
+from coordinator.ledger.states import Event
+from coordinator.ledger.tables import events
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.states import Event
-from coordinator.tables import events
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, until
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from coordinator.check_motion import motion_findings
+from coordinator.check.motion import motion_findings
 from schemas.bundle import EpisodeArrays
 from schemas.config import RobotConfig
 from schemas.tokens import tokens_of

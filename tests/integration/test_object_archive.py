@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.archive import Archive
-from coordinator.archive_objects import ObjectArchive
-from coordinator.object_path import ObjectPath
-from coordinator.open_archive import open_archive
-from coordinator.place import place_of
-from coordinator.repair import Patient, repair
+from coordinator.archive.contract import Archive
+from coordinator.archive.object_path import ObjectPath
+from coordinator.archive.objects import ObjectArchive
+from coordinator.archive.opening import open_archive
+from coordinator.archive.place import place_of
+from coordinator.check.validator import Validator
+from coordinator.repair.mend import Patient, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.validator import Validator
 from factory.dataset import Dataset
 from factory.stats import measure_dataset
 from factory.verify import verify

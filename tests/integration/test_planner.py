@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 import pytest
 
-from coordinator.check_motion import motion_findings
+from coordinator.check.motion import motion_findings
 from schemas.config import CameraConfig, PlannerConfig, TaskConfig
 from schemas.job import Job
 from schemas.scene import CompiledScene

@@ -10,12 +10,12 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
 
-from coordinator.engine import ledger_trouble, open_reader, open_writer
-from coordinator.ledger_records import read_summaries
-from coordinator.repair import Patient, repair
+from coordinator.check.validator import Validator
+from coordinator.ledger.engine import ledger_trouble, open_reader, open_writer
+from coordinator.ledger.records import read_summaries
+from coordinator.repair.mend import Patient, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.validator import Validator
 from schemas.errors import UsageError, WorldError
 from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan

@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator import ledger_claims
-from coordinator.draw import to_job
-from coordinator.ledger import planned_of
-from coordinator.ledger_outcomes import is_owned
-from coordinator.object_path import ObjectPath
-from coordinator.open_archive import open_archive
-from coordinator.place import Place, children
-from coordinator.protocol import Terms
-from coordinator.reconcile import reconcile
-from coordinator.tables import jobs
-from coordinator.validator import Validator
+from coordinator.archive.object_path import ObjectPath
+from coordinator.archive.opening import open_archive
+from coordinator.archive.place import Place, children
+from coordinator.check.validator import Validator
+from coordinator.ledger import claims
+from coordinator.ledger.opening import planned_of
+from coordinator.ledger.outcomes import is_owned
+from coordinator.ledger.tables import jobs
+from coordinator.plan.draw import to_job
+from coordinator.repair.reconcile import reconcile
+from coordinator.wire.protocol import Terms
 from schemas.wire import Lease
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import TTL_S, Desk
@@ -47,7 +47,7 @@ class Scene:
         assert row is not None
         job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), row.attempt)
         bundle = parts_for(job).write()
-        lease = ledger_claims.lease_of(row)
+        lease = claims.lease_of(row)
         self.desk.done(lease, sha256=hashlib.sha256(bundle).hexdigest())
         with self.desk.open() as connection:
             connection.execute(jobs.update().where(jobs.c.id == row.id).values(size=len(bundle)))

@@ -10,11 +10,11 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from coordinator.ledger_records import read_attempts
-from coordinator.open_archive import open_archive
-from coordinator.repair import repair
-from coordinator.repair_report import RepairReport
-from coordinator.validator import Validator
+from coordinator.archive.opening import open_archive
+from coordinator.check.validator import Validator
+from coordinator.ledger.records import read_attempts
+from coordinator.repair.mend import repair
+from coordinator.repair.report import RepairReport
 from schemas.errors import WorldError
 from tests.builders.archived import ArchivedRun
 

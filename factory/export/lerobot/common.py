@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from coordinator.dataset_meta import DatasetMeta
+from coordinator.dataset.meta import DatasetMeta
 from factory.episode import Episode
 from factory.export.base import Exporter, Finish, Requirement
 from factory.export.card import CARD_FILE, export_card

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.archive import Archive, index_of_file
-from coordinator.open_archive import open_archive
+from coordinator.archive.contract import Archive, index_of_file
+from coordinator.archive.opening import open_archive
 
 
 def publish(archive: Archive, index: int, data: bytes) -> Path:
@@ -78,8 +78,8 @@ def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path: Path) -> N
     script = """
 import resource, signal, sys
 from pathlib import Path
-from coordinator.archive import Archive
-from coordinator.open_archive import open_archive
+from coordinator.archive.contract import Archive
+from coordinator.archive.opening import open_archive
 from schemas.errors import WorldError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 root = Path(sys.argv[1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator.check_route import route_findings
+from coordinator.check.route import route_findings
 from schemas.episode import Route
 from schemas.terms import ExpertName
 from tests.builders.bundle import GOAL_M, RADIUS_M, BundleParts, job_for, parts_for

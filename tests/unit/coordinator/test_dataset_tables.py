@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from coordinator.dataset_meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta
-from coordinator.dataset_tables import SIDE_COLUMN, write_tables
-from coordinator.instances import Side
-from coordinator.open_archive import open_archive
-from coordinator.summary import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta
+from coordinator.dataset.summary import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
+from coordinator.dataset.tables import SIDE_COLUMN, write_tables
+from coordinator.plan.instances import Side
 from schemas.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
 from tests.builders.bundle import job_for, parts_for

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator.disk import require_room
+from coordinator.archive.disk import require_room
 from schemas.errors import WorldError
 
 

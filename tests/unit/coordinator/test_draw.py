@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coordinator.apportion import apportion, webster_sequence
-from coordinator.builtin_plans import BUILTIN_PLANS
-from coordinator.draw import PlannedJob, cells, expand, pool, redraw, to_job
-from coordinator.plan_file import shrink
+from coordinator.plan.apportion import apportion, webster_sequence
+from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.draw import PlannedJob, cells, expand, pool, redraw, to_job
+from coordinator.plan.file import shrink
 from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import ExpertName, Split, Tier

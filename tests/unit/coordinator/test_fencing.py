@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from sqlalchemy import select
 
-from coordinator import ledger_admin, ledger_claims, ledger_outcomes
-from coordinator.ledger_claims import HELD_STATES, lease_of
-from coordinator.states import TRANSITIONS, Event, State
-from coordinator.tables import attempts, episodes, events, jobs
+from coordinator.ledger import claims, operator, outcomes
+from coordinator.ledger.claims import HELD_STATES, lease_of
+from coordinator.ledger.states import TRANSITIONS, Event, State
+from coordinator.ledger.tables import attempts, episodes, events, jobs
 from schemas.terms import FailReason
 from schemas.wire import Beat, Lease, LeaseProgress
 from tests.builders.ledger import TTL_S, Desk, room_plan
@@ -92,7 +92,7 @@ class Ledger(RuleBasedStateMachine):
         was_current, before = self.is_current(lease), self.desk.rows()
         beat = Beat(sid="host-0", live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
         with self.desk.open() as connection:
-            outcome = ledger_claims.beat(connection, beat, self.desk.now, TTL_S)
+            outcome = claims.beat(connection, beat, self.desk.now, TTL_S)
         assert (lease in outcome.lost) == (lease in outcome.drop) == (not was_current)
         assert was_current or self.desk.rows() == before
 
@@ -110,9 +110,9 @@ class Ledger(RuleBasedStateMachine):
     @rule(worker=st.integers(0, 2))
     def vanish(self, worker: int) -> None:
         with self.desk.open() as connection:
-            ledger_claims.shorten(connection, f"host-{worker}", self.desk.now, TTL_S / 2)
+            claims.shorten(connection, f"host-{worker}", self.desk.now, TTL_S / 2)
 
-    @rule(index=st.integers(1, 3), action=st.sampled_from([ledger_admin.retry, ledger_admin.cancel]))
+    @rule(index=st.integers(1, 3), action=st.sampled_from([operator.retry, operator.cancel]))
     def administer(self, index: int, action: Any) -> None:
         with self.desk.open() as connection:
             action(connection, (index,), self.desk.now)
@@ -120,8 +120,8 @@ class Ledger(RuleBasedStateMachine):
     @rule(index=st.integers(1, 3))
     def lose(self, index: int) -> None:
         with self.desk.open() as connection:
-            owned = ledger_outcomes.is_owned(connection, index)
-            assert ledger_outcomes.lose(connection, index, self.desk.now, "gone") == owned
+            owned = outcomes.is_owned(connection, index)
+            assert outcomes.lose(connection, index, self.desk.now, "gone") == owned
 
     @invariant()
     def ledger_agrees_with_itself(self) -> None:

@@ -7,11 +7,11 @@ from collections import Counter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.builtin_plans import BUILTIN_PLANS
-from coordinator.catalog import Catalog
-from coordinator.draw import PlannedJob, expand, pool, redraw
-from coordinator.instances import Side, shared_categories, sides_of
-from coordinator.plan_file import shrink
+from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.draw import PlannedJob, expand, pool, redraw
+from coordinator.plan.file import shrink
+from coordinator.plan.instances import Side, shared_categories, sides_of
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import ExpertName, Split, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target

@@ -9,14 +9,14 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import select
 
-from coordinator import ledger_admin, ledger_claims, ledger_outcomes
-from coordinator.engine import open_reader, open_writer
-from coordinator.ledger import open_run, read_info
-from coordinator.ledger_claims import lease_of
-from coordinator.ledger_records import JobFilter, count_jobs, list_jobs, read_attempts, read_events, read_summaries
-from coordinator.progress import read_progress
-from coordinator.states import State
-from coordinator.tables import LEDGER_FORMAT, attempts, episodes, info
+from coordinator.ledger import claims, operator, outcomes
+from coordinator.ledger.claims import lease_of
+from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.opening import open_run, read_info
+from coordinator.ledger.progress import read_progress
+from coordinator.ledger.records import JobFilter, count_jobs, list_jobs, read_attempts, read_events, read_summaries
+from coordinator.ledger.states import State
+from coordinator.ledger.tables import LEDGER_FORMAT, attempts, episodes, info
 from schemas.errors import UsageError, WorldError
 from schemas.terms import FailReason
 from schemas.wire import Beat, Lease, LeaseProgress
@@ -92,8 +92,8 @@ def test_beats_keep_leases_and_report_steps(desk):
         assert desk.tick(TTL_S / 2) == 0
         with desk.open() as connection:
             beat = Beat(sid="host-1", live=(LeaseProgress(lease=lease, step=step),))
-            outcome = ledger_claims.beat(connection, beat, desk.now, TTL_S)
-        assert outcome == ledger_claims.BeatOutcome((), (), ())
+            outcome = claims.beat(connection, beat, desk.now, TTL_S)
+        assert outcome == claims.BeatOutcome((), (), ())
     assert desk.row(lease.job_id).step == 4
 
 
@@ -110,7 +110,7 @@ def test_a_beat_names_lost_leases_unwanted_bundles_and_bundles_that_wait(desk):
             live=(LeaseProgress(lease=stale, step=1), LeaseProgress(lease=unknown, step=1)),
             spool=(archived, waiting, lost, stale),
         )
-        outcome = ledger_claims.beat(connection, beat, desk.now, TTL_S)
+        outcome = claims.beat(connection, beat, desk.now, TTL_S)
     assert outcome.lost == (stale, unknown)
     assert outcome.drop == (archived, stale)
     assert [row.id for row in outcome.waiting] == [waiting.job_id]
@@ -119,7 +119,7 @@ def test_a_beat_names_lost_leases_unwanted_bundles_and_bundles_that_wait(desk):
 def test_a_vanished_worker_only_shortens_its_leases(desk):
     mine, theirs = desk.lease("host-1"), desk.lease("other-1")
     with desk.open() as connection:
-        assert ledger_claims.shorten(connection, "host-1", desk.now, 2.0) == 1
+        assert claims.shorten(connection, "host-1", desk.now, 2.0) == 1
     assert desk.tick(2.5) == 1
     assert desk.row(mine.job_id).state == "pending"
     assert desk.row(theirs.job_id).state == "leased"
@@ -129,7 +129,7 @@ def test_leases_get_their_grace_after_a_restart(desk):
     desk.lease()
     desk.now += timedelta(hours=1)
     with desk.open() as connection:
-        assert ledger_claims.grant_grace(connection, desk.now, TTL_S) == 1
+        assert claims.grant_grace(connection, desk.now, TTL_S) == 1
     assert desk.tick(1.4 * TTL_S) == 0
     assert desk.tick(0.2 * TTL_S) == 1
 
@@ -234,8 +234,8 @@ def test_an_archived_episode_is_recorded_with_its_summary(desk):
     assert desk.archive(lease)
     with desk.open() as connection:
         (summary,) = read_summaries(connection)
-        assert ledger_outcomes.is_owned(connection, 1)
-        assert not ledger_outcomes.is_owned(connection, 2)
+        assert outcomes.is_owned(connection, 1)
+        assert not outcomes.is_owned(connection, 2)
     assert (summary.index, summary.attempt, summary.file_bytes) == (1, 1, 1000)
     assert outcomes_at(desk) == [(1, 1, "success", True)]
 
@@ -245,8 +245,8 @@ def test_an_announced_bundle_is_adopted_once(desk):
     desk.done(lease)
     summary = summary_for(desk.row(lease.job_id))
     with desk.open() as connection:
-        assert ledger_outcomes.adopt(connection, lease.job_id, summary, desk.now)
-        assert not ledger_outcomes.adopt(connection, lease.job_id, summary, desk.now)
+        assert outcomes.adopt(connection, lease.job_id, summary, desk.now)
+        assert not outcomes.adopt(connection, lease.job_id, summary, desk.now)
 
 
 def test_a_lost_file_requeues_the_same_attempt(desk):
@@ -254,8 +254,8 @@ def test_a_lost_file_requeues_the_same_attempt(desk):
     desk.done(lease)
     desk.archive(lease)
     with desk.open() as connection:
-        assert ledger_outcomes.lose(connection, 1, desk.now, "gone")
-        assert not ledger_outcomes.lose(connection, 1, desk.now, "gone")
+        assert outcomes.lose(connection, 1, desk.now, "gone")
+        assert not outcomes.lose(connection, 1, desk.now, "gone")
     again = desk.lease()
     assert (again.job_id, again.fence) == (lease.job_id, 2)
     assert desk.row(lease.job_id).attempt == 1
@@ -267,7 +267,7 @@ def test_a_lost_file_requeues_the_same_attempt(desk):
 def test_retry_gives_fresh_budgets_and_attempts_go_on(desk):
     exhaust(desk, 1, 4)
     with desk.open() as connection:
-        reply = ledger_admin.retry(connection, (1, 2, 9), desk.now)
+        reply = operator.retry(connection, (1, 2, 9), desk.now)
     assert reply.changed == (1,)
     assert reply.refused == {
         9: "the plan has no episode of that number",
@@ -280,15 +280,15 @@ def test_retry_gives_fresh_budgets_and_attempts_go_on(desk):
 def test_retry_without_numbers_means_every_failed_episode(desk):
     exhaust(desk, 1, 4)
     with desk.open() as connection:
-        ledger_admin.cancel(connection, (2,), desk.now)
-        assert ledger_admin.retry(connection, (), desk.now).changed == (1,)
+        operator.cancel(connection, (2,), desk.now)
+        assert operator.retry(connection, (), desk.now).changed == (1,)
 
 
 def test_cancel_takes_the_lease_away(desk):
     lease = desk.lease()
     with desk.open() as connection:
-        assert ledger_admin.cancel(connection, (), desk.now).changed == (1, 2, 3)
-        assert not ledger_claims.has_open_jobs(connection)
+        assert operator.cancel(connection, (), desk.now).changed == (1, 2, 3)
+        assert not claims.has_open_jobs(connection)
     assert not desk.done(lease)
     assert desk.claim() is None
 
@@ -387,10 +387,10 @@ def test_a_committed_claim_survives_in_the_write_ahead_log(tmp_path):
 @pytest.mark.parametrize(
     ("statement", "index"),
     [
-        (ledger_claims.NEXT_ID, "ix_jobs_queue"),
-        (ledger_claims.BY_TOKEN, "ux_jobs_token"),
-        (ledger_claims.OVERDUE, "ix_jobs_lease"),
-        (ledger_claims.ANY_OPEN, "ix_jobs_queue"),
+        (claims.NEXT_ID, "ix_jobs_queue"),
+        (claims.BY_TOKEN, "ux_jobs_token"),
+        (claims.OVERDUE, "ix_jobs_lease"),
+        (claims.ANY_OPEN, "ix_jobs_queue"),
     ],
 )
 def test_what_is_asked_with_every_claim_is_found_by_an_index(statement, index):

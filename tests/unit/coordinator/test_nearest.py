@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.builtin_plans import BUILTIN_PLANS
-from coordinator.catalog import Catalog
-from coordinator.cells import cells
-from coordinator.draw import expand, find_impossible
-from coordinator.nearest import find_nearest
-from coordinator.plan_file import load_plan
-from coordinator.plan_spelling import spell_plan
+from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.cells import cells
+from coordinator.plan.draw import expand, find_impossible
+from coordinator.plan.file import load_plan
+from coordinator.plan.nearest import find_nearest
+from coordinator.plan.spelling import spell_plan
 from schemas.config import SpawnConfig
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.terms import ExpertName, Split, Tier

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator.builtin_plans import BUILTIN_PLANS
-from coordinator.plan_file import load_plan, shrink
+from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.file import load_plan, shrink
 from schemas.errors import InvalidPlan, UsageError
 from schemas.terms import Split, Tier
 

@@ -7,7 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.states import OPEN_STATES, TRANSITIONS, Event, IllegalMove, State, diagram, next_state, sources, target
+from coordinator.ledger.states import (
+    OPEN_STATES,
+    TRANSITIONS,
+    Event,
+    IllegalMove,
+    State,
+    diagram,
+    next_state,
+    sources,
+    target,
+)
 
 ARCHITECTURE = Path(__file__).parents[3] / "ARCHITECTURE.md"
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from coordinator.validate import validate
+from coordinator.check.validate import validate
 from schemas.bundle import BundleReader
 from schemas.job import Job
 from schemas.terms import EndReason, Split, Tier

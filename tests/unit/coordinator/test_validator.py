@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.validator import Limits, Validator
+from coordinator.check.validator import Limits, Validator
 from schemas.errors import InvalidBundle, TransientError
 from tests.builders.bundle import bundle_bytes, job_for, parts_for
 from tests.builders.dataset import chair

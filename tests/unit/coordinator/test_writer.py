@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Connection, Engine, insert, select
 
-from coordinator.engine import open_writer, sqlite_url
-from coordinator.tables import METADATA, info
-from coordinator.writer import Writer
+from coordinator.ledger.engine import open_writer, sqlite_url
+from coordinator.ledger.tables import METADATA, info
+from coordinator.ledger.writer import Writer
 from schemas.errors import TransientError
 
 

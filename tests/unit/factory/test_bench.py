@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from coordinator.plan_file import load_plan
+from coordinator.plan.file import load_plan
 from factory.bench.machine import describe_machine, forget_peak, measure_memory, resident_mib
 from factory.bench.model import Spread
 from factory.bench.read import bench_read

@@ -11,7 +11,7 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from coordinator.tls import Guard, read_credentials
+from coordinator.wire.tls import Guard, read_credentials
 from factory.keys import admit, found, list_hosts, revoke
 from factory.listen import require_loopback, require_tls_endpoints
 from schemas.errors import UsageError

@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from coordinator.dataset_tables import FailedAttempt, write_tables
-from coordinator.open_archive import open_archive
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.tables import FailedAttempt, write_tables
 from factory.cli.stats import command
 from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.errors import ArchiveCorrupt, WorldError

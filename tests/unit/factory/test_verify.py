@@ -13,9 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from coordinator.dataset_tables import write_tables
-from coordinator.open_archive import open_archive
-from coordinator.summary import EpisodeSummary
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.summary import EpisodeSummary
+from coordinator.dataset.tables import write_tables
 from factory.dataset import Dataset
 from factory.verify import Kind, Report, verify
 from schemas.errors import WorldError

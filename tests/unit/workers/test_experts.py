@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from coordinator.builtin_plans import BUILTIN_PLANS
-from coordinator.draw import expand, to_job
-from coordinator.plan_file import shrink
+from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.draw import expand, to_job
+from coordinator.plan.file import shrink
 from schemas.job import Job
 from schemas.terms import ExpertName
 from tests.builders.catalog import make_catalog

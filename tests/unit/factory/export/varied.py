@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.dataset_tables import write_tables
-from coordinator.open_archive import open_archive
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.tables import write_tables
 from schemas.language import instruction
 from schemas.terms import Split
 from tests.builders.bundle import BundleParts, job_for, parts_for

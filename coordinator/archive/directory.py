@@ -1,0 +1,166 @@
+"""The archive as a directory: every step is durable before the next one begins (DESIGN 5, notes/zenoh.md C2).
+
+Never overwrites an episode, never derives a path from a name it was given, never reads what a bundle holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
+from coordinator.archive.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error
+from coordinator.archive.place import Place
+from coordinator.archive.staged import Staged
+from coordinator.archive.staging import Staging
+from coordinator.dataset.summary import file_name_of
+from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.job import episode_id
+
+__all__ = ["DirectoryArchive"]
+
+
+class DirectoryArchive:
+    """An opened dataset directory; while it is open no other coordinator can open it.
+
+    Raises:
+        WorldError: the directory cannot be written, or another coordinator works on it.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._publishing = threading.Lock()
+        self._staging = Staging(root, str(root))
+        try:
+            with translated("open", root):
+                for name in (EPISODES, SCENES, QUARANTINE):
+                    (root / name).mkdir(exist_ok=True)
+                sync_directory(root)
+        except WorldError:
+            self.close()
+            raise
+
+    def stage(self, index: int) -> Staged:
+        """See `Archive.stage`."""
+        return self._staging.stage(index)
+
+    def publish(self, staged: Staged, index: int) -> Path:
+        """Gives a part file its final name: fsync, rename, fsync directory. The ledger commits after this.
+
+        Raises:
+            ArchiveCorrupt: a file of that name lies there; it is left as it is, the part file is removed.
+            WorldError: the disk is full or gone; nothing half written remains.
+        """
+        final = self.path_of(index)
+        staged.flush()
+        with self._publishing, staged:
+            if final.exists():
+                raise ArchiveCorrupt(f"{final} lies there already and is not overwritten: run `factory verify --deep`")
+            try:
+                staged.path.rename(final)
+                sync_directory(final.parent)
+            except OSError as error:
+                raise world_error("rename into", final.parent, error) from error
+        return final
+
+    def path_of(self, index: int) -> Path:
+        """Returns where the episode of that number lies, or will lie."""
+        return self.root / file_name_of(episode_id(index))
+
+    def present(self) -> dict[int, Path]:
+        """Returns the episodes that lie there, by number in ascending order; says nothing of their contents."""
+        found = {index: path for index, path in self._listing() if index is not None}
+        return dict(sorted(found.items()))
+
+    def foreign(self) -> list[Path]:
+        """Returns what lies among the episodes and is none by its name."""
+        return sorted(path for index, path in self._listing() if index is None)
+
+    def _listing(self) -> Iterator[tuple[int | None, Path]]:
+        with os.scandir(self.root / EPISODES) as entries:
+            for entry in entries:
+                is_file = entry.is_file(follow_symlinks=False)
+                yield index_of_file(entry.name) if is_file else None, Path(entry.path)
+
+    def unpublish(self, index: int) -> None:
+        """Deletes an episode that the ledger does not own; does nothing when there is none."""
+        path = self.path_of(index)
+        with self._publishing, translated("delete from", path.parent):
+            path.unlink(missing_ok=True)
+            sync_directory(path.parent)
+
+    def quarantine(self, path: Place, reason: str) -> Path:
+        """See `Archive.quarantine`."""
+        assert isinstance(path, Path), path
+        return set_aside(path, self.root / QUARANTINE, reason)
+
+    def free_bytes(self) -> int:
+        """See `Archive.free_bytes`."""
+        return self._staging.free_bytes()
+
+    def add_scene(self, source: Path, name: str, sha256: str) -> Path:
+        """Keeps a compiled scene beside the episodes made in it; does nothing when it lies there already.
+
+        Args:
+            source: the compiled package.
+            name: of the scene.
+            sha256: digest that the package must have.
+
+        Raises:
+            ArchiveCorrupt: the package has another digest.
+        """
+        final = self.scene_path(name, sha256)
+        if final.exists():
+            return final
+        part = self._staging.part("scene")
+        try:
+            with translated("write", part.parent):
+                found = copy_hashed(source, part)
+                if found != sha256:
+                    raise ArchiveCorrupt(f"{source} has SHA-256 {found}, expected {sha256}: build the scene again")
+                part.replace(final)
+                sync_directory(final.parent)
+        finally:
+            part.unlink(missing_ok=True)
+        return final
+
+    def scene_path(self, name: str, sha256: str) -> Path:
+        """Returns where a compiled scene lies, or will lie."""
+        return self.root / SCENES / scene_file(name, sha256)
+
+    @contextlib.contextmanager
+    def replacing(self, name: str) -> Iterator[Path]:
+        """Yields the path of a part file that replaces a table of the dataset once the block is left without error.
+
+        Args:
+            name: of a file in the dataset's own directory, e.g. `metadata.parquet`.
+
+        Raises:
+            WorldError: the disk is full or gone; the former file is still there, whole.
+        """
+        part = self._staging.part(name)
+        try:
+            with translated("write", self.root / name):
+                yield part
+                sync_file(part)
+                part.replace(self.root / name)
+                sync_directory(self.root)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Lets another coordinator open the directory."""
+        self._staging.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,227 @@
+"""The archive in object storage: an episode is one conditional put of a part file that grew on a local disk.
+
+Never overwrites an episode, never reads what a bundle holds. Part files and lock file lie in a local directory, the
+home; whose home may write is said by a lock object, which is made once and never times out: a coordinator that merely
+stopped for a while cannot find another one in its place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import mmap
+import os
+import secrets
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import structlog
+
+from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
+from coordinator.archive.disk import set_aside, translated
+from coordinator.archive.object_path import ObjectPath
+from coordinator.archive.place import Place, digest_of
+from coordinator.archive.staged import Staged
+from coordinator.archive.staging import Staging
+from coordinator.dataset.summary import file_name_of
+from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.job import episode_id
+
+__all__ = ["ObjectArchive"]
+
+_LOCK = ".lock"
+_NAME = ".name"
+"""File of a home: what it signs the lock object with."""
+log = structlog.get_logger(__name__)
+
+
+class ObjectArchive:
+    """An opened dataset in object storage; while it is open no coordinator with another home can open it.
+
+    Args:
+        root: the dataset.
+        home: local directory for part files; made when it is not there, and always the same for one dataset.
+        take_over: whether to take the dataset from a home that holds it; its coordinator must be gone for good.
+
+    Raises:
+        WorldError: the home or the store cannot be written, another coordinator holds either, or the store overwrites
+            where it was told not to.
+    """
+
+    def __init__(self, root: ObjectPath, home: Path, *, take_over: bool = False) -> None:
+        self.root = root
+        self._objects = root.objects
+        self._home = home
+        self._staging = Staging(home, str(root))
+        try:
+            self._sign = _sign_of(home)
+            if take_over:
+                self._objects.delete(_LOCK)
+            self._lock()
+        except WorldError:
+            self._staging.close()
+            raise
+
+    def stage(self, index: int) -> Staged:
+        """See `Archive.stage`."""
+        return self._staging.stage(index)
+
+    def publish(self, staged: Staged, index: int) -> ObjectPath:
+        """Sends a part file to its final key, in one conditional put. The ledger commits after this.
+
+        A put whose answer was lost may find its own object there: the same bytes are taken for published.
+
+        Raises:
+            ArchiveCorrupt: other bytes are there; they are left as they are, the part file is removed.
+            WorldError: the store does not take it; nothing half written can be seen.
+        """
+        final = self.path_of(index)
+        with staged:
+            try:
+                self._put_new(final.key, staged.path)
+            except FileExistsError as error:
+                if final.stat().st_size != staged.size or digest_of(final) != staged.sha256:
+                    message = f"{final} is there already and is not overwritten: run `factory verify --deep`"
+                    raise ArchiveCorrupt(message) from error
+            found = final.stat().st_size
+            if found != staged.size:
+                raise ArchiveCorrupt(f"{final} has {found} bytes, {staged.size} were sent: run `factory repair`")
+        return final
+
+    def path_of(self, index: int) -> ObjectPath:
+        """See `Archive.path_of`."""
+        return self.root / file_name_of(episode_id(index))
+
+    def present(self) -> dict[int, ObjectPath]:
+        """See `Archive.present`; the sizes come from the list, so that asking for them costs no request."""
+        found = {index: path for index, path in self._listing() if index is not None}
+        return dict(sorted(found.items()))
+
+    def foreign(self) -> list[ObjectPath]:
+        """See `Archive.foreign`."""
+        return sorted(path for index, path in self._listing() if index is None)
+
+    def _listing(self) -> Iterator[tuple[int | None, ObjectPath]]:
+        for path in (self.root / EPISODES).walk():
+            index = index_of_file(path.name)
+            yield index if index is not None and path == self.path_of(index) else None, path
+
+    def unpublish(self, index: int) -> None:
+        """See `Archive.unpublish`."""
+        self._objects.delete(self.path_of(index).key)
+
+    def quarantine(self, path: Place, reason: str) -> Place:
+        """See `Archive.quarantine`; what lies on the local disk is kept in the home."""
+        if isinstance(path, Path):
+            folder = self._home / QUARANTINE
+            with translated("open", folder):
+                folder.mkdir(exist_ok=True)
+            return set_aside(path, folder, reason)
+        place = self.root / QUARANTINE / f"{path.name}.{secrets.token_hex(4)}"
+        self._objects.put(f"{place.key}.reason.txt", f"{path}\n{reason}\n".encode())
+        self._objects.copy(path.key, place.key)
+        self._objects.delete(path.key)
+        log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
+        return place
+
+    def free_bytes(self) -> int:
+        """See `Archive.free_bytes`; a store has no end."""
+        return self._staging.free_bytes()
+
+    def add_scene(self, source: Path, name: str, sha256: str) -> ObjectPath:
+        """See `Archive.add_scene`."""
+        final = self.scene_path(name, sha256)
+        if not final.exists():
+            found = digest_of(source)
+            if found != sha256:
+                raise ArchiveCorrupt(f"{source} has SHA-256 {found}, expected {sha256}: build the scene again")
+            with contextlib.suppress(FileExistsError):
+                self._put_new(final.key, source)
+        return final
+
+    def scene_path(self, name: str, sha256: str) -> ObjectPath:
+        """See `Archive.scene_path`."""
+        return self.root / SCENES / scene_file(name, sha256)
+
+    @contextlib.contextmanager
+    def replacing(self, name: str) -> Iterator[Path]:
+        """See `Archive.replacing`."""
+        part = self._staging.part(name)
+        try:
+            with translated("write", part):
+                yield part
+                data = part.read_bytes()
+            self._objects.put(name, data)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def _put_new(self, key: str, file: Path) -> None:
+        with translated("read", file):
+            opened = file.open("rb")
+        with opened:
+            if os.fstat(opened.fileno()).st_size == 0:
+                self._objects.put_new(key, b"")
+                return
+            # never whole in our memory; unmapped when the last one who sends it lets go
+            self._objects.put_new(key, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ))
+
+    def _lock(self) -> None:
+        mine = json.dumps({"home": self._sign, "host": socket.gethostname(), "directory": str(self._home)}).encode()
+        try:
+            self._objects.put_new(_LOCK, mine)
+        except FileExistsError as error:
+            said = self._holder()
+            if said.get("home") != self._sign:  # ours is left by a kill: the local lock says that nobody else is it
+                raise WorldError(
+                    f"another coordinator holds {self.root}: that of {said.get('directory')} on host "
+                    f"{said.get('host')}; stop it first, or choose another --out. If it is gone for good: "
+                    f"`factory repair --take-over {self.root}`"
+                ) from error
+        try:
+            self._objects.put_new(_LOCK, mine)
+        except FileExistsError:
+            return
+        self._objects.delete(_LOCK)
+        raise WorldError(
+            f"{self.root}: the store overwrites an object although it was told not to (If-None-Match), so that two "
+            "coordinators could spoil each other's work: use a store that knows conditional writes"
+        )
+
+    def _holder(self) -> dict[str, str]:
+        try:
+            said = json.loads(self._objects.read(_LOCK))
+        except (FileNotFoundError, ValueError):
+            return {}
+        return said if isinstance(said, dict) else {}
+
+    def close(self) -> None:
+        """Lets another home open the dataset."""
+        try:
+            if self._holder().get("home") == self._sign:
+                self._objects.delete(_LOCK)
+        except WorldError as error:
+            log.warning("lock_left_behind", dataset=str(self.root), error=str(error), remedy="the same home opens it")
+        finally:
+            self._staging.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _sign_of(home: Path) -> str:
+    """Returns the name that a home has given itself; called by whoever holds it."""
+    file = home / _NAME
+    with translated("write", file):
+        if not file.exists():
+            part = file.with_name(f"{_NAME}.part")
+            part.write_text(secrets.token_hex(16), encoding="ascii")
+            part.replace(file)
+        return file.read_text(encoding="ascii")

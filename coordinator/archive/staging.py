@@ -1,0 +1,92 @@
+"""The local part of every archive: the lock of its one coordinator, and part files that grow beside it.
+
+Empties the folder of part files when it opens, for whoever wrote them is gone. Knows no episode by content.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import shutil
+from pathlib import Path
+
+from coordinator.archive.contract import STAGING
+from coordinator.archive.disk import translated, world_error
+from coordinator.archive.staged import Staged
+from schemas.errors import WorldError
+from schemas.job import episode_id
+
+__all__ = ["Staging"]
+
+_LOCK = ".lock"
+
+
+class Staging:
+    """A directory held by this process alone, with room for part files.
+
+    Args:
+        root: the directory; it is made when it is not there.
+        dataset: what is worked on, for the message to whoever comes second.
+
+    Raises:
+        WorldError: the directory cannot be written, or another coordinator works on it.
+    """
+
+    def __init__(self, root: Path, dataset: str) -> None:
+        self.root = root
+        with translated("open", root):
+            root.mkdir(parents=True, exist_ok=True)
+            self._lock = _lock(root / _LOCK, dataset)
+        try:
+            with translated("open", root):
+                (root / STAGING).mkdir(exist_ok=True)
+                _clear(root / STAGING)
+        except WorldError:
+            self.close()
+            raise
+
+    def stage(self, index: int) -> Staged:
+        """Opens a new part file for an episode; several may be open for one episode.
+
+        Raises:
+            WorldError: the directory cannot be written.
+        """
+        path = self.part(episode_id(index))
+        try:
+            return Staged(path, path.open("xb", buffering=0))
+        except OSError as error:
+            raise world_error("write", path.parent, error) from error
+
+    def part(self, name: str) -> Path:
+        """Returns the path of a part file that nobody else has."""
+        return self.root / STAGING / f"{name}.{secrets.token_hex(8)}.part"
+
+    def free_bytes(self) -> int:
+        """Returns the bytes an ordinary user can still write to the file system."""
+        with translated("ask the free space of", self.root):
+            return shutil.disk_usage(self.root).free
+
+    def close(self) -> None:
+        """Lets another coordinator open the directory."""
+        os.close(self._lock)
+
+
+def _lock(path: Path, dataset: str) -> int:
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        owner = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip() or "unknown"
+        os.close(descriptor)
+        message = f"another coordinator works on {dataset} (pid {owner}): stop it first, or choose another --out"
+        raise WorldError(message) from error
+    os.ftruncate(descriptor, 0)
+    os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+    return descriptor
+
+
+def _clear(directory: Path) -> None:
+    for path in directory.iterdir():
+        if path.is_file() or path.is_symlink():
+            path.unlink()

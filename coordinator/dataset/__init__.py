@@ -1,0 +1,1 @@
+"""What stands beside the episodes: tables, description and card."""

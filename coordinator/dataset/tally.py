@@ -1,0 +1,73 @@
+"""What the rows of a dataset's tables add up to while they are written, for its description and its card. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+from coordinator.dataset.summary import EpisodeSummary
+from schemas.terms import FailReason
+
+__all__ = ["Sums", "Tally"]
+
+
+class _Refused(Protocol):
+    scene: str
+    reason: str
+
+
+Failure = TypeVar("Failure", bound=_Refused)
+_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_of_the_world)
+
+
+@dataclass
+class Sums:
+    """Sums over some episodes."""
+
+    episodes: int = 0
+    steps: int = 0
+    spawn_dist_m: float = 0.0
+    trajectory_length_m: float = 0.0
+    final_ne_m: float = 0.0
+
+    def add(self, row: EpisodeSummary) -> None:
+        """Adds an episode."""
+        self.episodes += 1
+        self.steps += row.num_steps
+        self.spawn_dist_m += row.spawn_dist_m
+        self.trajectory_length_m += row.trajectory_length_m
+        self.final_ne_m += row.final_ne_m
+
+
+@dataclass
+class Tally:
+    """What the rows tell while they pass by; grows by some hundred bytes an episode."""
+
+    digests: list[tuple[str, str]] = field(default_factory=list)
+    counts: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    """Episodes by (scene, split, tier)."""
+    categories: Counter[str] = field(default_factory=Counter)
+    scenes: defaultdict[str, Sums] = field(default_factory=lambda: defaultdict(Sums))
+    tiers: defaultdict[str, Sums] = field(default_factory=lambda: defaultdict(Sums))
+    refused: Counter[str] = field(default_factory=Counter)
+    """Attempts that the world refused, by scene."""
+    renderers: set[str] = field(default_factory=set)
+
+    def watch_episodes(self, rows: Iterable[EpisodeSummary]) -> Iterator[EpisodeSummary]:
+        """Yields the rows and counts them."""
+        for row in rows:
+            self.digests.append((row.episode_id, row.content_digest))
+            self.counts[row.scene, str(row.split), str(row.spawn_tier)] += 1
+            self.categories[row.target_category] += 1
+            self.scenes[row.scene].add(row)
+            self.tiers[str(row.spawn_tier)].add(row)
+            self.renderers.add(row.renderer)
+            yield row
+
+    def watch_failures(self, rows: Iterable[Failure]) -> Iterator[Failure]:
+        """Yields the rows and counts those that the world refused."""
+        for row in rows:
+            self.refused[row.scene] += row.reason in _OF_THE_WORLD
+            yield row

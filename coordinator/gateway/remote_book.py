@@ -1,0 +1,52 @@
+"""The ledger as a gateway's pullers need it: every entry is a question to the core. Keeps nothing."""
+
+from __future__ import annotations
+
+import threading
+
+from coordinator.archive.contract import Archive
+from coordinator.dataset.summary import Receipt
+from coordinator.gateway.core_link import CoreLink
+from coordinator.gateway.relay import Archived, Hold, Inventory, InventoryReply, Refused
+from coordinator.wire.protocol import Pull
+from schemas.keys import Verb
+from schemas.wire import Ack
+
+__all__ = ["RemoteBook"]
+
+_DETAIL_CHARS = 2000
+
+
+class RemoteBook:
+    """A `Book` that lies with the core.
+
+    Args:
+        core: to ask.
+        archive: of the gateway.
+        stop: ends waiting for an answer.
+    """
+
+    def __init__(self, core: CoreLink, archive: Archive, stop: threading.Event) -> None:
+        self._core = core
+        self._archive = archive
+        self._stop = stop
+
+    def keep(self, pull: Pull, seconds: float) -> bool:
+        """See `Book`."""
+        return self._core.ask(Verb.HOLD, Hold(lease=pull.lease, seconds=seconds), Ack).accepted
+
+    def is_owned(self, index: int) -> bool:
+        """See `Book`."""
+        size = self._archive.path_of(index).stat().st_size
+        told = Inventory(first=index, last=index, files=((index, size),))
+        strays = self._core.ask(Verb.INVENTORY, told, InventoryReply).strays
+        return all(stray.index != index for stray in strays)
+
+    def own(self, pull: Pull, receipt: Receipt) -> bool:
+        """See `Book`; insists, for the file is durable and nobody else may decide what becomes of it."""
+        told = Archived.model_validate({"summary": receipt, "lease": pull.lease})
+        return self._core.insist(Verb.ARCHIVED, told, Ack, self._stop).accepted
+
+    def refuse(self, pull: Pull, detail: str) -> None:
+        """See `Book`."""
+        self._core.ask(Verb.REFUSED, Refused(sid=pull.sid, lease=pull.lease, detail=detail[:_DETAIL_CHARS]), Ack)

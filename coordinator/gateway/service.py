@@ -1,0 +1,199 @@
+"""A gateway of a run: a router for its workers, pullers, a directory of its own, and a link to the core.
+
+Bulk ends here: the core hears which episodes lie in the directory, under the same fences as its own. Keeps no ledger.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from contextlib import ExitStack
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import structlog
+
+from coordinator.archive.directory import DirectoryArchive
+from coordinator.check.validator import Validator
+from coordinator.gateway.core_link import CoreLink
+from coordinator.gateway.relay import Duty, Join, JoinReply, Order, Orders
+from coordinator.gateway.remote_book import RemoteBook
+from coordinator.gateway.stock import take_stock
+from coordinator.gateway.title import holds_title, require_title, write_title
+from coordinator.housekeeper import Housekeeper
+from coordinator.meters import Meters
+from coordinator.puller import Checker, Pullers
+from coordinator.settings import CoordinatorSettings
+from coordinator.vitals import Snapshot
+from coordinator.wire.node import Node
+from coordinator.wire.protocol import Pull
+from coordinator.wire.tls import Guard
+from coordinator.wire.zenoh_config import router_config
+from schemas.errors import TransientError
+from schemas.keys import Chunk, Verb
+from schemas.wire import Lease
+
+__all__ = ["Gateway"]
+
+_ORDERS_S = 0.25
+_QUEUED = 2
+"""Bundles a puller may have, the one under way included."""
+_SILENCE_S = 10.0
+
+log = structlog.get_logger(__name__)
+
+
+class Gateway:
+    """A running gateway; a context manager whose exit loses nothing.
+
+    Args:
+        root: its directory; made, or taken up again with what lies there.
+        name: under which the core knows it; with TLS the name in its certificate.
+        connect: endpoints of the core.
+        listen: endpoints for workers; port 0 takes a free one.
+        settings: as a coordinator has them.
+        guard: certificates and who is admitted; `None` lets in whoever can connect.
+        checker: judges bundles and is closed with the gateway; by default sandboxed children, one a puller.
+        stop: ends waiting for the core at the start.
+
+    Raises:
+        UsageError: the directory belongs to another run or gateway.
+        WorldError: another process works there, an endpoint is taken, or the core refuses.
+        TransientError: told to stop before the core has answered.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        name: str,
+        connect: Sequence[str],
+        listen: Sequence[str],
+        settings: CoordinatorSettings | None = None,
+        *,
+        guard: Guard | None = None,
+        checker: Checker | None = None,
+        stop: threading.Event | None = None,
+    ) -> None:
+        self._settings = settings = settings or CoordinatorSettings()
+        self._guard = guard
+        self._connect = tuple(connect)
+        self._closing = stop = stop or threading.Event()
+        self._meters = Meters()
+        checker = checker or Validator(settings.pullers)
+        with ExitStack() as stack:
+            stack.callback(checker.close)
+            self._archive = stack.enter_context(DirectoryArchive(root))
+            self._node = stack.enter_context(self._open_node(listen))
+            self._core = CoreLink(self._node, name)
+            self.run = self._join(root, name, checker, stop)
+            """Name of the run."""
+            self._pullers = stack.enter_context(self._open_pullers(checker))
+            stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
+            stack.callback(stop.set)
+            self._chores = stack.enter_context(self._open_housekeeper())
+            self._stack = stack.pop_all()
+        log.info("gateway_started", run=self.run, name=name, endpoints=self.endpoints, directory=str(root))
+
+    @property
+    def endpoints(self) -> tuple[str, ...]:
+        """Where workers connect."""
+        return self._node.endpoints
+
+    def is_alive(self) -> bool:
+        """Whether the thread that asks for orders still runs; if not, only a restart helps."""
+        return self._chores.is_alive
+
+    def troubles(self) -> tuple[str, ...]:
+        """Returns why it cannot serve now, in words; nothing when it can.
+
+        A full disk is no trouble here: workers must stay connected to bring what they have.
+        """
+        found = [] if self._node.is_open else ["not listening to workers"]
+        if self._core.silence_s > _SILENCE_S:
+            found.append(f"the core has not answered for {self._core.silence_s:.0f} s")
+        return tuple(found)
+
+    def snapshot(self) -> Snapshot:
+        """Returns its figures; those of the run are the core's to tell."""
+        return Snapshot(
+            progress=None,
+            frames=0,
+            sums=self._meters.sums(),
+            requests=self._meters.requests(),
+            free_bytes=self._archive.free_bytes(),
+            reserve_bytes=self._settings.reserve_bytes,
+            backlog=self._pullers.waiting,
+        )
+
+    def close(self) -> None:
+        """Asks for no more, stops pulling at the next chunk and releases the directory."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open_node(self, listen: Sequence[str]) -> Node:
+        guard, lease_s = self._guard, self._settings.transport_lease_s
+        files = guard.files if guard is not None else None
+        return Node(
+            listen,
+            lambda endpoints, admitted: router_config(endpoints, lease_s, files, admitted, self._connect),
+            guard.admitted if guard is not None else dict,
+        )
+
+    def _join(self, root: Path, name: str, checker: Checker, stop: threading.Event) -> str:
+        """Finds the run and brings directory and ledger to agree."""
+        join = Join(version=version("minivla-factory"), router=self._node.router_id)
+        terms = self._core.insist(Verb.JOIN, join, JoinReply, stop)
+        is_new = not holds_title(root)
+        require_title(root, terms.run, name)
+        self._core.run = terms.run
+        take_stock(self._archive, self._core, checker, stop, is_new=is_new)
+        write_title(root, terms.run, name)
+        return terms.run
+
+    def _open_pullers(self, checker: Checker) -> Pullers:
+        return Pullers(
+            self._archive,
+            RemoteBook(self._core, self._archive, self._closing),
+            self._fetch,
+            checker,
+            self._settings,
+            lambda: None,
+            self._meters,
+        )
+
+    def _fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
+        return self._node.fetch(self.run, sid, lease, chunk, self._settings.pull_timeout_s)
+
+    def _open_housekeeper(self) -> Housekeeper:
+        return Housekeeper(
+            {"fetch_orders": (_ORDERS_S, self._fetch_orders), "admit": (self._settings.admission_s, self._admit)}
+        )
+
+    def _fetch_orders(self) -> None:
+        """Asks what to pull; without room for nothing, which tells the core still that the gateway is there."""
+        has_room = self._archive.free_bytes() >= self._settings.reserve_bytes
+        free = max(0, _QUEUED * self._settings.pullers - self._pullers.waiting) if has_room else 0
+        try:
+            told = self._core.ask(Verb.ORDERS, Duty(router=self._node.router_id, most=free), Orders)
+        except TransientError as error:
+            log.debug("no_orders", error=str(error))
+            return
+        for order in told.orders:
+            self._pullers.offer(_pull_of(order))
+
+    def _admit(self) -> None:
+        if self._node.admit():
+            log.warning("admission_changed", remedy="none; workers reconnect within seconds")
+
+
+def _pull_of(order: Order) -> Pull:
+    return Pull(order.lease, order.sid, order.sha256, order.size, order.job, order.target)

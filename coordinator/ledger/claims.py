@@ -1,0 +1,185 @@
+"""Leases: claiming the next job, keeping it by beats, and taking it back when nothing is heard. Settles no outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Row, bindparam, case, select, update
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.moves import FREED, UNDER_LEASE, Move, is_in, lease_parameters, record_attempt
+from coordinator.ledger.states import OPEN_STATES, Event, State
+from coordinator.ledger.tables import jobs
+from schemas.wire import Beat, Lease
+
+__all__ = [
+    "HELD_STATES",
+    "BeatOutcome",
+    "beat",
+    "claim",
+    "expire",
+    "extend",
+    "grant_grace",
+    "has_open_jobs",
+    "lease_of",
+    "shorten",
+]
+
+HELD_STATES = (State.LEASED, State.SUBMITTED)
+GRACE = 1.5
+"""Leases that are granted after a restart, in lease times: nobody could beat while the coordinator was away."""
+_EXPIRED = "expired"
+_SWEEP_ROWS = 500
+_FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
+
+BY_TOKEN = select(jobs).where(jobs.c.token == bindparam("token"))
+NEXT_ID = (
+    select(jobs.c.id)
+    .where(jobs.c.state == State.PENDING, jobs.c.not_before <= bindparam("now"))
+    .order_by(jobs.c.not_before, jobs.c.id)
+    .limit(1)
+)
+ANY_OPEN = select(jobs.c.id).where(is_in(*OPEN_STATES)).limit(1)
+_BY_IDS = select(jobs).where(jobs.c.id.in_(bindparam("ids", expanding=True)))
+_BEAT = (
+    update(jobs)
+    .where(*UNDER_LEASE, is_in(*HELD_STATES))
+    .values(lease_until=bindparam("until"), step=bindparam("at_step"), sid=bindparam("by"))
+)
+OVERDUE = select(jobs).where(jobs.c.lease_until < bindparam("now")).order_by(jobs.c.lease_until).limit(_SWEEP_ROWS)
+_CLAIM = Move(
+    Event.CLAIMED,
+    jobs.c.id == NEXT_ID.scalar_subquery(),
+    fence=jobs.c.fence + 1,
+    token=bindparam("of_token"),
+    sid=bindparam("by"),
+    lease_until=bindparam("until"),
+)
+_EXPIRE = Move(
+    Event.EXPIRED,
+    *UNDER_LEASE,
+    jobs.c.lease_until < bindparam("now"),
+    **FREED,
+    losses=jobs.c.losses + 1,
+    not_before=bindparam("until"),
+)
+
+
+@dataclass(frozen=True)
+class BeatOutcome:
+    """What a beat found."""
+
+    lost: tuple[Lease, ...]
+    """Leases that are not in force."""
+    drop: tuple[Lease, ...]
+    """Spooled bundles that nobody wants."""
+    waiting: tuple[Row[Any], ...]
+    """Jobs whose announced bundle waits to be pulled."""
+
+
+def lease_of(row: Row[Any]) -> Lease:
+    """Returns the lease in force on a held job."""
+    return Lease(job_id=row.id, fence=row.fence, token=row.token)
+
+
+def claim(
+    connection: Connection, sid: str, token: str, now: datetime, ttl_s: float, *, may_start: bool = True
+) -> Row[Any] | None:
+    """Leases the job that waits longest, or returns the one that the token holds already.
+
+    Args:
+        connection: within a transaction.
+        sid: worker that asks.
+        token: of its choice; a repeated claim carries the same.
+        now: of the claim.
+        ttl_s: how long the lease lasts without a beat.
+        may_start: whether a job may be given out that the token does not hold yet.
+
+    Returns:
+        The job's row; `None` when nothing is due, or the token has been used up.
+    """
+    known = connection.execute(BY_TOKEN, {"token": token}).first()
+    if known is not None:
+        return known if known.state in HELD_STATES else None
+    if not may_start:
+        return None
+    lease = {"of_token": token, "by": sid, "until": now.timestamp() + ttl_s}
+    return _CLAIM.make(connection, lease, now, by=sid)
+
+
+def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> BeatOutcome:
+    """Extends every lease of a host that is in force and says what is lost, unwanted, or waits to be pulled."""
+    named = {lease.job_id for lease in (*(live.lease for live in beat.live), *beat.spool)}
+    rows = {row.id: row for row in connection.execute(_BY_IDS, {"ids": sorted(named)})} if named else {}
+    live = [item for item in beat.live if _is_held(rows.get(item.lease.job_id), item.lease)]
+    spool = [lease for lease in beat.spool if _is_held(rows.get(lease.job_id), lease)]
+    steps = {item.lease: item.step for item in live}
+    held = dict.fromkeys((*steps, *spool))
+    if held:
+        until = now.timestamp() + ttl_s
+        _extend_all(connection, [(lease, steps.get(lease, rows[lease.job_id].step)) for lease in held], until, beat.sid)
+    waiting = [rows[lease.job_id] for lease in spool if rows[lease.job_id].state == State.SUBMITTED]
+    return BeatOutcome(
+        lost=tuple(item.lease for item in beat.live if item.lease not in held),
+        drop=tuple(lease for lease in beat.spool if lease not in held),
+        waiting=tuple(waiting),
+    )
+
+
+def extend(connection: Connection, lease: Lease, now: datetime, seconds: float) -> bool:
+    """Lets a lease last at least so long from now; returns whether it was in force."""
+    until = now.timestamp() + seconds
+    longer = case((jobs.c.lease_until < until, until), else_=jobs.c.lease_until)
+    held = update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=longer)
+    return connection.execute(held, lease_parameters(lease)).rowcount == 1
+
+
+def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> int:
+    """Lets the leases of a worker last no longer than so long from now: a hint that it died, not a revocation.
+
+    Returns:
+        How many leases it holds.
+    """
+    until = now.timestamp() + seconds
+    sooner = case((jobs.c.lease_until > until, until), else_=jobs.c.lease_until)
+    theirs = update(jobs).where(jobs.c.sid == sid, is_in(*HELD_STATES))
+    return connection.execute(theirs.values(lease_until=sooner)).rowcount
+
+
+def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
+    """Restarts every lease after an absence in which nobody could beat; returns how many there are."""
+    held = update(jobs).where(is_in(*HELD_STATES))
+    return connection.execute(held.values(lease_until=now.timestamp() + GRACE * ttl_s)).rowcount
+
+
+def expire(connection: Connection, now: datetime) -> int:
+    """Returns jobs whose lease has run out to the queue, a few hundred at a time.
+
+    Returns:
+        How many.
+    """
+    expired = 0
+    for row in connection.execute(OVERDUE, {"now": now.timestamp()}).all():
+        pause = min(_LONGEST_BACKOFF_S, _FIRST_BACKOFF_S * 2 ** min(row.losses, 16))
+        lease = {**lease_parameters(lease_of(row)), "until": now.timestamp() + pause}
+        if _EXPIRE.make(connection, lease, now, by=row.sid or "") is not None:
+            record_attempt(connection, row, _EXPIRED, now, settles=False, steps=row.step)
+            expired += 1
+    return expired
+
+
+def has_open_jobs(connection: Connection) -> bool:
+    """Returns whether any job can still change without an operator."""
+    return connection.execute(ANY_OPEN).first() is not None
+
+
+def _is_held(row: Row[Any] | None, lease: Lease) -> bool:
+    return row is not None and row.state in HELD_STATES and (row.fence, row.token) == (lease.fence, lease.token)
+
+
+def _extend_all(connection: Connection, held: Iterable[tuple[Lease, int]], until: float, sid: str) -> None:
+    beats = [{**lease_parameters(lease), "until": until, "at_step": step, "by": sid} for lease, step in held]
+    connection.execute(_BEAT, beats)

@@ -1,0 +1,189 @@
+"""Opens the ledger's database by URL: one writing engine, or readers that cannot write. Only here SQLite is known.
+
+Makes every SQLite transaction durable and exclusive from its first statement, and holds a PostgreSQL database by an
+advisory lock, so that it too has one writer; creates no table and runs no query of the ledger's.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Engine, create_engine, event, inspect, make_url
+from sqlalchemy.engine import Connection
+from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
+from sqlalchemy.pool import NullPool
+
+from coordinator.ledger.tables import ADDED_LATER, METADATA
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "shown_url", "sqlite_files", "sqlite_url"]
+
+_EXAMPLES = "give e.g. sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
+_LOCK = 0x6D696E69766C61
+"""Of the advisory lock: one writer a database."""
+_LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
+"""A server notices late that a killed coordinator is gone."""
+_PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
+
+
+def sqlite_url(file: Path) -> str:
+    """Returns the URL of an SQLite ledger in that file."""
+    return f"sqlite:///{file}"
+
+
+def open_writer(url: str) -> Engine:
+    """Returns the engine of the one writer.
+
+    On SQLite: WAL, synchronous=FULL, and BEGIN IMMEDIATE, so that a commit survives a power cut and a transaction
+    never finds out half way that another one wrote. On a server: one connection that holds the database's lock.
+
+    Raises:
+        UsageError: the URL names a database this installation cannot open.
+        WorldError: the server cannot be reached, or another coordinator writes to the database.
+    """
+    if _is_server(url):
+        engine = _create(url, pool_size=1, max_overflow=0, pool_pre_ping=True)
+        event.listen(engine, "connect", _hold_alone)
+        _reach(engine)
+        return engine
+    engine = _create(url)
+    if engine.dialect.name == "sqlite":
+        event.listen(engine, "connect", _prepare_writer)
+        event.listen(engine, "begin", _begin_immediate)
+    return engine
+
+
+def open_reader(url: str) -> Engine:
+    """Returns an engine for reading; on SQLite the file is opened read-only.
+
+    Raises:
+        UsageError: the URL names a database this installation cannot open.
+        WorldError: there is no such SQLite file, or the server cannot be reached.
+    """
+    if _is_server(url):
+        engine = _create(url, connect_args={"options": "-c default_transaction_read_only=on"}, pool_pre_ping=True)
+        _reach(engine)
+        return engine
+    file = _sqlite_file(url)
+    if not file.is_file():
+        raise WorldError(f"no ledger at {file}; start a run there with `factory run` or `factory coordinator start`")
+    return create_engine("sqlite://", creator=lambda: _connect_readonly(file), poolclass=NullPool)
+
+
+def ledger_trouble(url: str) -> str:
+    """Returns why a ledger cannot be used, in words; empty when it is whole as far as its database can tell.
+
+    Raises:
+        UsageError: the URL names a database this installation cannot open.
+    """
+    if make_url(url).get_backend_name() == "sqlite" and not _sqlite_file(url).is_file():
+        return "is not there"
+    engine = open_reader(url)
+    try:
+        with engine.connect() as connection:
+            if connection.dialect.name == "sqlite":
+                said = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar_one()
+                if said != "ok":
+                    return f"is damaged: {said}"
+            tables = set(inspect(connection).get_table_names())
+            missing = sorted(METADATA.tables.keys() - tables - ADDED_LATER)
+            return f"lacks the tables {', '.join(missing)}" if missing else ""
+    except DatabaseError as error:
+        return f"cannot be read: {error.orig}"
+    finally:
+        engine.dispose()
+
+
+def sqlite_files(url: str) -> list[Path]:
+    """Returns the files of an SQLite ledger that are there, its log first; none for another database."""
+    if make_url(url).get_backend_name() != "sqlite":
+        return []
+    file = _sqlite_file(url)
+    return [path for suffix in ("-shm", "-wal", "") if (path := file.with_name(file.name + suffix)).exists()]
+
+
+def checkpoint_log(connection: Connection) -> None:
+    """Folds SQLite's write-ahead log into the database file, outside a transaction; elsewhere does nothing."""
+    if connection.dialect.name == "sqlite":
+        raw = connection.connection.driver_connection
+        if isinstance(raw, sqlite3.Connection):
+            raw.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
+def _sqlite_file(url: str) -> Path:
+    return Path(make_url(url).database or "")
+
+
+def _is_server(url: str) -> bool:
+    try:
+        return make_url(url).get_backend_name() == "postgresql"
+    except ArgumentError as error:
+        raise UsageError(f"the ledger's URL cannot be understood: {error}; {_EXAMPLES}") from error
+
+
+def _create(url: str, **options: Any) -> Engine:
+    try:
+        return create_engine(url, **options)
+    except ImportError as error:
+        raise UsageError(
+            f"cannot open ledger {shown_url(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and write "
+            "postgresql+psycopg://"
+        ) from error
+    except (ArgumentError, NoSuchModuleError) as error:
+        raise UsageError(f"cannot open ledger {shown_url(url)}: {error}; {_EXAMPLES}") from error
+
+
+def shown_url(url: str) -> str:
+    """Returns a URL without its password."""
+    return make_url(url).render_as_string(hide_password=True)
+
+
+def _reach(engine: Engine) -> None:
+    try:
+        with engine.connect():
+            return
+    except DatabaseError as error:
+        shown = engine.url.render_as_string(hide_password=True)
+        engine.dispose()
+        reason = " ".join(str(error.orig).split())
+        raise WorldError(f"ledger {shown} cannot be reached: {reason}; is the server up, the database made?") from error
+    except WorldError:
+        engine.dispose()
+        raise
+
+
+def _hold_alone(raw: Any, _record: object) -> None:
+    """Takes the lock of one writer on a fresh connection; the server lets go of it when the connection ends."""
+    deadline = time.monotonic() + _LOCK_WAIT_S
+    while True:
+        with raw.cursor() as cursor:
+            cursor.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK,))
+            (is_ours,) = cursor.fetchone()
+        raw.commit()
+        if is_ours:
+            return
+        if time.monotonic() > deadline:
+            raw.close()
+            raise WorldError(
+                "another coordinator writes to the ledger's database: stop it first, or give another --ledger"
+            )
+        time.sleep(_LOCK_PAUSE_S)
+
+
+def _prepare_writer(raw: Any, _record: object) -> None:
+    raw.isolation_level = None  # the driver must not begin transactions of its own
+    for pragma in _PRAGMAS:
+        raw.execute(f"PRAGMA {pragma}")
+
+
+def _begin_immediate(connection: Connection) -> None:
+    connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+
+def _connect_readonly(file: Path) -> sqlite3.Connection:
+    raw = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True, timeout=30, check_same_thread=False)
+    raw.execute("PRAGMA query_only=ON")
+    return raw

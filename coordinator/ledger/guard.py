@@ -1,0 +1,28 @@
+"""Makes sure that a dataset far away is not opened without its ledger: all its episodes would pass for strays."""
+
+from __future__ import annotations
+
+from coordinator.archive.contract import Archive
+from coordinator.archive.object_path import ObjectPath
+from coordinator.ledger.engine import ledger_trouble, shown_url
+from schemas.errors import WorldError
+
+__all__ = ["require_ledger"]
+
+
+def require_ledger(archive: Archive, url: str) -> None:
+    """Refuses a dataset in object storage that has episodes and whose ledger is not here.
+
+    A directory and its ledger lie together; a bucket can be reached from where the ledger is not.
+
+    Raises:
+        WorldError: the ledger is not there, or damaged; names the remedies.
+    """
+    if not isinstance(archive.root, ObjectPath):
+        return
+    trouble = ledger_trouble(url)
+    if trouble and (count := len(archive.present())):
+        raise WorldError(
+            f"{archive.root} holds {count} episodes, and its ledger {shown_url(url)} {trouble}: start where the ledger "
+            f"lies, name it with --ledger, or let `factory repair {archive.root}` rebuild it from the episodes"
+        )

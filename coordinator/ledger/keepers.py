@@ -1,0 +1,54 @@
+"""Which archived episodes a gateway keeps; the others lie in the core's own directory. Moves no job.
+
+Ledgers of format 1 know no gateways and have no such table until they are opened for writing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sqlalchemy import delete, func, insert, inspect, select
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.tables import episodes, keepers
+
+__all__ = ["all_keepers", "bring_home", "count_by_gateway", "is_kept", "kept_by", "note_keeper"]
+
+_KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == episodes.c.idx)
+
+
+def note_keeper(connection: Connection, index: int, gateway: str) -> None:
+    """Records that an episode archived just now lies at a gateway."""
+    connection.execute(insert(keepers), {"idx": index, "gateway": gateway})
+
+
+def bring_home(connection: Connection, index: int) -> None:
+    """Records that an episode lies in the core's own directory now."""
+    connection.execute(delete(keepers).where(keepers.c.idx == index))
+
+
+def is_kept(connection: Connection, index: int, gateway: str, sha256: str) -> bool:
+    """Returns whether a gateway keeps this very file for the ledger."""
+    same = (episodes.c.idx == index, episodes.c.sha256 == sha256, keepers.c.gateway == gateway)
+    return connection.execute(_KEPT.where(*same)).first() is not None
+
+
+def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Mapping[int, int]:
+    """Returns the bytes of each episode that a gateway keeps, between two numbers, both included."""
+    rows = connection.execute(_KEPT.where(keepers.c.gateway == gateway, episodes.c.idx.between(first, last)))
+    return {row.idx: row.size for row in rows}
+
+
+def all_keepers(connection: Connection) -> Mapping[int, str]:
+    """Returns the gateway of every episode that lies at one, in the order of the plan."""
+    if not inspect(connection).has_table(keepers.name):
+        return {}
+    return {row.idx: row.gateway for row in connection.execute(select(keepers).order_by(keepers.c.idx))}
+
+
+def count_by_gateway(connection: Connection) -> Mapping[str, int]:
+    """Returns how many episodes lie at which gateway."""
+    if not inspect(connection).has_table(keepers.name):
+        return {}
+    query = select(keepers.c.gateway, func.count()).group_by(keepers.c.gateway).order_by(keepers.c.gateway)
+    return {row[0]: row[1] for row in connection.execute(query)}

@@ -1,0 +1,191 @@
+"""Opening the ledger of a run: creates it from a plan, or makes sure that it belongs to this very plan and its scenes.
+
+Moves no job; that is the work of `ledger_claims`, `ledger_outcomes` and `ledger_admin`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Engine, Row, insert, inspect, select
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.engine import sqlite_url
+from coordinator.ledger.states import State
+from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, info, jobs
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.draw import PlannedJob, expand
+from schemas.errors import UsageError, WorldError
+from schemas.plan import Plan
+from schemas.terms import Split, Tier
+
+__all__ = [
+    "LEDGER_FILE",
+    "LedgerInfo",
+    "holds_run",
+    "insert_planned",
+    "ledger_url_of",
+    "open_run",
+    "planned_of",
+    "read_info",
+]
+
+LEDGER_FILE = "ledger.db"
+_INSERT_ROWS = 5000
+
+
+@dataclass(frozen=True)
+class LedgerInfo:
+    """What the ledger says of itself."""
+
+    format: int
+    run: str
+    plan: Plan
+    scenes: Mapping[str, str]
+    """Scene name -> SHA-256 of the compiled package the run began with."""
+    lease_ttl_s: float
+    created_at: datetime
+
+
+def ledger_url_of(root: Path, url: str | None = None) -> str:
+    """Returns where the ledger of a dataset directory lies, unless another URL is given."""
+    return url or sqlite_url(root / LEDGER_FILE)
+
+
+def open_run(
+    engine: Engine,
+    plan: Plan,
+    catalog: Catalog,
+    lease_ttl_s: float,
+    now: datetime,
+    planned: Sequence[PlannedJob] | None = None,
+) -> bool:
+    """Creates the run in an empty database, or checks that the database holds this run.
+
+    Args:
+        engine: of the one writer.
+        plan: of the run.
+        catalog: the compiled scenes of the plan.
+        lease_ttl_s: how long a lease lasts.
+        now: when the run begins.
+        planned: the jobs of a new run; `None` draws them from the plan.
+
+    Returns:
+        Whether the run is new.
+
+    Raises:
+        UsageError: the database belongs to another plan, or to a newer version of the ledger.
+        WorldError: a scene is not the one the run began with.
+        InvalidPlan: the plan asks for what its scenes do not have.
+    """
+    with engine.begin() as connection:
+        if holds_run(connection):
+            _check_is_ours(read_info(connection), plan, catalog)
+            METADATA.create_all(connection)  # what a ledger of an older format lacks
+            _write_info(connection, {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)})
+            return False
+        planned = expand(plan, catalog) if planned is None else planned
+        METADATA.create_all(connection)
+        insert_planned(connection, planned, now)
+        _write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
+        return True
+
+
+def read_info(connection: Connection) -> LedgerInfo:
+    """Returns what the ledger says of itself.
+
+    Raises:
+        UsageError: it is of a newer format, or no ledger.
+    """
+    if not holds_run(connection):
+        raise UsageError(f"{connection.engine.url} holds no ledger; start a run with `factory run`")
+    facts = {row.key: row.value for row in connection.execute(select(info))}
+    found = int(facts["format"])
+    if found > LEDGER_FORMAT:
+        raise UsageError(
+            f"the ledger has format {found}, this software reads up to {LEDGER_FORMAT}: use the newer minivla-factory "
+            "that wrote it"
+        )
+    return LedgerInfo(
+        format=found,
+        run=facts["run"],
+        plan=Plan.model_validate_json(facts["plan"]),
+        scenes=json.loads(facts["scenes"]),
+        lease_ttl_s=float(facts["lease_ttl_s"]),
+        created_at=datetime.fromisoformat(facts["created_at"]),
+    )
+
+
+def holds_run(connection: Connection) -> bool:
+    """Whether a run was begun in the database; not so when its very first transaction was cut off."""
+    return inspect(connection).has_table(info.name)
+
+
+def insert_planned(connection: Connection, planned: Iterable[PlannedJob], now: datetime, attempt: int = 1) -> None:
+    """Adds draws as pending jobs whose first attempt has the given number."""
+    start = {"state": State.PENDING, "attempt": attempt, "changed_at": now.timestamp()}
+    rows: Iterator[dict[str, Any]] = (_row_of(job) | start for job in planned)
+    while batch := list(islice(rows, _INSERT_ROWS)):
+        connection.execute(insert(jobs), batch)
+
+
+def planned_of(row: Row[Any]) -> PlannedJob:
+    """Returns what a row of `jobs` asks for."""
+    return PlannedJob(
+        index=row.idx,
+        draw=row.draw,
+        scene=row.scene,
+        tier=Tier(row.tier),
+        split=Split(row.split),
+        category=row.category,
+        target_id=row.target_id,
+        colour=row.colour,
+        template_id=row.template_id,
+        instruction=row.instruction,
+    )
+
+
+def _row_of(planned: PlannedJob) -> dict[str, Any]:
+    fields = asdict(planned)
+    fields["idx"] = fields.pop("index")
+    return fields
+
+
+def _facts(plan: Plan, catalog: Catalog, lease_ttl_s: float, now: datetime) -> dict[str, str]:
+    return {
+        "format": str(LEDGER_FORMAT),
+        "run": plan.run,
+        "plan_digest": plan.digest,
+        "plan": plan.model_dump_json(),
+        "scenes": json.dumps({name: entry.sha256 for name, entry in sorted(catalog.items())}),
+        "lease_ttl_s": str(lease_ttl_s),
+        "created_at": now.isoformat(),
+    }
+
+
+def _write_info(connection: Connection, facts: Mapping[str, str]) -> None:
+    for key, value in facts.items():
+        if connection.execute(info.update().where(info.c.key == key).values(value=value)).rowcount == 0:
+            connection.execute(info.insert().values(key=key, value=value))
+
+
+def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog) -> None:
+    if found.plan.digest != plan.digest:
+        raise UsageError(
+            f"the directory holds run {found.run} ({found.plan.episodes} episodes, seed {found.plan.seed}), asked for "
+            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): resume with the plan it began with, or choose "
+            "another --out"
+        )
+    for name, sha256 in found.scenes.items():
+        if name not in catalog or catalog[name].sha256 != sha256:
+            now = catalog[name].sha256[:16] if name in catalog else "none"
+            raise WorldError(
+                f"scene {name!r} was {sha256[:16]} when run {found.run} began and is {now} now, so new episodes would "
+                "not fit the old ones: restore the former scene, or choose another --out"
+            )

@@ -1,0 +1,76 @@
+"""What an operator does to jobs: retry what has ended without an episode, cancel what has not ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import bindparam, select
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.moves import FREED, Move
+from coordinator.ledger.states import Event, IllegalMove, State, next_state, sources
+from coordinator.ledger.tables import jobs
+from schemas.wire import AdminReply
+
+__all__ = ["cancel", "retry"]
+
+_BATCH = 5000
+_AS_SEEN = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
+_RETRY = Move(Event.RETRIED, *_AS_SEEN, **FREED, misses=0, crashes=0, losses=0, not_before=0.0, reason="")
+_CANCEL = Move(Event.CANCELLED, *_AS_SEEN, **FREED, reason="cancelled by an operator")
+
+
+def retry(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
+    """Puts failed and cancelled episodes back into the queue with fresh budgets; attempt numbers go on.
+
+    Args:
+        connection: within a transaction.
+        indices: episodes; empty means every failed one.
+        now: of the wish.
+    """
+    wanted = _current(connection, indices, (State.FAILED,))
+    return _move_all(connection, _RETRY, indices, wanted, now)
+
+
+def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
+    """Gives up episodes that have not ended; a worker that holds one learns it with its next beat.
+
+    Args:
+        connection: within a transaction.
+        indices: episodes; empty means every open one.
+        now: of the wish.
+    """
+    wanted = _current(connection, indices, sources(Event.CANCELLED))
+    return _move_all(connection, _CANCEL, indices, wanted, now)
+
+
+def _current(connection: Connection, indices: Sequence[int], states: Sequence[State]) -> list[Any]:
+    """Returns the current draw of the named episodes, or of all in the given states when none is named."""
+    columns = (jobs.c.id, jobs.c.idx, jobs.c.state, jobs.c.fence)
+    current = select(*columns).where(jobs.c.superseded.is_(False)).order_by(jobs.c.idx)
+    if not indices:
+        return list(connection.execute(current.where(jobs.c.state.in_(states))).all())
+    found: list[Any] = []
+    for start in range(0, len(indices), _BATCH):
+        found += connection.execute(current.where(jobs.c.idx.in_(indices[start : start + _BATCH]))).all()
+    return found
+
+
+def _move_all(
+    connection: Connection, how: Move, named: Iterable[int], rows: Iterable[Any], now: datetime
+) -> AdminReply:
+    changed: list[int] = []
+    refused = dict.fromkeys(named, "the plan has no episode of that number")
+    for row in rows:
+        refused.pop(row.idx, None)
+        try:
+            next_state(State(row.state), how.event)
+        except IllegalMove as error:
+            refused[row.idx] = str(error)
+            continue
+        job = {"of_job": row.id, "of_fence": row.fence}
+        if how.make(connection, job, now, detail="by an operator") is not None:
+            changed.append(row.idx)
+    return AdminReply(changed=tuple(changed), refused=refused)

@@ -1,0 +1,226 @@
+"""How an attempt ends: announced, archived, refused by the world, hurt by or hurting a worker, given back, or lost.
+
+Every function is fenced by the lease and idempotent; a lease that is not in force changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from typing import Any, NamedTuple
+
+from sqlalchemy import Row, bindparam, delete, insert, select, update
+from sqlalchemy.engine import Connection
+
+from coordinator.dataset.summary import Receipt
+from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.moves import FREED, UNDER_LEASE, Move, lease_parameters, record_attempt
+from coordinator.ledger.opening import insert_planned, planned_of
+from coordinator.ledger.states import Event, State
+from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
+from coordinator.plan.draw import PlannedJob
+from schemas.plan import Budget
+from schemas.wire import Done, Fail, Lease
+
+__all__ = ["SUCCESS", "Announced", "adopt", "announce", "archive", "fail", "is_owned", "lose"]
+
+Successor = Callable[[PlannedJob], PlannedJob]
+
+SUCCESS = "success"
+"""Outcome of the one attempt that brought the episode."""
+_LOST = "lost"
+_HURTS = "crash, hang or invalid bundle"
+_CRASH_PAUSE_S = 1.0
+
+
+_UNDER_LEASE = select(jobs).where(*UNDER_LEASE)
+_PAUSED: dict[str, Any] = {
+    "attempt": bindparam("next_attempt"),
+    "not_before": bindparam("until"),
+    "reason": bindparam("why"),
+}
+_ANNOUNCE = Move(
+    Event.ANNOUNCED,
+    *UNDER_LEASE,
+    sha256=bindparam("announced"),
+    size=bindparam("bytes"),
+    sid=bindparam("by"),
+    lease_until=bindparam("until"),
+)
+_IS_ANNOUNCED = (jobs.c.idx == bindparam("index"), jobs.c.sha256 == bindparam("announced"))
+_ARCHIVE = Move(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
+_ADOPT = Move(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
+_LOSE = Move(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
+_MISSED: dict[str, Any] = {
+    **FREED,
+    **_PAUSED,
+    "misses": jobs.c.misses + 1,
+    "losses": 0,
+    "superseded": bindparam("has_successor"),
+}
+_MISS = Move(Event.MISSED, *UNDER_LEASE, **_MISSED)
+_EXHAUST = Move(Event.EXHAUSTED, *UNDER_LEASE, **_MISSED)
+_HURTING: dict[str, Any] = {**FREED, **_PAUSED, "crashes": jobs.c.crashes + 1}
+_HURT = Move(Event.HURT, *UNDER_LEASE, **_HURTING)
+_QUARANTINE = Move(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
+_RELEASE = Move(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))
+
+
+class Announced(NamedTuple):
+    """What became of an announcement."""
+
+    accepted: bool
+    """Whether the lease is, or until its fulfilment was, the worker's."""
+    waiting: Row[Any] | None
+    """The job, when its bundle is still to be pulled."""
+
+
+def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) -> Announced:
+    """Notes that a bundle can be pulled; repeating it is harmless."""
+    lease = lease_parameters(done.lease)
+    known = connection.execute(_UNDER_LEASE, lease).first()
+    if known is None or known.state not in (*HELD_STATES, State.ARCHIVED):
+        return Announced(False, None)
+    if known.state == State.ARCHIVED:
+        return Announced(True, None)
+    if (known.state, known.sha256, known.size, known.sid) == (State.SUBMITTED, done.sha256, done.size, done.sid):
+        return Announced(True, known)
+    bundle = {"announced": done.sha256, "bytes": done.size, "by": done.sid, "until": now.timestamp() + ttl_s}
+    row = _ANNOUNCE.make(connection, lease | bundle, now, by=done.sid)
+    return Announced(row is not None, row)
+
+
+def archive(connection: Connection, lease: Lease, summary: Receipt, now: datetime) -> bool:
+    """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
+    return _own(connection, _ARCHIVE, lease_parameters(lease), summary, now)
+
+
+def adopt(connection: Connection, job_id: int, summary: Receipt, now: datetime) -> bool:
+    """Records an episode that was published before the coordinator died; its digest must be the announced one."""
+    return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
+
+
+def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, successor: Successor) -> bool:
+    """Settles a failed attempt: the next attempt, the next draw, quarantine, or back to the queue unharmed.
+
+    Args:
+        connection: within a transaction.
+        report: what failed, under which lease.
+        now: of the report.
+        budget: how long to insist.
+        successor: gives the next draw of the same cell.
+
+    Returns:
+        Whether the report was accepted now, or is the repetition of one that was.
+    """
+    row = connection.execute(_UNDER_LEASE, lease_parameters(report.lease)).first()
+    if row is None or row.state not in HELD_STATES:
+        return _was_reported(connection, report)
+    if report.reason.is_of_the_world:
+        return _miss(connection, row, report, now, budget, successor)
+    if report.reason.is_of_the_worker:
+        return _hurt(connection, row, report, now, budget)
+    return _release(connection, row, report, now)
+
+
+def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool:
+    """Re-queues an archived episode whose file is gone, under the same attempt, so that the same content comes back."""
+    if _LOSE.make(connection, {"index": index}, now, detail=detail) is None:
+        return False
+    succeeded = (attempts.c.idx == index, attempts.c.outcome == SUCCESS)
+    connection.execute(update(attempts).where(*succeeded).values(outcome=_LOST, settles=False, detail=detail))
+    connection.execute(delete(episodes).where(episodes.c.idx == index))
+    connection.execute(delete(keepers).where(keepers.c.idx == index))
+    return True
+
+
+def is_owned(connection: Connection, index: int) -> bool:
+    """Returns whether the file of an episode in the core's directory is the ledger's: no late loser may delete it."""
+    at_home = select(episodes.c.idx).outerjoin(keepers, keepers.c.idx == episodes.c.idx).where(keepers.c.idx.is_(None))
+    return connection.execute(at_home.where(episodes.c.idx == index)).first() is not None
+
+
+def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Receipt, now: datetime) -> bool:
+    announced = {"index": summary.index, "announced": summary.file_sha256}
+    row = how.make(connection, {**job, **announced}, now)
+    if row is None:
+        return False
+    record_attempt(connection, row, SUCCESS, now, settles=True, steps=summary.num_steps)
+    connection.execute(
+        insert(episodes),
+        {
+            "idx": row.idx,
+            "job_id": row.id,
+            "attempt": row.attempt,
+            "sha256": summary.file_sha256,
+            "size": summary.file_bytes,
+            "content_digest": summary.content_digest,
+            "summary": summary.model_dump_json(),
+            "archived_at": now.timestamp(),
+        },
+    )
+    connection.execute(update(workers).where(workers.c.sid == row.sid).values(archived=workers.c.archived + 1))
+    return True
+
+
+def _was_reported(connection: Connection, report: Fail) -> bool:
+    same = (attempts.c.job_id == report.lease.job_id, attempts.c.fence == report.lease.fence)
+    found = connection.execute(select(attempts.c.outcome).where(*same)).scalar()
+    return found == report.reason
+
+
+def _miss(
+    connection: Connection, row: Row[Any], report: Fail, now: datetime, budget: Budget, successor: Successor
+) -> bool:
+    is_last = row.misses + 1 >= budget.attempts_per_draw
+    has_successor = is_last and row.draw + 1 < budget.draws
+    values = {
+        "next_attempt": row.attempt + 1,
+        "until": now.timestamp(),
+        "why": f"{report.reason}: {report.detail}" if is_last else "",
+        "has_successor": has_successor,
+    }
+    if not _settle(connection, _EXHAUST if is_last else _MISS, row, report, now, values, settles=True):
+        return False
+    if has_successor:
+        insert_planned(connection, [successor(planned_of(row))], now, attempt=row.attempt + 1)
+    return True
+
+
+def _hurt(connection: Connection, row: Row[Any], report: Fail, now: datetime, budget: Budget) -> bool:
+    crashes = row.crashes + 1
+    is_last = crashes >= budget.crashes
+    why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
+    values = {"next_attempt": row.attempt, "until": now.timestamp() + _CRASH_PAUSE_S * crashes, "why": why}
+    return _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False)
+
+
+def _release(connection: Connection, row: Row[Any], report: Fail, now: datetime) -> bool:
+    return _settle(connection, _RELEASE, row, report, now, {"until": now.timestamp()}, settles=False)
+
+
+def _settle(
+    connection: Connection,
+    how: Move,
+    row: Row[Any],
+    report: Fail,
+    now: datetime,
+    values: Mapping[str, Any],
+    *,
+    settles: bool,
+) -> bool:
+    detail = f"{report.reason}: {report.detail}"
+    lease = lease_parameters(report.lease)
+    if how.make(connection, {**lease, **values}, now, by=report.sid, detail=detail) is None:
+        return False
+    record_attempt(
+        connection,
+        row,
+        report.reason,
+        now,
+        settles=settles,
+        detail=report.detail,
+        steps=report.steps,
+        seconds=report.seconds,
+    )
+    return True

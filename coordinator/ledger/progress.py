@@ -1,0 +1,106 @@
+"""Where a run stands, computed from the ledger; a reader that never writes and needs no running coordinator."""
+
+from __future__ import annotations
+
+from collections import Counter
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+from sqlalchemy import Row, func, select
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.keepers import count_by_gateway
+from coordinator.ledger.opening import read_info
+from coordinator.ledger.outcomes import SUCCESS
+from coordinator.ledger.states import OPEN_STATES, State
+from coordinator.ledger.tables import attempts, episodes, jobs, workers
+from schemas.wire import Progress, WorkerStatus
+
+__all__ = ["count_frames", "read_progress"]
+
+_RATE_WINDOW_S = 600.0
+
+_BY_CELL = (
+    select(jobs.c.state, jobs.c.scene, jobs.c.tier, jobs.c.split, func.count().label("jobs"))
+    .where(jobs.c.superseded.is_(False))
+    .group_by(jobs.c.state, jobs.c.scene, jobs.c.tier, jobs.c.split)
+)
+_REDRAWN = select(func.count()).select_from(jobs).where(jobs.c.draw > 0)
+_BY_OUTCOME = select(attempts.c.outcome, func.count()).group_by(attempts.c.outcome)
+_FRAMES = select(func.coalesce(func.sum(attempts.c.steps), 0)).where(attempts.c.outcome == SUCCESS)
+_HELD_BY = select(jobs.c.sid, func.count()).where(jobs.c.state.in_(HELD_STATES)).group_by(jobs.c.sid)
+
+
+class _Pace(NamedTuple):
+    """How fast episodes are archived, and how long the rest takes."""
+
+    per_hour: float | None
+    eta_s: float | None
+
+
+def read_progress(connection: Connection, now: datetime) -> Progress:
+    """Returns the state of the run.
+
+    Raises:
+        UsageError: the database holds no ledger, or one of a newer format.
+    """
+    facts = read_info(connection)
+    cells = connection.execute(_BY_CELL).all()
+    counts = _count_by(cells, None)[""]
+    left = sum(counts[state] for state in OPEN_STATES)
+    pace = _pace(connection, now, left)
+    return Progress(
+        run=facts.run,
+        planned=sum(counts.values()),
+        jobs=counts,
+        by_scene=_count_by(cells, "scene"),
+        by_tier=_count_by(cells, "tier"),
+        by_split=_count_by(cells, "split"),
+        redrawn=connection.execute(_REDRAWN).scalar_one(),
+        attempts={row[0]: row[1] for row in connection.execute(_BY_OUTCOME)},
+        workers=_workers(connection, now, facts.lease_ttl_s),
+        by_gateway=dict(count_by_gateway(connection)),
+        episodes_per_hour=pace.per_hour,
+        eta_s=pace.eta_s,
+        finished=left == 0,
+    )
+
+
+def count_frames(connection: Connection) -> int:
+    """Returns how many frames the archived episodes have."""
+    return int(connection.execute(_FRAMES).scalar_one())
+
+
+def _count_by(cells: list[Row[Any]] | Any, column: str | None) -> dict[str, dict[str, int]]:
+    """Returns group -> state -> jobs, every state named; without a column there is one group named ''."""
+    groups: dict[str, Counter[str]] = {} if column else {"": Counter()}
+    for row in cells:
+        groups.setdefault(getattr(row, column) if column else "", Counter())[row.state] += row.jobs
+    return {name: {state.value: groups[name][state] for state in State} for name in sorted(groups)}
+
+
+def _workers(connection: Connection, now: datetime, lease_ttl_s: float) -> tuple[WorkerStatus, ...]:
+    held = {row[0]: row[1] for row in connection.execute(_HELD_BY)}
+    return tuple(
+        WorkerStatus(
+            sid=row.sid,
+            host=row.host,
+            slots=row.slots,
+            leased=held.get(row.sid, 0),
+            archived=row.archived,
+            last_beat=datetime.fromtimestamp(row.last_beat, UTC),
+            alive=now.timestamp() - row.last_beat <= lease_ttl_s,
+        )
+        for row in connection.execute(select(workers).order_by(workers.c.sid))
+    )
+
+
+def _pace(connection: Connection, now: datetime, left: int) -> _Pace:
+    recent = select(func.count(), func.min(episodes.c.archived_at), func.max(episodes.c.archived_at))
+    since = now.timestamp() - _RATE_WINDOW_S
+    count, first, last = connection.execute(recent.where(episodes.c.archived_at >= since)).one()
+    per_hour = 3600 * (count - 1) / (last - first) if count >= 2 and last > first else None
+    if left == 0:
+        return _Pace(per_hour, 0.0)
+    return _Pace(per_hour, 3600 * left / per_hour if per_hour else None)

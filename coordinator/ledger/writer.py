@@ -1,0 +1,173 @@
+"""The one writer of the ledger: a thread that runs queued work in group commits and answers after COMMIT.
+
+Knows nothing of jobs or of zenoh. Work must be a function of the connection alone, for it may be run twice.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+import structlog
+from sqlalchemy import Engine
+from sqlalchemy.engine import Connection
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
+
+from coordinator.ledger.engine import checkpoint_log
+from schemas.errors import TransientError, WorldError
+
+__all__ = ["GROUP", "Writer"]
+
+GROUP = 256
+"""Most requests of one commit."""
+
+T = TypeVar("T")
+log = structlog.get_logger(__name__)
+
+
+class _Request(Generic[T]):
+    """A piece of work, and where its result goes once it is durable."""
+
+    def __init__(self, work: Callable[[Connection], T]) -> None:
+        self.work = work
+        self.future: Future[T] = Future()
+
+    def resolve(self, outcome: T | Exception) -> None:
+        """Hands over the result or the error; the callbacks of the future run here, in the writer's thread."""
+        if isinstance(outcome, Exception):
+            self.future.set_exception(outcome)
+        else:
+            self.future.set_result(outcome)
+
+
+class Writer:
+    """Owns the only read-write connection; a context manager whose exit finishes what is queued."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._queue: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
+        self._closed = False
+        self._closing = threading.Lock()
+        self._thread = threading.Thread(target=self._run, name="ledger-writer")
+        self._thread.start()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether its thread runs."""
+        return self._thread.is_alive()
+
+    @property
+    def backlog(self) -> int:
+        """Requests that wait."""
+        return self._queue.qsize()
+
+    def submit(self, work: Callable[[Connection], T]) -> Future[T]:
+        """Queues work for the next commit.
+
+        Returns:
+            Its result after COMMIT; `TransientError` when the database could not commit or the writer has closed.
+        """
+        request = _Request(work)
+        with self._closing:
+            if self._closed:
+                request.resolve(TransientError("the ledger is closed; ask again when the coordinator is back"))
+            else:
+                self._queue.put(request)
+        return request.future
+
+    def call(self, work: Callable[[Connection], T]) -> T:
+        """Runs work in the next commit and waits for it.
+
+        Raises:
+            TransientError: the database could not commit, or the writer has closed.
+        """
+        return self.submit(work).result()
+
+    def close(self) -> None:
+        """Commits what is queued, folds the log into the database and ends the thread."""
+        with self._closing:
+            if not self._closed:
+                self._closed = True
+                self._queue.put(None)
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        with self._engine.connect() as connection:
+            is_open = True
+            while is_open:
+                batch, is_open = self._next_batch()
+                if batch:
+                    self._commit(connection, batch)
+            checkpoint_log(connection)
+
+    def _next_batch(self) -> tuple[list[_Request[Any]], bool]:
+        """Waits for work and takes all there is, up to a group; the flag says whether more may follow."""
+        batch: list[_Request[Any]] = []
+        request = self._queue.get()
+        while request is not None:
+            batch.append(request)
+            if len(batch) == GROUP:
+                return batch, True
+            try:
+                request = self._queue.get_nowait()
+            except queue.Empty:
+                return batch, True
+        return batch, False
+
+    def _commit(self, connection: Connection, batch: Sequence[_Request[Any]]) -> None:
+        try:
+            outcomes = _run_together(connection, batch)
+        except Exception:  # noqa: BLE001 - some request is poisoned: find out which one
+            outcomes = _run_apart(connection, batch)
+        for request, outcome in zip(batch, outcomes, strict=True):
+            request.resolve(outcome)
+
+
+def _run_together(connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:
+    with connection.begin():
+        return [request.work(connection) for request in batch]
+
+
+def _run_apart(connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:
+    """Runs each request under its own savepoint, so that a poisoned one fails alone."""
+    try:
+        with connection.begin():
+            return [_run_guarded(connection, request) for request in batch]
+    except (SQLAlchemyError, WorldError) as error:
+        log.error("commit_failed", requests=len(batch), error=str(error), remedy="look after the ledger's disk")
+        return [_transient(error)] * len(batch)
+
+
+def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
+    savepoint = connection.begin_nested()
+    try:
+        result = request.work(connection)
+    except OperationalError:
+        raise  # a full disk or a lost server has ended the whole transaction, savepoints and all
+    except SQLAlchemyError as error:
+        savepoint.rollback()
+        log.error("request_failed", error=str(error))
+        return _transient(error)
+    except Exception as error:  # noqa: BLE001 - belongs to the one who asked
+        savepoint.rollback()
+        return error
+    savepoint.commit()
+    return result
+
+
+def _transient(error: SQLAlchemyError | WorldError) -> TransientError:
+    failure = TransientError(f"the ledger did not take it: {error}; look after its disk or server, then ask again")
+    failure.__cause__ = error
+    return failure

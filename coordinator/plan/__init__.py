@@ -1,0 +1,1 @@
+"""From a plan to jobs: plans by name or file, exact cells, draws, and the scenes they are drawn from."""

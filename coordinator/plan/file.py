@@ -1,0 +1,132 @@
+"""Plans by name or by TOML file, and shrinking a plan; every mistake is named with its key.
+
+The only place that reads plan files; it does not look at scenes.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from coordinator.plan.apportion import apportion
+from coordinator.plan.builtin import BUILTIN_PLANS
+from schemas.errors import InvalidPlan, UsageError
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import ExpertName
+
+__all__ = ["load_plan", "parse_plan", "shrink"]
+
+
+def load_plan(reference: str) -> Plan:
+    """Returns a built-in plan by its name, or reads a TOML file.
+
+    Raises:
+        UsageError: neither a built-in name nor a readable file.
+        InvalidPlan: the file holds mistakes; all are listed.
+    """
+    if reference in BUILTIN_PLANS:
+        return BUILTIN_PLANS[reference]
+    path = Path(reference)
+    if not path.is_file():
+        known = ", ".join(BUILTIN_PLANS)
+        raise UsageError(f"no plan {reference!r}: neither a built-in name ({known}) nor a TOML file")
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidPlan(f"{path} is no TOML", [str(error)]) from error
+    data.setdefault("name", _name_from(path))
+    return parse_plan(data, str(path), base=path.parent)
+
+
+def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Plan:
+    """Checks a plan given as plain data.
+
+    Args:
+        data: as TOML gives it.
+        where: what to call it in errors.
+        base: the folder relative paths start at.
+
+    Raises:
+        InvalidPlan: with a line for every mistake, each naming its key.
+    """
+    try:
+        plan = Plan.model_validate(data)
+    except ValidationError as error:
+        raise InvalidPlan(f"{where} is no valid plan", _say_all(error)) from error
+    if base is None:
+        return plan
+    return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
+
+
+def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
+    files = {"usd": scene.usd, "rules": scene.rules, "targets": scene.targets}
+    return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
+
+
+def shrink(
+    plan: Plan,
+    *,
+    scene: str | None = None,
+    episodes: int | None = None,
+    expert: ExpertName | None = None,
+    seed: int | None = None,
+) -> Plan:
+    """Returns the plan with fewer scenes or episodes, its proportions kept, or with another expert or seed.
+
+    Raises:
+        UsageError: the plan has no such scene, or more episodes are asked for than it has.
+    """
+    scenes = plan.scenes
+    if scene is not None:
+        scenes = tuple(part for part in scenes if part.name == scene)
+        if not scenes:
+            names = ", ".join(part.name for part in plan.scenes)
+            raise UsageError(f"plan {plan.name!r} has no scene {scene!r}; it has {names}")
+    if episodes is not None:
+        if episodes < 1:
+            raise UsageError(f"--episodes {episodes}: at least 1 is needed")
+        share = apportion({part.name: float(part.episodes) for part in scenes}, episodes)
+        scenes = tuple(
+            part.model_copy(update={"episodes": share[part.name]}) for part in scenes if share[part.name] > 0
+        )
+    changes: dict[str, Any] = {"scenes": scenes}
+    if expert is not None:
+        changes["expert"] = expert
+    if seed is not None:
+        changes["seed"] = seed
+    return plan.model_copy(update=changes)
+
+
+def _say_all(error: ValidationError) -> list[str]:
+    items = error.errors()
+    deeper = {item["loc"][:1] for item in items if len(item["loc"]) > 1}
+    sentences = []
+    for item in items:
+        if item["type"] == "too_short" and item["loc"] in deeper:
+            continue  # the list only looks short because its items were refused
+        sentences += _say(item)
+    return sentences
+
+
+def _say(item: Any) -> list[str]:
+    key = ""
+    for part in item["loc"]:
+        if part != "[key]":
+            key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if not key:
+        return message.split("; ")
+    if item["type"] == "extra_forbidden":
+        message = "no such key"
+    given = item["input"]
+    shown = f" (found {given!r})" if isinstance(given, str | int | float | bool) else ""
+    return [f"{key}: {message}{shown}"]
+
+
+def _name_from(path: Path) -> str:
+    name = "".join(sign if sign.isalnum() else "_" for sign in path.stem.lower())
+    return name if name[:1].isalpha() else f"plan_{name}"

@@ -1,0 +1,1 @@
+"""Making files, ledger and tables agree: at every start, and when an operator asks for it."""

@@ -1,0 +1,221 @@
+"""Puts a dataset directory right that no coordinator works on: adopts, quarantines, re-queues, rebuilds.
+
+Deletes nothing that could be an episode or a ledger: what it takes away lies in `quarantine/`, the reason beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from sqlalchemy import Engine
+from sqlalchemy.engine import Connection
+
+from coordinator.archive.contract import Archive
+from coordinator.archive.object_path import ObjectPath
+from coordinator.archive.opening import open_archive
+from coordinator.archive.place import Place, relative_name
+from coordinator.dataset.card import CARD_FILE
+from coordinator.dataset.checkpoint import read_failures, write_checkpoint
+from coordinator.dataset.meta import META_FILE, read_dataset_meta
+from coordinator.dataset.summary import EpisodeSummary
+from coordinator.dataset.table_reader import read_column, read_failed_attempts
+from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
+from coordinator.ledger.engine import ledger_trouble, open_reader, open_writer, sqlite_files
+from coordinator.ledger.opening import holds_run, open_run, read_info
+from coordinator.ledger.outcomes import lose
+from coordinator.ledger.records import read_summaries
+from coordinator.ledger.repair import recall, record_whole
+from coordinator.plan.catalog import Catalog
+from coordinator.puller import Checker
+from coordinator.repair.report import Action, RepairKind, RepairReport
+from coordinator.repair.survey import Survey, Tell, survey_archive
+from schemas.errors import WorldError
+from schemas.job import episode_id
+from schemas.plan import Plan
+
+__all__ = ["Patient", "repair"]
+
+_LEASE_TTL_S = 15.0
+_LISTED_CHARS = 500
+
+
+@dataclass(frozen=True)
+class Patient:
+    """A dataset directory and what is known of it beforehand."""
+
+    root: Place
+    """Where the dataset lies."""
+    home: Path
+    """Its directory, or for a dataset in object storage that of its ledger, part files and lock."""
+    url: str
+    """Of the ledger."""
+    plan: Plan
+    catalog: Catalog
+    """Of the plan's scenes; those that `scenes` names lie elsewhere than in the directory."""
+    scenes: Mapping[str, str]
+    """Scene name -> why its package in the directory cannot be used."""
+
+
+def repair(
+    patient: Patient,
+    checker: Checker,
+    now: datetime,
+    *,
+    apply: bool,
+    take_over: bool = False,
+    tell: Tell = lambda _done, _all: None,
+) -> RepairReport:
+    """Finds what is wrong and, unless it is a dry run, puts it right.
+
+    Args:
+        patient: the directory.
+        checker: validates what might be adopted.
+        now: of the repair.
+        apply: whether to carry out what is found; else nothing is changed.
+        take_over: whether to take a dataset in object storage from a home whose coordinator is gone for good.
+        tell: told how many episodes of how many are looked at.
+
+    Raises:
+        WorldError: a coordinator works on the directory, or the disk refuses.
+        UsageError: the ledger belongs to another plan.
+    """
+    with ExitStack() as stack:
+        archive = stack.enter_context(_open(patient, take_over)) if apply else None
+        trouble = ledger_trouble(patient.url)
+        with _reading(patient.url, trouble) as ledger:
+            survey = survey_archive(patient.root, patient.plan, patient.catalog, ledger, checker, tell)
+            actions = [*_of_ledger(trouble), *_of_scenes(patient), *_of(patient.root, survey)]
+            actions += _of_tables(patient, ledger, changes=bool(survey.adopt or survey.requeue))
+        if archive is not None and actions:
+            _carry_out(patient, archive, survey, trouble, now)
+        return RepairReport(
+            dataset=str(patient.root),
+            run=patient.plan.run,
+            applied=archive is not None,
+            actions=tuple(actions),
+            episodes=survey.whole + len(survey.adopt),
+            planned=patient.plan.episodes,
+        )
+
+
+def _open(patient: Patient, take_over: bool) -> Archive:
+    store = patient.root if isinstance(patient.root, ObjectPath) else None
+    return open_archive(patient.home, store, take_over=take_over)
+
+
+@contextmanager
+def _reading(url: str, trouble: str) -> Iterator[Connection | None]:
+    if trouble:
+        yield None
+        return
+    engine = open_reader(url)
+    try:
+        with engine.connect() as connection:
+            yield connection
+    finally:
+        engine.dispose()
+
+
+def _of_ledger(trouble: str) -> Iterator[Action]:
+    if trouble:
+        yield Action(kind=RepairKind.REBUILD, what="ledger", why=trouble)
+
+
+def _of_scenes(patient: Patient) -> Iterator[Action]:
+    for name, why in patient.scenes.items():
+        yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
+
+
+def _of(root: Place, survey: Survey) -> Iterator[Action]:
+    for summary in survey.adopt:
+        why = f"whole, draw {summary.draw}, attempt {summary.attempt}, and the ledger does not own it"
+        yield Action(kind=RepairKind.ADOPT, what=summary.file_name, why=why)
+    for path, why in survey.quarantine:
+        yield Action(
+            kind=RepairKind.QUARANTINE, what=relative_name(path, root), why=" ".join(why.split())[:_LISTED_CHARS]
+        )
+    for index, why in survey.requeue:
+        yield Action(kind=RepairKind.REQUEUE, what=episode_id(index), why=why)
+
+
+def _of_tables(patient: Patient, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
+    """Says which tables do not say what the ledger says, or will say once the other actions are done."""
+    for name, why in _table_findings(patient.root, ledger).items():
+        yield Action(kind=RepairKind.REWRITE, what=name, why=why)
+    if changes and ledger is not None:
+        yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="follows the actions above")
+
+
+def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
+    found: dict[str, str] = {}
+    digests = read_column(root / METADATA_FILE, "content_digest")
+    if isinstance(digests, str):
+        found[METADATA_FILE] = digests
+    elif ledger is not None:
+        owned = [row.content_digest for row in read_summaries(ledger)]
+        if owned != digests:
+            found[METADATA_FILE] = f"{len(digests)} rows that are not the ledger's {len(owned)}"
+    reasons = read_column(root / ATTEMPTS_FILE, "reason")
+    if isinstance(reasons, str):
+        found[ATTEMPTS_FILE] = reasons
+    elif ledger is not None:
+        failed = sum(1 for _ in read_failures(ledger))
+        if failed != len(reasons):
+            found[ATTEMPTS_FILE] = f"{len(reasons)} rows, the ledger has {failed}"
+    try:
+        read_dataset_meta(root)
+    except WorldError as error:
+        found[META_FILE] = str(error)
+    if not (root / CARD_FILE).is_file():
+        found[CARD_FILE] = "is not there"
+    return found
+
+
+def _carry_out(patient: Patient, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
+    """Every step may be cut off and done again: files first, then the ledger, the tables last."""
+    for name, why in patient.scenes.items():
+        path = archive.scene_path(name, patient.catalog[name].sha256)
+        if path.exists():
+            archive.quarantine(path, why)
+    for name, entry in patient.catalog.items():
+        archive.add_scene(entry.path, name, entry.sha256)
+    for path, why in survey.quarantine:
+        archive.quarantine(path, why)
+    failures = read_failed_attempts(patient.root / ATTEMPTS_FILE) if trouble else []
+    if trouble:
+        for file in sqlite_files(patient.url):
+            archive.quarantine(file, trouble)
+    engine = open_writer(patient.url)
+    try:
+        is_new = open_run(engine, patient.plan, patient.catalog, _lease_ttl_of(engine), now)
+        if is_new:
+            with engine.begin() as connection:
+                recall(connection, patient.plan, patient.catalog, failures, now)
+        with engine.begin() as connection:
+            for index, why in survey.requeue:
+                lose(connection, index, now, why)
+        for summary in survey.adopt:
+            _adopt(engine, patient, archive, summary, now)
+        with engine.connect() as connection:
+            write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+    finally:
+        engine.dispose()
+
+
+def _adopt(engine: Engine, patient: Patient, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
+    with engine.begin() as connection:
+        refusal = record_whole(connection, patient.plan, patient.catalog, summary, now)
+        if refusal:
+            connection.rollback()
+    if refusal:
+        archive.quarantine(archive.path_of(summary.index), refusal)
+
+
+def _lease_ttl_of(engine: Engine) -> float:
+    """Returns the lease time the ledger was last run with, so that opening it changes nothing."""
+    with engine.connect() as connection:
+        return read_info(connection).lease_ttl_s if holds_run(connection) else _LEASE_TTL_S

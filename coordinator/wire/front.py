@@ -1,0 +1,159 @@
+"""The front desk: takes what came through the door, has it parsed and done, and answers after COMMIT.
+
+Never blocks: it runs in zenoh's threads on the way in and in the writer's thread on the way out.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from datetime import datetime
+from functools import partial
+from types import TracebackType
+from typing import Self
+
+import structlog
+
+from coordinator.gateway.relay import Archived, Duty, Inventory, Join, JoinReply
+from coordinator.gateway.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
+from coordinator.ledger import claims
+from coordinator.ledger.writer import Writer
+from coordinator.meters import Meter, Meters
+from coordinator.wire.dispatch import Dispatch
+from coordinator.wire.protocol import Answer, Request, Terms, parse, serve
+from coordinator.wire.router import Inquiry
+from schemas.errors import TransientError
+from schemas.keys import Verb
+from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusal
+
+__all__ = ["Front"]
+
+_READS_WAITING = 16
+_VERBS = frozenset(verb.value for verb in Verb)
+
+log = structlog.get_logger(__name__)
+
+
+class Front:
+    """Between router and writer; a context manager whose exit ends its reading thread.
+
+    Args:
+        writer: of the ledger.
+        terms: of the run.
+        clock: the time.
+        read_progress: a slow look at the ledger; runs in a thread of its own.
+        dispatch: takes a bundle that waits to be pulled, and tells gateways what is theirs.
+        on_archived: a gateway has archived, or lost, an episode.
+        on_drain: an operator wants the workers to leave.
+        backlog: requests that may wait; further ones get no answer and are asked again.
+        meters: where questions are counted.
+    """
+
+    def __init__(
+        self,
+        writer: Writer,
+        terms: Terms,
+        clock: Callable[[], datetime],
+        *,
+        read_progress: Callable[[], Progress],
+        dispatch: Dispatch,
+        on_archived: Callable[[], None],
+        on_drain: Callable[[], None],
+        backlog: int,
+        meters: Meters | None = None,
+    ) -> None:
+        self._writer = writer
+        self._terms = terms
+        self._clock = clock
+        self._read_progress = read_progress
+        self._dispatch = dispatch
+        self._on_archived = on_archived
+        self._on_drain = on_drain
+        self._backlog = backlog
+        self._meters = meters or Meters()
+        self._reads = ThreadPoolExecutor(1, thread_name_prefix="ledger-reader")
+        self._free_reads = threading.Semaphore(_READS_WAITING)
+
+    def take(self, inquiry: Inquiry) -> None:
+        """Takes a question; the answer follows when it is durable."""
+        if inquiry.verb in _VERBS:
+            self._meters.note_request(inquiry.verb)
+        if inquiry.verb == Verb.PROGRESS:
+            self._take_read(inquiry)
+            return
+        if self._writer.backlog > self._backlog:
+            inquiry.drop()
+            return
+        is_relay = inquiry.verb in RELAY_MESSAGES
+        request = parse(inquiry.verb, inquiry.host, inquiry.payload, RELAY_MESSAGES if is_relay else None)
+        if isinstance(request, Refusal):
+            log.info("refused", host=inquiry.host, verb=inquiry.verb, reason=request.error)
+            inquiry.answer(request)
+            return
+        if isinstance(request.message, Duty):
+            duty = request.message
+            inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most)))
+            return
+        do = serve_gateway if is_relay else serve
+        future = self._writer.submit(lambda connection: do(connection, request, self._terms, self._clock()))
+        future.add_done_callback(partial(self._reply, inquiry, request))
+
+    def note_gone(self, sid: str) -> None:
+        """A worker's link has closed: that only shortens its leases, for it may be back in a moment."""
+        hint_s = self._terms.lease_ttl_s / 2
+        self._writer.submit(lambda connection: claims.shorten(connection, sid, self._clock(), hint_s))
+
+    def close(self) -> None:
+        """Ends the reading thread."""
+        self._reads.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _reply(self, inquiry: Inquiry, request: Request, future: Future[Answer]) -> None:
+        error = future.exception()
+        if isinstance(error, TransientError):
+            inquiry.drop()
+        elif error is not None:
+            log.error("request_failed", host=inquiry.host, verb=inquiry.verb, exc_info=error)
+            inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
+        else:
+            answer = future.result()
+            if isinstance(request.message, AdminRequest):
+                self._note_operator(request.message)
+            if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
+                self._dispatch.take(request.host, request.message.router, 0)
+            if isinstance(request.message, Archived | Inventory):
+                self._on_archived()
+            if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
+                self._meters.add(Meter.CLAIMS)
+            inquiry.answer(answer.reply)
+            for pull in answer.pulls:
+                self._dispatch.offer(pull)
+
+    def _note_operator(self, request: AdminRequest) -> None:
+        log.info("operator", action=request.action, episodes=len(request.indices) or "all")
+        if request.action is AdminAction.DRAIN:
+            self._on_drain()
+
+    def _take_read(self, inquiry: Inquiry) -> None:
+        if not self._free_reads.acquire(blocking=False):
+            inquiry.drop()
+            return
+        self._reads.submit(self._read_progress).add_done_callback(partial(self._answer_read, inquiry))
+
+    def _answer_read(self, inquiry: Inquiry, future: Future[Progress]) -> None:
+        self._free_reads.release()
+        if future.cancelled():
+            inquiry.drop()
+        elif future.exception() is not None:
+            log.error("read_failed", verb=inquiry.verb, exc_info=future.exception())
+            inquiry.drop()
+        else:
+            inquiry.answer(future.result())

@@ -1,0 +1,214 @@
+"""What the coordinator answers: each verb parsed, checked, and turned into work on the ledger. Knows no zenoh.
+
+Every verb is idempotent; what follows a commit (bundles to pull) is returned, not done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+from sqlalchemy import Row
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger import claims, operator, outcomes, workers
+from coordinator.ledger.claims import lease_of
+from coordinator.ledger.opening import planned_of
+from coordinator.plan.catalog import Catalog
+from coordinator.plan.draw import redraw, to_job
+from coordinator.plan.errands import Errands
+from schemas.base import Model
+from schemas.job import Job
+from schemas.keys import Verb, sid_belongs_to
+from schemas.plan import Plan
+from schemas.scene import Target
+from schemas.wire import (
+    MAX_MESSAGE_BYTES,
+    Ack,
+    AdminAction,
+    AdminReply,
+    AdminRequest,
+    Beat,
+    BeatReply,
+    Claim,
+    ClaimReply,
+    Done,
+    Fail,
+    Hello,
+    HelloReply,
+    Lease,
+    Refusal,
+    Trade,
+)
+
+__all__ = ["Answer", "Pull", "Request", "Terms", "parse", "serve"]
+
+M = TypeVar("M", bound=Model)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What the run holds its workers to; the flags change while it runs."""
+
+    plan: Plan
+    catalog: Catalog
+    version: str
+    """Of minivla-factory; workers of another version are refused."""
+    lease_ttl_s: float
+    retry_after_s: float
+    is_draining: Callable[[], bool] = lambda: False
+    """Whether workers shall leave when done."""
+    has_room: Callable[[], bool] = lambda: True
+    """Whether the archive has room for what a new job would bring."""
+    errands: Errands | None = None
+    """In a run of errands, what each of them is; `None` where jobs are collected."""
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A bundle that waits in a worker's spool."""
+
+    lease: Lease
+    sid: str
+    sha256: str
+    size: int
+    job: Job
+    target: Target
+    via: str | None = None
+    """Router that its worker is connected to, as far as that is known."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The reply to send after COMMIT, and what has become due by then."""
+
+    reply: Model
+    pulls: tuple[Pull, ...] = ()
+
+
+@dataclass(frozen=True)
+class Request:
+    """A message that has passed all checks that need no ledger."""
+
+    host: str
+    message: Model
+
+
+Handler = Callable[[Connection, Any, str, Terms, datetime], Answer]
+
+
+def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]] | None = None) -> Request | Refusal:
+    """Reads a message as it came; everything wrong with it ends in a refusal that says so.
+
+    Args:
+        verb: last part of the key.
+        host: who asks, by the key.
+        payload: at most `MAX_MESSAGE_BYTES` of JSON.
+        known: what each verb carries; by default the verbs of workers and operators.
+    """
+    known = known or _MESSAGES
+    if verb not in known:
+        return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(known)}")
+    if len(payload) > MAX_MESSAGE_BYTES:
+        return Refusal(error=f"{verb}: {len(payload)} bytes, more than {MAX_MESSAGE_BYTES}")
+    try:
+        message = known[Verb(verb)].model_validate_json(payload)
+    except ValidationError as error:
+        places = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:10])
+        return Refusal(error=f"{verb}: not understood ({places}); do both sides run the same version?")
+    sid = getattr(message, "sid", None)
+    if known is _MESSAGES and sid is not None and not sid_belongs_to(sid, host):
+        return Refusal(error=f"{verb}: session {sid!r} is not of host {host!r}; session ids begin with their host")
+    return Request(host, message)
+
+
+def serve(connection: Connection, request: Request, terms: Terms, now: datetime) -> Answer:
+    """Does what a request asks, within the caller's transaction."""
+    return _HANDLERS[type(request.message)](connection, request.message, request.host, terms, now)
+
+
+def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: datetime) -> Answer:
+    if hello.host != host:
+        return Answer(Refusal(error=f"hello: says it is host {hello.host!r} under the key of {host!r}"))
+    if hello.version != terms.version:
+        return Answer(
+            Refusal(
+                error=f"hello: worker {hello.sid} runs minivla-factory {hello.version}, the coordinator "
+                f"{terms.version}; episodes of two versions may differ: install the same version on both"
+            )
+        )
+    workers.introduce(connection, hello, now)
+    trade = Trade.COLLECTION if terms.errands is None else Trade.EVALUATION
+    return Answer(HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade))
+
+
+def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> Answer:
+    may_start = terms.has_room() and not terms.is_draining()
+    row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
+    if row is not None:
+        job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+        if terms.errands is None:
+            return Answer(ClaimReply(job=job, lease=lease_of(row)))
+        text, attachment = terms.errands.find(row.idx)
+        return Answer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
+    workers.note_alive(connection, claim.sid, host, now)
+    finished = not claims.has_open_jobs(connection)
+    return Answer(ClaimReply(retry_after_s=terms.retry_after_s, finished=finished))
+
+
+def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> Answer:
+    workers.note_alive(connection, beat.sid, host, now)
+    outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
+    waiting = tuple(lease_of(row) for row in outcome.waiting)
+    reply = BeatReply(lost=outcome.lost, drop=outcome.drop, waiting=waiting, drain=terms.is_draining())
+    return Answer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
+
+
+def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    accepted, waiting = outcomes.announce(connection, done, now, terms.lease_ttl_s)
+    pulls = (_pull_of(waiting, done.sid, done.via, terms),) if waiting is not None else ()
+    return Answer(Ack(accepted=accepted), pulls)
+
+
+def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    accepted = outcomes.fail(
+        connection, fail, now, terms.plan.budget, lambda planned: redraw(terms.plan, terms.catalog, planned)
+    )
+    return Answer(Ack(accepted=accepted))
+
+
+def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    match request.action:
+        case AdminAction.RETRY:
+            return Answer(operator.retry(connection, request.indices, now))
+        case AdminAction.CANCEL:
+            return Answer(operator.cancel(connection, request.indices, now))
+        case AdminAction.DRAIN:
+            return Answer(AdminReply(changed=()))
+
+
+def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:
+    job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+    target = terms.catalog[job.scene].info.target(job.target_id)
+    return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via)
+
+
+_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
+    {
+        Verb.HELLO: Hello,
+        Verb.CLAIM: Claim,
+        Verb.BEAT: Beat,
+        Verb.DONE: Done,
+        Verb.FAIL: Fail,
+        Verb.ADMIN: AdminRequest,
+    }
+)
+"""What each verb carries; `progress` carries nothing and is answered by a reader."""
+
+_HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
+    {Hello: _hello, Claim: _claim, Beat: _beat, Done: _done, Fail: _fail, AdminRequest: _admin}
+)
