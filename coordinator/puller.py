@@ -16,9 +16,9 @@ from typing import Protocol, Self
 import structlog
 
 from coordinator.archive.contract import Archive, Staged
-from coordinator.dataset.summary import EpisodeSummary, Receipt
 from coordinator.meters import Meter, Meters
 from coordinator.settings import CoordinatorSettings
+from coordinator.summary import EpisodeSummary, Receipt
 from coordinator.wire.protocol import Pull
 from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.errors import FactoryError, InvalidBundle, TransientError

@@ -18,12 +18,12 @@ import structlog
 
 from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.opening import open_archive
+from coordinator.book import LedgerBook
 from coordinator.check.validator import Validator
 from coordinator.dataset.checkpoint import is_checkpoint_owed, write_checkpoint
 from coordinator.dataset.meta import GateOutcome
 from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import claims
-from coordinator.ledger.book import LedgerBook
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.guard import require_ledger
 from coordinator.ledger.opening import ledger_url_of, open_run

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 
 from coordinator.archive.place import Place, place_of, table_of
 from coordinator.dataset.meta import DatasetMeta, read_dataset_meta
-from coordinator.dataset.summary import EpisodeSummary, file_name_of
 from coordinator.dataset.tables import METADATA_FILE
+from coordinator.summary import EpisodeSummary, file_name_of
 from factory.episode import Episode, Frame
 from schemas.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, UsageError

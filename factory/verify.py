@@ -18,10 +18,10 @@ from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_
 from coordinator.archive.place import Place, at_hand, children, table_of
 from coordinator.dataset.card import CARD_FILE
 from coordinator.dataset.meta import META_FILE, DatasetMeta
-from coordinator.dataset.summary import EpisodeSummary
 from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.plan.catalog import SceneEntry, read_entry
 from coordinator.plan.draw import cells
+from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
 from factory.scenes.target_list import list_file_name
 from factory.verify_episode import EpisodeCheck, check_episode, target_of

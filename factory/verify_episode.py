@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from coordinator.archive.place import Place, at_hand
 from coordinator.check.validate import validate
-from coordinator.dataset.summary import EpisodeSummary, file_name_of, summary_of
 from coordinator.dataset.tables import METADATA_FILE
 from coordinator.plan.catalog import SceneEntry
+from coordinator.summary import EpisodeSummary, file_name_of, summary_of
 from factory.verify_report import Finding, Kind
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle

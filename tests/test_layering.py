@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import graphlib
 from pathlib import Path
 
 import pytest
@@ -112,3 +113,18 @@ def test_every_module_says_what_it_is():
 def _module(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_folders_of_a_package_form_no_circle(package):
+    graph: dict[str, set[str]] = {}
+    for path in sorted((ROOT / package).rglob("*.py")):
+        own = _folder_of(".".join(path.relative_to(ROOT).with_suffix("").parts))
+        named = {_folder_of(name) for name in imports_of(path) if name.startswith(f"{package}.")}
+        graph.setdefault(own, set()).update(named - {own})
+    list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle
+
+
+def _folder_of(name: str) -> str:
+    """Returns the folder or file directly below a package in which a module lies."""
+    return ".".join(name.split(".")[:2])

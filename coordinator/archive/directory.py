@@ -18,7 +18,7 @@ from coordinator.archive.disk import copy_hashed, set_aside, sync_directory, syn
 from coordinator.archive.place import Place
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
-from coordinator.dataset.summary import file_name_of
+from coordinator.summary import file_name_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 

@@ -26,7 +26,7 @@ from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.place import Place, digest_of
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
-from coordinator.dataset.summary import file_name_of
+from coordinator.summary import file_name_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 

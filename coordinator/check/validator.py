@@ -18,7 +18,7 @@ from typing import Annotated, Self
 import structlog
 from pydantic import Field, ValidationError
 
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from schemas.base import Model
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job

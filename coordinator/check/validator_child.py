@@ -12,7 +12,7 @@ from pathlib import Path
 
 from coordinator.check.validate import validate
 from coordinator.check.validator import Limits, Task, Verdict
-from coordinator.dataset.summary import summary_of
+from coordinator.summary import summary_of
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.errors import InvalidBundle
 

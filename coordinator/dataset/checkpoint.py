@@ -10,7 +10,8 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
 from coordinator.dataset.meta import DatasetMeta, GateOutcome, read_dataset_meta
-from coordinator.dataset.tables import FailedAttempt, write_tables
+from coordinator.dataset.tables import write_tables
+from coordinator.failed_attempt import FailedAttempt
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.records import read_summaries
 from coordinator.ledger.tables import attempts, episodes, jobs

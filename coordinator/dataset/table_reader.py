@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from coordinator.archive.place import Place, table_of
-from coordinator.dataset.tables import FailedAttempt
+from coordinator.failed_attempt import FailedAttempt
 
 __all__ = ["read_column", "read_failed_attempts"]
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any, get_args, get_origin
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import Field
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.place import Place
@@ -28,45 +27,22 @@ from coordinator.dataset.meta import (
     read_dataset_meta,
     software_versions,
 )
-from coordinator.dataset.summary import EpisodeSummary
 from coordinator.dataset.tally import Tally
+from coordinator.failed_attempt import FailedAttempt
 from coordinator.plan.instances import Sides
-from schemas.base import Model, Name, NonNegative
+from coordinator.summary import EpisodeSummary
+from schemas.base import Model
 from schemas.digest import dataset_digest
 from schemas.errors import WorldError
 from schemas.plan import Plan
-from schemas.terms import Split, Tier
 
-__all__ = ["ATTEMPTS_FILE", "METADATA_FILE", "SIDE_COLUMN", "FailedAttempt", "parquet_schema", "write_tables"]
+__all__ = ["ATTEMPTS_FILE", "METADATA_FILE", "SIDE_COLUMN", "parquet_schema", "write_tables"]
 
 METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"
 SIDE_COLUMN = "instance_side"
 """Last column of `metadata.parquet`: who may name the target: `train`, `evaluation`, `shared`; null without promise."""
 _BATCH_ROWS = 2000
 _TYPES = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-
-
-class FailedAttempt(Model):
-    """A row of `attempts.parquet`: an attempt that brought no episode (STYLE 18)."""
-
-    episode_id: Name
-    draw: Annotated[int, Field(ge=0)]
-    attempt: Annotated[int, Field(ge=1)]
-    scene: Name
-    spawn_tier: Tier
-    split: Split
-    target_category: Name
-    target_id: Name
-    reason: str
-    """A fail reason of `schemas.terms`, or how the lease ended."""
-    detail: str = ""
-    """Measured values, in words."""
-    steps: Annotated[int, Field(ge=0)] = 0
-    """Simulated before the end."""
-    seconds: NonNegative = 0.0
-    """Wall time spent."""
-    worker: str = ""
-    at: datetime
 
 
 def write_tables(

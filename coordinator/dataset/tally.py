@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from schemas.terms import FailReason
 
 __all__ = ["Sums", "Tally"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 
 from coordinator.archive.contract import Archive
-from coordinator.dataset.summary import Receipt
 from coordinator.gateway.core_link import CoreLink
-from coordinator.gateway.relay import Archived, Hold, Inventory, InventoryReply, Refused
+from coordinator.summary import Receipt
 from coordinator.wire.protocol import Pull
+from coordinator.wire.relay import Archived, Hold, Inventory, InventoryReply, Refused
 from schemas.keys import Verb
 from schemas.wire import Ack
 

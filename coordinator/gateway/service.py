@@ -18,7 +18,6 @@ import structlog
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.check.validator import Validator
 from coordinator.gateway.core_link import CoreLink
-from coordinator.gateway.relay import Duty, Join, JoinReply, Order, Orders
 from coordinator.gateway.remote_book import RemoteBook
 from coordinator.gateway.stock import take_stock
 from coordinator.gateway.title import holds_title, require_title, write_title
@@ -29,6 +28,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.vitals import Snapshot
 from coordinator.wire.node import Node
 from coordinator.wire.protocol import Pull
+from coordinator.wire.relay import Duty, Join, JoinReply, Order, Orders
 from coordinator.wire.tls import Guard
 from coordinator.wire.zenoh_config import router_config
 from schemas.errors import TransientError

@@ -15,8 +15,8 @@ import structlog
 
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
-from coordinator.gateway.relay import MAX_FILES, Archived, Inventory, InventoryReply, Stray
 from coordinator.puller import Checker
+from coordinator.wire.relay import MAX_FILES, Archived, Inventory, InventoryReply, Stray
 from schemas.errors import InvalidBundle, TransientError
 from schemas.keys import Verb
 from schemas.wire import Ack

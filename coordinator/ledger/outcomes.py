@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 from sqlalchemy import Row, bindparam, delete, insert, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.dataset.summary import Receipt
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.moves import FREED, UNDER_LEASE, Move, lease_parameters, record_attempt
 from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
 from coordinator.plan.draw import PlannedJob
+from coordinator.summary import Receipt
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
 

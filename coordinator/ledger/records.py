@@ -10,9 +10,9 @@ from typing import Any
 from sqlalchemy import Row, Select, func, select
 from sqlalchemy.engine import Connection
 
-from coordinator.dataset.summary import EpisodeSummary
 from coordinator.ledger.states import State
 from coordinator.ledger.tables import attempts, episodes, events, jobs
+from coordinator.summary import EpisodeSummary
 from schemas.terms import Split, Tier
 
 __all__ = [

@@ -15,8 +15,7 @@ from typing import Any
 from sqlalchemy import Row, bindparam, insert, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.dataset.summary import EpisodeSummary
-from coordinator.dataset.tables import FailedAttempt
+from coordinator.failed_attempt import FailedAttempt
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.moves import FREED, Move
@@ -25,6 +24,7 @@ from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, jobs
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.draw import redraw
+from coordinator.summary import EpisodeSummary
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import FailReason

@@ -21,7 +21,6 @@ from coordinator.archive.place import Place, relative_name
 from coordinator.dataset.card import CARD_FILE
 from coordinator.dataset.checkpoint import read_failures, write_checkpoint
 from coordinator.dataset.meta import META_FILE, read_dataset_meta
-from coordinator.dataset.summary import EpisodeSummary
 from coordinator.dataset.table_reader import read_column, read_failed_attempts
 from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.ledger.engine import ledger_trouble, open_reader, open_writer, sqlite_files
@@ -33,6 +32,7 @@ from coordinator.plan.catalog import Catalog
 from coordinator.puller import Checker
 from coordinator.repair.report import Action, RepairKind, RepairReport
 from coordinator.repair.survey import Survey, Tell, survey_archive
+from coordinator.summary import EpisodeSummary
 from schemas.errors import WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan

@@ -12,7 +12,6 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.contract import EPISODES, index_of_file
 from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.place import Place, at_hand, children, digest_of
-from coordinator.dataset.summary import EpisodeSummary
 from coordinator.ledger.keepers import all_keepers
 from coordinator.ledger.repair import current_job
 from coordinator.ledger.states import State
@@ -20,6 +19,7 @@ from coordinator.ledger.tables import episodes
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.draw import PlannedJob, expand, redraw, to_job
 from coordinator.puller import Checker
+from coordinator.summary import EpisodeSummary
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
 from schemas.job import Job, episode_id

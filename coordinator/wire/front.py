@@ -15,13 +15,13 @@ from typing import Self
 
 import structlog
 
-from coordinator.gateway.relay import Archived, Duty, Inventory, Join, JoinReply
-from coordinator.gateway.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.ledger import claims
 from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.wire.dispatch import Dispatch
 from coordinator.wire.protocol import Answer, Request, Terms, parse, serve
+from coordinator.wire.relay import Archived, Duty, Inventory, Join, JoinReply
+from coordinator.wire.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.wire.router import Inquiry
 from schemas.errors import TransientError
 from schemas.keys import Verb

@@ -16,7 +16,6 @@ from typing import Any
 
 from coordinator.archive.opening import open_archive
 from coordinator.check.validator import Validator
-from coordinator.dataset.summary import summary_of
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.engine import open_writer
@@ -24,6 +23,7 @@ from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.progress import read_progress
 from coordinator.ledger.writer import Writer
 from coordinator.plan.catalog import Catalog
+from coordinator.summary import summary_of
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import CoordinatorBench, Spread
 from factory.bench.sample import Sample

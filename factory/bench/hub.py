@@ -8,10 +8,10 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.dataset.summary import EpisodeSummary, summary_of
 from coordinator.plan.catalog import Catalog
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.summary import EpisodeSummary, summary_of
 from factory.bench.machine import measure_memory, resident_mib
 from factory.bench.model import Memory
 from factory.logs import configure_logs

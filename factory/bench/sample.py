@@ -11,10 +11,10 @@ from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.dataset.summary import EpisodeSummary, summary_of
 from coordinator.dataset.tables import write_tables
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.draw import expand, to_job
+from coordinator.summary import EpisodeSummary, summary_of
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan

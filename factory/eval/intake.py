@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from coordinator.dataset.summary import file_name_of
 from coordinator.ledger.look import look_into
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.records import read_archived
+from coordinator.summary import file_name_of
 from factory.eval.driven import read_driven
 from factory.eval.message import Order
 from factory.eval.run import Pace

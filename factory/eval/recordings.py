@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.dataset.summary import file_name_of
+from coordinator.summary import file_name_of
 from factory.eval.question import Actions
 from schemas.bundle import BundleReader
 from schemas.errors import ArchiveCorrupt, InvalidBundle

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 from coordinator.dataset.meta import DatasetMeta
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
 from factory.episode import Episode
 from factory.export.output import Output

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 from pydantic import Field
 
 from coordinator.dataset.meta import META_FILE, DatasetMeta
-from coordinator.dataset.summary import PUBLISHED_COLUMNS
 from coordinator.dataset.tables import METADATA_FILE
+from coordinator.summary import PUBLISHED_COLUMNS
 from factory.dataset import Dataset
 from factory.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Options

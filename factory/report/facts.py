@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from factory.stats.measures import deviation_of, mean_of
 from schemas.terms import Tier
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coordinator.archive.contract import EPISODES, SCENES
 from coordinator.archive.place import Place
-from coordinator.dataset.summary import EpisodeSummary, file_name_of
+from coordinator.summary import EpisodeSummary, file_name_of
 from factory.catalog import find_package
 from factory.episode import Episode
 from factory.report.floor_map import map_of

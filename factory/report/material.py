@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coordinator.dataset.meta import DatasetMeta
-from coordinator.dataset.summary import EpisodeSummary
-from coordinator.dataset.tables import FailedAttempt
+from coordinator.failed_attempt import FailedAttempt
+from coordinator.summary import EpisodeSummary
 from factory.stats import Statistics
 from schemas.tokens import GRID_POINTS
 

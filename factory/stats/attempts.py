@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
-from coordinator.dataset.summary import EpisodeSummary
-from coordinator.dataset.tables import FailedAttempt
+from coordinator.failed_attempt import FailedAttempt
 from coordinator.plan.draw import cells
+from coordinator.summary import EpisodeSummary
 from factory.stats import paper
 from factory.stats.measures import share_of
 from factory.stats.model import AttemptRow, CellRow

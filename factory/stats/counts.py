@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from factory.stats import paper
 from factory.stats.model import CountRow, OverlapRow, Published
 from factory.stats.rollouts import ALL

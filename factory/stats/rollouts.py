@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from factory.stats import paper
 from factory.stats.measures import deviation_of, fit_line, mean_of, median_of, quantiles_of, share_of
 from factory.stats.model import ErrorRow, Fit, Published, RolloutRow

@@ -13,9 +13,10 @@ from pydantic import ValidationError
 from coordinator.archive.contract import EPISODES
 from coordinator.archive.place import Place, children, table_of
 from coordinator.dataset.meta import META_FILE, DatasetMeta
-from coordinator.dataset.summary import EpisodeSummary, file_name_of
-from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE, FailedAttempt
+from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
+from coordinator.failed_attempt import FailedAttempt
 from coordinator.plan.cells import cells
+from coordinator.summary import EpisodeSummary, file_name_of
 from factory.dataset import Dataset
 from factory.stats.model import Remark
 from schemas.base import Model

@@ -12,8 +12,9 @@ import numpy as np
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.summary import EpisodeSummary, summary_of
-from coordinator.dataset.tables import FailedAttempt, write_tables
+from coordinator.dataset.tables import write_tables
+from coordinator.failed_attempt import FailedAttempt
+from coordinator.summary import EpisodeSummary, summary_of
 from schemas.plan import Plan
 from schemas.scene import Instance, Target, encode_scene
 from schemas.terms import Split, Tier

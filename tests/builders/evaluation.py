@@ -9,8 +9,8 @@ import io
 from pathlib import Path
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.summary import summary_of
 from coordinator.dataset.tables import write_tables
+from coordinator.summary import summary_of
 from schemas.config import TaskConfig
 from schemas.episode import EpisodeMeta
 from schemas.job import Job

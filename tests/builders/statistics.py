@@ -6,8 +6,8 @@ import functools
 from typing import Any
 
 from coordinator.dataset.meta import DatasetMeta
-from coordinator.dataset.summary import EpisodeSummary, summary_of
-from coordinator.dataset.tables import FailedAttempt
+from coordinator.failed_attempt import FailedAttempt
+from coordinator.summary import EpisodeSummary, summary_of
 from factory.stats.rows import Rows
 from schemas.job import episode_id
 from schemas.plan import Plan, ScenePlan

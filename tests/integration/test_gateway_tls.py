@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from coordinator.gateway.relay import Duty, Hold, Join, Orders
 from coordinator.gateway.service import Gateway
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.wire.relay import Duty, Hold, Join, Orders
 from coordinator.wire.tls import Guard
 from coordinator.wire.zenoh_config import client_config
 from factory.keys import revoke

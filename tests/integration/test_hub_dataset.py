@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from coordinator.dataset.summary import PUBLISHED_COLUMNS, EpisodeSummary
 from coordinator.dataset.tables import SIDE_COLUMN
+from coordinator.summary import PUBLISHED_COLUMNS, EpisodeSummary
 from tests.builders.dataset import make_dataset
 
 Loaded = dict[str, dict[str, dict[str, list[Any]]]]

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from coordinator.dataset.summary import EpisodeSummary
 from coordinator.dataset.tables import parquet_schema
+from coordinator.summary import EpisodeSummary
 from factory.export.base import Finish
 from factory.export.lerobot.common import LeRobotBase, Whole, survey
 from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, video_keys

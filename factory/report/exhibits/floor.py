@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from factory.report.canvas import WIDTH_IN, Axes, fill_outlines, mark
 from factory.report.material import FloorMap
 from factory.report.palette import colour

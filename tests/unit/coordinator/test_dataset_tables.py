@@ -12,9 +12,9 @@ import yaml
 
 from coordinator.archive.opening import open_archive
 from coordinator.dataset.meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta
-from coordinator.dataset.summary import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
 from coordinator.dataset.tables import SIDE_COLUMN, write_tables
 from coordinator.plan.instances import Side
+from coordinator.summary import PUBLISHED_COLUMNS, EpisodeSummary, summary_of
 from schemas.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, WorldError
 from tests.builders.bundle import job_for, parts_for

@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.tables import FailedAttempt, write_tables
+from coordinator.dataset.tables import write_tables
+from coordinator.failed_attempt import FailedAttempt
 from factory.cli.stats import command
 from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.errors import ArchiveCorrupt, WorldError

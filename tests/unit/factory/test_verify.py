@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.summary import EpisodeSummary
 from coordinator.dataset.tables import write_tables
+from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
 from factory.verify import Kind, Report, verify
 from schemas.errors import WorldError

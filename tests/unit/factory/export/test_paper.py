@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from PIL import Image
 
 from coordinator.dataset.meta import read_dataset_meta
-from coordinator.dataset.summary import PUBLISHED_COLUMNS
+from coordinator.summary import PUBLISHED_COLUMNS
 from factory.dataset import Dataset
 from factory.export import ExportOrder, run_export
 from factory.export.paper import PaperOptions

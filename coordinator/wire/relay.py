@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from coordinator.dataset.summary import EpisodeSummary
+from coordinator.summary import EpisodeSummary
 from schemas.base import Model, Sha256
 from schemas.job import Job
 from schemas.scene import Target

@@ -12,8 +12,14 @@ from typing import Any
 
 from sqlalchemy.engine import Connection
 
-from coordinator.dataset.summary import EpisodeSummary
-from coordinator.gateway.relay import (
+from coordinator.ledger import claims, keepers, outcomes
+from coordinator.ledger.opening import planned_of
+from coordinator.ledger.repair import current_job, record_whole
+from coordinator.ledger.states import OPEN_STATES, State
+from coordinator.plan.draw import redraw, to_job
+from coordinator.summary import EpisodeSummary
+from coordinator.wire.protocol import Answer, Pull, Request, Terms
+from coordinator.wire.relay import (
     Archived,
     Duty,
     Hold,
@@ -26,12 +32,6 @@ from coordinator.gateway.relay import (
     Refused,
     Stray,
 )
-from coordinator.ledger import claims, keepers, outcomes
-from coordinator.ledger.opening import planned_of
-from coordinator.ledger.repair import current_job, record_whole
-from coordinator.ledger.states import OPEN_STATES, State
-from coordinator.plan.draw import redraw, to_job
-from coordinator.wire.protocol import Answer, Pull, Request, Terms
 from schemas.base import Model
 from schemas.keys import Verb
 from schemas.terms import FailReason

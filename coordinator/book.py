@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 
-from coordinator.dataset.summary import Receipt
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.writer import Writer
 from coordinator.plan.draw import redraw
+from coordinator.summary import Receipt
 from coordinator.wire.protocol import Pull, Terms
 from schemas.terms import FailReason
 from schemas.wire import Fail
