@@ -44,7 +44,7 @@ def finished(tmp_path: Path, url: str) -> Patient:
             job, lease = worker.job()
             assert worker.deliver(lease, bundle_for(job))
         until(hub.is_finished)
-    return Patient(tmp_path / "out", url, plan, catalog, {})
+    return Patient(tmp_path / "out", tmp_path / "out", url, plan, catalog, {})
 
 
 def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finished):
@@ -74,7 +74,7 @@ def test_a_reader_cannot_write(finished):
 def test_an_emptied_database_is_rebuilt_from_plan_and_archive(finished, postgres_server):
     empty = postgres_server.new_database()
     assert "lacks the tables" in ledger_trouble(empty)
-    moved = Patient(finished.root, empty, finished.plan, finished.catalog, {})
+    moved = Patient(finished.root, finished.root, empty, finished.plan, finished.catalog, {})
     with Validator() as validator:
         report = repair(moved, validator, datetime.now(UTC), apply=True)
         assert [str(action.kind) for action in report.actions] == ["rebuild", "adopt", "adopt"]

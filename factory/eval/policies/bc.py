@@ -51,8 +51,8 @@ class BcPolicy:
     """
 
     def __init__(self, name: str) -> None:
-        path = bc_file(name)
         torch = self._torch = load_torch()
+        path = bc_file(name)
         from factory.train.network import BcNetwork
 
         torch.set_num_threads(1)  # a driving process has one core

@@ -35,7 +35,7 @@ FABRICS = (
     textured("FabricRed", "#a32a26", 0.5, 0.9),
     textured("FabricGreen", "#3f7d4a", 0.5, 0.9),
 )
-SHELLS = tuple(painted(paint, 0.45) for paint in ("Orange", "Teal", "White", "Navy", "Yellow"))
+SHELLS = tuple(painted(paint, 0.45) for paint in ("Orange", "Green", "White", "Navy", "Yellow"))
 LEATHERS = (
     textured("FabricGrey", "#7b7d80", 0.5, 0.9),
     painted("Brown", 0.4),
