@@ -3,4 +3,4 @@
 Import from the modules by name; those listed are for use from outside.
 """
 
-__all__ = ["admin", "archive", "ask", "catalog", "draw", "plan_file", "service", "settings", "states", "validate"]
+__all__ = ["admin", "archive", "check", "dataset", "gateway", "ledger", "plan", "repair", "service", "settings", "wire"]

@@ -63,7 +63,7 @@ class EndReason(StrEnum):
 
 
 class FailReason(StrEnum):
-    """Why an attempt brought no episode; the first three count against the attempt budget."""
+    """Why an attempt brought no episode; the first four count against the attempt budget."""
 
     SPAWN = "spawn"  # no valid start pose was found
     COLLISION = "collision"  # the expert stalled against something

@@ -1,4 +1,4 @@
-"""A plan as TOML text, for people to read and edit; `plan_file` reads it back as the same plan. Pure."""
+"""A plan as TOML text, for people to read and edit; `coordinator.plan.file` reads it back as the same plan. Pure."""
 
 from __future__ import annotations
 
