@@ -39,7 +39,7 @@ def show_depth(depth: NDArray[np.float32]) -> Rgb:
 
 
 def show_ids(ids: NDArray[np.uint16], target: int) -> Rgb:
-    """Returns ids (H, W) as colour (H, W, 3), one colour an instance in every frame and episode; the target is red."""
+    """Returns ids of any shape as colours (..., 3), one an instance in every frame and episode; the target is red."""
     mixed = ids.astype(np.uint32) * np.uint32(2654435761)
     colours = np.stack([mixed >> 24, mixed >> 16, mixed >> 8], axis=-1).astype(np.uint8) // 2 + 40
     colours[ids == 0] = 0

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.episode import Episode
+from factory.panels import DEPTH_SHOWN_M, show_ids
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
-from schemas.errors import WorldError
+from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene
 
-__all__ = ["FloorPicture", "floor_picture", "id_colours", "view_episode"]
+__all__ = ["FloorPicture", "floor_picture", "view_episode"]
 
 _EXTRA = "pip install 'minivla-factory[view]'"
 _ROBOT_BOX_M = (
@@ -28,7 +29,6 @@ _ROBOT_BOX_M = (
     (0.14, 0.25, 0.556),
 )  # the body's corners from base_link, as workers/robot.py has them
 _CAMERA_PATH = "world/robot/camera"
-_DEPTH_SHOWN_M = 10.0
 _LINES = {"action/v_mps": (30, 110, 220), "action/w_rps": (240, 160, 30), "distance/planar_m": (255, 40, 40)}
 _FREE, _OCCUPIED, _HIDING = (236, 239, 243), (150, 158, 170), (84, 92, 106)
 Listener = Callable[[int], None]
@@ -58,7 +58,8 @@ def view_episode(
         tell: told the number of every frame that was logged.
 
     Raises:
-        WorldError: rerun-sdk is not installed, or the recording cannot be written.
+        UsageError: rerun-sdk is not installed.
+        WorldError: the recording cannot be written.
     """
     rerun = _library()
     with rerun.RecordingStream("minivla_factory", recording_id=f"{episode.meta.job.run}_{episode.episode_id}") as log:
@@ -87,20 +88,11 @@ def floor_picture(scene: CompiledScene) -> FloorPicture:
     return FloorPicture(corners, uvs, palette[scene.occupancy])
 
 
-def id_colours(ids: NDArray[np.uint16], target: int) -> NDArray[np.uint8]:
-    """Returns (N, 3) colours that tell ids apart; the target is red, nothing is black."""
-    mixed = ids.astype(np.uint32) * np.uint32(2654435761)
-    colours = np.stack([mixed >> 24, mixed >> 16, mixed >> 8], axis=-1).astype(np.uint8) // 2 + 40
-    colours[ids == 0] = 0
-    colours[ids == target] = (255, 40, 40)
-    return colours
-
-
 def _library() -> ModuleType:
     try:
         import rerun
     except ImportError as error:
-        raise WorldError(f"viewing needs rerun-sdk: {_EXTRA}") from error
+        raise UsageError(f"viewing needs rerun-sdk: {_EXTRA}") from error
     module: ModuleType = rerun
     return module
 
@@ -172,7 +164,7 @@ def _log_still(rerun: ModuleType, log: Any, episode: Episode, scene: CompiledSce
     names = ["nothing", *(_name_of(instance.prim_path, instance.category) for instance in meta.instances)]
     labels = [
         (int(number), name, tuple(map(int, colour)))
-        for number, name, colour in zip(ids, names, id_colours(ids, meta.target_instance_id), strict=True)
+        for number, name, colour in zip(ids, names, show_ids(ids, meta.target_instance_id), strict=True)
     ]
     log.log(f"{_CAMERA_PATH}/ids", rerun.AnnotationContext(labels), static=True)
 
@@ -209,7 +201,7 @@ def _log_motion(rerun: ModuleType, log: Any, episode: Episode, t: int) -> None:
 def _log_frame(rerun: ModuleType, log: Any, episode: Episode, t: int) -> None:
     frame = episode.frame(t)
     log.log(f"{_CAMERA_PATH}/rgb", rerun.Image(frame.rgb).compress(jpeg_quality=90))
-    shown = rerun.DepthImage(frame.depth, meter=1.0, depth_range=(0.0, _DEPTH_SHOWN_M))
+    shown = rerun.DepthImage(frame.depth, meter=1.0, depth_range=(0.0, DEPTH_SHOWN_M))
     log.log(f"{_CAMERA_PATH}/depth", shown)
     log.log(f"{_CAMERA_PATH}/ids", rerun.SegmentationImage(frame.ids))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from factory.cli.output import json_option, print_json
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
 from schemas.errors import UsageError, WorldError
 
@@ -17,7 +18,8 @@ __all__ = ["command"]
 @seed_option
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="File; default targets_<scene>.yaml; - prints.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
-def command(scene: str, seed: int, out: Path | None, force: bool) -> None:
+@json_option
+def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool) -> None:
     """Write the targets of SCENE (a built-in name or a compiled package) as YAML: edit it, then build or import with
     --targets FILE.
     """
@@ -26,6 +28,8 @@ def command(scene: str, seed: int, out: Path | None, force: bool) -> None:
     info = chosen_scene(scene, seed).info
     path = out or Path(list_file_name(info.name))
     if str(path) == "-":
+        if as_json:
+            raise UsageError("-o - prints the list itself: leave out --json, or give a file")
         click.echo(spell_target_list(info), nl=False)
         return
     if path.exists() and not force:
@@ -34,4 +38,7 @@ def command(scene: str, seed: int, out: Path | None, force: bool) -> None:
         path.write_text(spell_target_list(info), encoding="utf-8")
     except OSError as error:
         raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
-    click.echo(str(path))
+    if as_json:
+        print_json({"file": str(path), "scene": info.name, "targets": len(info.targets)})
+    else:
+        click.echo(str(path))

@@ -11,7 +11,7 @@ from coordinator.archive.place import Place
 from factory.catalog import find_package
 from factory.cli.episodes import episode_index
 from factory.cli.options import place_argument
-from factory.cli.output import stderr
+from factory.cli.output import json_option, print_json, stderr
 from factory.dataset import Dataset
 from factory.view import view_episode
 from schemas.errors import UsageError
@@ -26,7 +26,8 @@ __all__ = ["command"]
 @click.argument("episode")
 @click.option("--save", type=click.Path(path_type=Path), metavar="FILE.rrd", help="Write a recording; open no viewer.")
 @click.option("--stride", type=click.IntRange(1, 1000), default=2, show_default=True, help="Show every n-th frame.")
-def command(root: Place, episode: str, save: Path | None, stride: int) -> None:
+@json_option
+def command(root: Place, episode: str, save: Path | None, stride: int, as_json: bool) -> None:
     """Open EPISODE (`ep_000001` or a number) of the dataset in the Rerun viewer.
 
     Colour, depth and ids, the robot on the map, the way it drove, actions and instruction.
@@ -44,4 +45,9 @@ def command(root: Place, episode: str, save: Path | None, stride: int) -> None:
     with chosen, Progress(console=stderr) as progress:
         task = progress.add_task("frames", total=len(frames))
         view_episode(chosen, scene, save, stride, lambda _: progress.advance(task))
-    click.echo(str(save) if save else f"{chosen.episode_id}: {len(frames)} of {len(chosen)} frames sent to the viewer")
+    if as_json:
+        shown = {"episode": chosen.episode_id, "file": str(save) if save else None, "steps": len(chosen)}
+        print_json(shown | {"frames": len(frames)})
+    else:
+        where = str(save) if save else "the viewer"
+        click.echo(f"{chosen.episode_id}: {len(frames)} of {len(chosen)} frames in {where}")

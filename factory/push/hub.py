@@ -48,8 +48,8 @@ def push(
         tell: told of every commit.
 
     Raises:
-        UsageError: the endpoint would see the token unencrypted.
-        WorldError: no token, no library, no right to write, or no connection.
+        UsageError: the endpoint would see the token unencrypted, or huggingface_hub is not installed.
+        WorldError: no token, no right to write, or no connection.
     """
     hub = _library()
     token = hub.get_token()
@@ -93,7 +93,7 @@ def _library() -> ModuleType:
         import huggingface_hub
         from huggingface_hub.utils.tqdm import disable_progress_bars
     except ImportError as error:
-        raise WorldError(f"pushing needs huggingface_hub: {_EXTRA}") from error
+        raise UsageError(f"pushing needs huggingface_hub: {_EXTRA}") from error
     disable_progress_bars()  # ours stands on stderr
     return huggingface_hub
 

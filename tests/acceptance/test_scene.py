@@ -44,7 +44,7 @@ def test_an_edited_list_of_targets_is_honoured_by_import_and_by_a_plan(factory, 
     plant = TEXT.box("SM_Plant_01", (-2.2, -1.2, 0), (-1.8, -0.8, 0.6), (0.02, 0.4, 0.02))
     stage, package = room(factory, tmp_path, room_body(TEXT, plant))
     edits = tmp_path / "targets_room.yaml"
-    factory("scene", "targets", package, "-o", edits)
+    assert factory.json("scene", "targets", package, "-o", edits)["targets"] == 2
     assert "--force" in factory("scene", "targets", package, "-o", edits, expect=2).stderr
     edits.write_text(edits.read_text().replace("colour: red", "colour: blue").replace("id: plant_001", "id: ficus_7"))
     facts = factory.json("scene", "import", stage, "--targets", edits, "--cache", tmp_path / "cache")

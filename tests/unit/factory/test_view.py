@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from factory.dataset import Dataset
-from factory.view import floor_picture, id_colours, view_episode
-from schemas.errors import WorldError
+from factory.panels import show_ids
+from factory.view import floor_picture, view_episode
+from schemas.errors import UsageError
 from schemas.scene import decode_scene
 from tests.builders.dataset import make_dataset, office_package
 
@@ -36,7 +37,7 @@ def test_the_floor_picture_covers_the_grid_and_its_first_row_is_the_smallest_y(s
 
 def test_ids_have_colours_of_their_own_and_the_target_is_red():
     ids = np.arange(200, dtype=np.uint16)
-    colours = id_colours(ids, target=7)
+    colours = show_ids(ids, target=7)
     assert tuple(colours[0]) == (0, 0, 0)
     assert tuple(colours[7]) == (255, 40, 40)
     assert len(np.unique(colours, axis=0)) > 190
@@ -45,7 +46,7 @@ def test_ids_have_colours_of_their_own_and_the_target_is_red():
 @pytest.mark.skipif(HAS_RERUN, reason="rerun-sdk is installed")
 def test_without_rerun_the_extra_is_named(scene, tmp_path):
     make_dataset(tmp_path / "dataset", 1)
-    with pytest.raises(WorldError, match=r"pip install 'minivla-factory\[view\]'"):
+    with pytest.raises(UsageError, match=r"pip install 'minivla-factory\[view\]'"):
         view_episode(Dataset(tmp_path / "dataset")[0], scene, tmp_path / "x.rrd")
     assert not (tmp_path / "x.rrd").exists()
 
