@@ -8,20 +8,19 @@ from pathlib import Path
 from typing import cast
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from coordinator.plan.file import load_plan
 from factory.catalog import open_catalog
+from factory.cli.gating import try_scene
 from factory.cli.options import shrunk_plan, verbose_option
-from factory.cli.output import json_option, print_json, print_table, stderr
-from factory.gate import GateReport, Pilot, judge, run_pilot
+from factory.cli.output import json_option, print_json, print_table
+from factory.gate import GateReport
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from factory.stats.model import Share
 from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName, RendererKind
 from workers.experts import require_expert
-from workers.settings import WorkerSettings
 from workers.stopping import stop_on_signals
 
 __all__ = ["command"]
@@ -70,17 +69,11 @@ def command(
 
 
 def _try(plan: Plan, renderer: RendererKind, processes: int, min_success: float) -> GateReport | None:
-    """Returns the verdict, or `None` when interrupted."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    simulation = WorkerSettings(connect=(), renderer=renderer).simulation_command
-    name = plan.scenes[0].name
-    with stop_on_signals() as (stop, _), Progress(*columns, console=stderr) as bar:
-        task = bar.add_task(f"gate {name}", total=plan.episodes)
-        with tempfile.TemporaryDirectory(prefix="gate-") as nowhere:
-            catalog = open_catalog(plan, Path(nowhere), scene_cache())
-        pilot = Pilot.of(plan, catalog, simulation, processes)
-        trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
-    return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)
+    with stop_on_signals() as (stop, _), tempfile.TemporaryDirectory(prefix="gate-") as nowhere:
+        catalog = open_catalog(
+            plan, Path(nowhere), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+        )
+        return try_scene(plan, catalog, min_success, renderer, processes, stop)
 
 
 def _print(report: GateReport) -> None:

@@ -23,7 +23,7 @@ from schemas.plan import Plan
 from schemas.terms import RendererKind
 from workers.settings import WorkerSettings
 
-__all__ = ["GateMode", "gate_option", "hold_gate"]
+__all__ = ["GateMode", "gate_option", "hold_gate", "try_scene"]
 
 GateMode = Literal["auto", "enforce", "report", "skip"]
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -62,9 +62,8 @@ def hold_gate(
     for scene in plan.scenes:
         if mode == "skip" or (mode == "auto" and scene.episodes < _WORTH_A_PILOT):
             continue
-        report = _try(
-            shrink(plan, scene=scene.name, episodes=min(_PILOT, scene.episodes)), catalog, renderer, processes, stop
-        )
+        pilot = shrink(plan, scene=scene.name, episodes=min(_PILOT, scene.episodes))
+        report = try_scene(pilot, catalog, _MIN_SUCCESS, renderer, processes, stop)
         if report is None:
             return None
         reports.append(report)
@@ -79,16 +78,21 @@ def hold_gate(
     return tuple(map(_outcome, reports))
 
 
-def _try(
-    plan: Plan, catalog: Catalog, renderer: RendererKind, processes: int, stop: threading.Event
+def try_scene(
+    plan: Plan, catalog: Catalog, min_success: float, renderer: RendererKind, processes: int, stop: threading.Event
 ) -> GateReport | None:
+    """Tries every episode of a plan of one scene once, under a bar; returns the verdict, or `None` when `stop` was set.
+
+    Raises:
+        WorldError: simulations do not start.
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     pilot = Pilot.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
     name = plan.scenes[0].name
     with Progress(*columns, console=stderr) as bar:
         task = bar.add_task(f"gate {name}", total=len(pilot.jobs))
         trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
-    return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, _MIN_SUCCESS)
+    return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)
 
 
 def _outcome(report: GateReport) -> GateOutcome:
