@@ -17,7 +17,7 @@ from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.puller import Checker
 from coordinator.wire.relay import MAX_FILES, Archived, Inventory, InventoryReply, Stray
-from schemas.errors import InvalidBundle, TransientError
+from schemas.errors import InvalidBundle
 from schemas.keys import Verb
 from schemas.wire import Ack
 
@@ -54,7 +54,7 @@ def take_stock(
         is_new: whether the directory was just made.
 
     Raises:
-        TransientError: told to stop before the core has answered.
+        TransientError: told to stop before the core has answered, or nothing can be judged on this machine now.
         WorldError: the core says that episodes lie in another directory of this gateway.
     """
     stock = Stock()
@@ -110,7 +110,7 @@ def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: thr
         return stray.why
     try:
         summary = checker.check(path, stray.job, stray.target)
-    except (InvalidBundle, TransientError) as error:
+    except InvalidBundle as error:
         return str(error)
     ack = core.insist(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)
     return "" if ack.accepted else "the core does not want it any more"

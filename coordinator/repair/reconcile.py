@@ -23,7 +23,7 @@ from coordinator.ledger.tables import episodes, jobs
 from coordinator.plan.draw import to_job
 from coordinator.puller import Judge
 from coordinator.wire.protocol import Terms
-from schemas.errors import InvalidBundle, TransientError
+from schemas.errors import InvalidBundle
 
 __all__ = ["Reconciled", "reconcile"]
 
@@ -53,6 +53,9 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
         terms: of the run.
         checker: judges bundles that are to be adopted.
         now: leases are granted from here on.
+
+    Raises:
+        TransientError: nothing can be judged on this machine now; what was not judged lies where it lay.
     """
     result = Reconciled([], [], [])
     present = archive.present()
@@ -124,7 +127,7 @@ def _adopt(connection: Connection, index: int, path: Place, terms: Terms, checke
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         with at_hand(path) as file:
             summary = checker.check(file, job, target)
-    except (InvalidBundle, TransientError) as error:
+    except InvalidBundle as error:
         return str(error)
     if not adopt(connection, row.id, summary, now):
         return f"SHA-256 {summary.file_sha256}, {row.sha256} was announced"

@@ -20,6 +20,7 @@ from coordinator.ledger.tables import jobs
 from coordinator.plan.draw import to_job
 from coordinator.repair.reconcile import reconcile
 from coordinator.wire.protocol import Terms
+from schemas.errors import TransientError
 from schemas.wire import Lease
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import TTL_S, Desk
@@ -89,6 +90,19 @@ def test_a_published_bundle_whose_commit_was_lost_is_adopted(scene):
     with scene.desk.open() as connection:
         assert is_owned(connection, 1)
     assert scene.start().adopted == []
+
+
+def test_a_file_that_cannot_be_judged_now_stays_and_is_adopted_later(scene, validator):
+    _, bundle = scene.announce()
+    path = scene.lay("ep_000001.zip", bundle)
+    with Validator() as closed:
+        pass
+    scene.validator = closed
+    with pytest.raises(TransientError, match="closed"):
+        scene.start()
+    assert path.read_bytes() == bundle
+    scene.validator = validator
+    assert scene.start().adopted == [1]
 
 
 def test_a_torn_bundle_is_quarantined_and_its_worker_asked_again(scene):
