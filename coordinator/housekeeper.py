@@ -17,6 +17,8 @@ Chore = tuple[float, Callable[[], None]]
 
 _SHARE = 20
 """A chore rests at least so many times as long as it took."""
+_AFTER_FAILURE_S = 2.0
+"""Least pause after a chore that failed: one that is done four times a second would fill the log."""
 
 log = structlog.get_logger(__name__)
 
@@ -58,5 +60,6 @@ class Housekeeper:
                 work()
             except Exception:
                 log.exception("chore_failed", chore=name)
+                pause = max(pause, _AFTER_FAILURE_S)
             ended = time.monotonic()
             due[name] = ended + max(pause, _SHARE * (ended - began) if pause >= 1 else 0.0)
