@@ -166,9 +166,14 @@ class Link:
             return
         run, sid, read = self._serving
         key = bundle_key(run, sid)
-        # the queryable first: who sees the token may ask at once
-        queryable = session.declare_queryable(key, lambda query: _answer(query, key, read))
-        token = session.liveliness().declare_token(alive_key(run, sid))
+        try:
+            # the queryable first: who sees the token may ask at once
+            queryable = session.declare_queryable(key, lambda query: _answer(query, key, read))
+            token = session.liveliness().declare_token(alive_key(run, sid))
+        except zenoh.ZError:
+            if not session.is_closed():  # else closed by another thread meanwhile: nothing is to be served any more
+                raise
+            return
         self._declared = [queryable, token]
 
     def _get(self, selector: str, payload: str | None, timeout_s: float) -> Iterator[zenoh.ZBytes]:
