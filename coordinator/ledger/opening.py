@@ -1,6 +1,6 @@
 """Opening the ledger of a run: creates it from a plan, or makes sure that it belongs to this very plan and its scenes.
 
-Moves no job; that is the work of `ledger_claims`, `ledger_outcomes` and `ledger_admin`.
+Moves no job; that is the work of `claims`, `outcomes` and `operator`.
 """
 
 from __future__ import annotations
