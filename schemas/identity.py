@@ -37,6 +37,7 @@ class Role(StrEnum):
     WORKER = "worker"  # claims jobs under its own name and serves its own spool
     OPERATOR = "operator"  # asks for progress, retries and cancels
     GATEWAY = "gateway"  # listens to workers, vouches for them to its coordinator, and archives what they bring
+    EVALUATOR = "evaluator"  # borrows a coordinator's workers for evaluations, and listens to nobody itself
     COORDINATOR = "coordinator"  # listens; nobody else may pass for it
 
 

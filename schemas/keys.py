@@ -9,6 +9,8 @@ from typing import NamedTuple
 from schemas.wire import MAX_MESSAGE_BYTES, PROTOCOL, Lease
 
 __all__ = [
+    "EVALUATION_PREFIX",
+    "EVALUATION_RUNS",
     "MAX_CHUNK_BYTES",
     "BundleChunk",
     "Chunk",
@@ -31,6 +33,10 @@ __all__ = [
 
 MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
 """Most bytes of a file that one reply carries."""
+EVALUATION_PREFIX = "eval_"
+"""How the name of an evaluation's run begins."""
+EVALUATION_RUNS = f"{EVALUATION_PREFIX}$*"
+"""In the place of a run: every evaluation's."""
 
 
 class Verb(StrEnum):

@@ -2,6 +2,7 @@
 
 A host asks under its own name and answers in its own subtree; nobody but the router itself answers for the coordinator.
 A gateway also passes on what the workers behind it ask, under their names: it has let them in by their certificates.
+An evaluator answers what workers ask about evaluations, and sees nothing of the coordinator's own run.
 """
 
 from __future__ import annotations
@@ -10,15 +11,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from schemas.identity import Role
-from schemas.keys import Verb, alive_pattern, bundle_key, scene_pattern, verb_key, verb_pattern
+from schemas.keys import EVALUATION_RUNS, Verb, alive_pattern, bundle_key, scene_pattern, verb_key, verb_pattern
 
 __all__ = ["access_control"]
 
-_ANY_RUN, _ANY_HOST = "*", "*"
+_ANY_RUN, _ANY_HOST, _ANY_SID = "*", "*", "*"
 _VERBS: Mapping[Role, Sequence[Verb]] = {
     Role.WORKER: (Verb.HELLO, Verb.CLAIM, Verb.BEAT, Verb.DONE, Verb.FAIL, Verb.PROGRESS),
     Role.OPERATOR: (Verb.PROGRESS, Verb.ADMIN),
     Role.GATEWAY: (Verb.JOIN, Verb.ORDERS, Verb.HOLD, Verb.ARCHIVED, Verb.REFUSED, Verb.INVENTORY),
+    Role.EVALUATOR: (Verb.PROGRESS,),
 }
 _SERVING = ["declare_queryable", "reply", "liveliness_token"]
 
@@ -54,6 +56,8 @@ def _granted(name: str, role: Role) -> tuple[list[dict[str, Any]], Sequence[str]
         return own, _OF_ALL
     if role is Role.GATEWAY:
         return own, (*_OF_ALL, *_OF_SCENES, *_OF_GATEWAYS)
+    if role is Role.EVALUATOR:
+        return own, (*_OF_ALL, *_OF_EVALUATORS)
     mine = [_subtree(name)]
     own += [_rule(f"serve-{name}", "ingress", _SERVING, mine), _rule(f"fetch-{name}", "egress", ["query"], mine)]
     return own, (*_OF_ALL, *_OF_SCENES)
@@ -72,6 +76,8 @@ _SCENES = [scene_pattern(_ANY_RUN)]
 _ANSWERED = [verb_pattern(_ANY_RUN), *_SCENES]
 _PASSED_ON = [verb_key(_ANY_RUN, _ANY_HOST, verb) for verb in _VERBS[Role.WORKER]]
 _TOKENS = [alive_pattern(_ANY_RUN)]
+_LENT_ANSWERS = [verb_pattern(EVALUATION_RUNS), scene_pattern(EVALUATION_RUNS)]
+_LENT_BUNDLES = [bundle_key(EVALUATION_RUNS, _ANY_SID)]
 _SHARED = (
     _rule("see-coordinator", "egress", ["declare_queryable"], _ANSWERED),
     _rule("ask-scene", "ingress", ["query"], _SCENES),
@@ -82,8 +88,15 @@ _SHARED = (
     _rule("believe-core", "ingress", ["declare_queryable", "reply"], _ANSWERED),
     _rule("ask-core", "egress", ["query"], _ANSWERED),
     _rule("show-workers", "egress", ["liveliness_token"], _TOKENS),
+    _rule("believe-evaluator", "ingress", ["declare_queryable", "reply"], _LENT_ANSWERS),
+    _rule("ask-evaluator", "egress", ["query"], [*_PASSED_ON, *_SCENES]),
+    _rule("lend-workers", "egress", ["declare_queryable", "reply"], _LENT_BUNDLES),
+    _rule("ask-lent", "ingress", ["query"], _LENT_BUNDLES),
+    _rule("believe-lent", "ingress", ["declare_queryable", "reply"], _LENT_BUNDLES),
+    _rule("fetch-lent", "egress", ["query"], _LENT_BUNDLES),
 )
 _OF_ALL = ("see-coordinator",)
 _OF_SCENES = ("ask-scene", "tell-scene")
-_OF_GATEWAYS = ("pass-on", "pass-back", "see-workers")
-_OF_CORE = ("believe-core", "ask-core", "show-workers")
+_OF_GATEWAYS = ("pass-on", "pass-back", "see-workers", "believe-lent", "fetch-lent")
+_OF_CORE = ("believe-core", "ask-core", "show-workers", "lend-workers", "ask-lent")
+_OF_EVALUATORS = ("believe-evaluator", "ask-evaluator", "show-workers", "lend-workers", "ask-lent")

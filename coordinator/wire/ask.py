@@ -68,7 +68,7 @@ def _ask(
                     return _read(reply.ok.payload.to_bytes(), answer, named)
     except zenoh.ZError as error:
         raise TransientError(f"no coordinator at {named}: {error}; start one, or check the endpoint") from error
-    admitted = f", or it admits no operator {name!r} (its hosts.txt)" if tls is not None else ""
+    admitted = f", or it does not admit {name!r} (its hosts.txt)" if tls is not None else ""
     raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; ask again")
 
 

@@ -1,4 +1,4 @@
-"""Reads a coordinator's TLS folder: its certificate, and whom it admits. Builds no configuration, opens no socket."""
+"""Reads the TLS folder of one side: its certificate, and whom it admits. Builds no configuration, opens no socket."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ class Guard:
     Args:
         folder: as `factory keys host DIR NAME --role coordinator` makes it, or `--role gateway`.
         of_gateway: whether it is a gateway's: that knows workers and its coordinator, and nobody else.
+        listens: whether anybody is let in; who only connects needs no list.
 
     Raises:
         UsageError: a file is missing, or the key can be read by everybody.
@@ -29,10 +30,15 @@ class Guard:
 
     folder: Path
     of_gateway: bool = False
+    listens: bool = True
     files: TlsFiles = field(init=False)
+    name: str = field(init=False)
+    """In the certificate."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "files", read_credentials(self.folder)[0])
+        files, name = read_credentials(self.folder)
+        object.__setattr__(self, "files", files)
+        object.__setattr__(self, "name", name)
         self.admitted()
 
     def admitted(self) -> Mapping[str, Role]:
@@ -41,6 +47,8 @@ class Guard:
         Raises:
             UsageError: the list is missing or cannot be understood.
         """
+        if not self.listens:
+            return {}
         try:
             text = self.files.admitted.read_text(encoding="ascii")
         except (OSError, UnicodeDecodeError) as error:

@@ -33,9 +33,9 @@ def router_config(
     Args:
         listen: endpoints such as `tcp/0.0.0.0:7447`.
         lease_s: silence after which a link is closed.
-        tls: certificate to listen with, asking for one of the same authority; `None` for plain TCP.
-        admitted: with TLS, who may do what; everybody else nothing.
-        connect: endpoints of the core that a gateway connects to, and again whenever the link is lost.
+        tls: certificate to listen or connect with, asking for one of the same authority; `None` for plain TCP.
+        admitted: with TLS, who may do what when let in; everybody else nothing.
+        connect: endpoints of the core of a gateway or an evaluation, connected to again whenever the link is lost.
     """
     values = _common("router", lease_s) | {
         "listen/endpoints": json.dumps(list(listen)),
@@ -45,7 +45,7 @@ def router_config(
         "transport/unicast/accept_pending": str(_MAX_ARRIVING),
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
-    if tls is not None:
+    if tls is not None and listen:
         values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
     if tls is not None and connect:
         values |= _tls(tls, "connect")

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from coordinator.wire.tls import Guard
 from factory.cli.door import open_door
 from factory.cli.eval_campaign import Asked, draw_up, open_store, pace_bars, published
 from factory.cli.eval_compare import command as compare_command
@@ -23,7 +24,7 @@ from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
 from factory.eval.run import run_campaign
 from factory.eval.store import Store
-from factory.listen import require_loopback
+from factory.listen import require_loopback, require_tls_endpoints
 from factory.logs import configure_logs
 from schemas.errors import UsageError
 from workers.stopping import stop_on_signals
@@ -44,7 +45,7 @@ __all__ = ["command"]
 @tls_option
 @click.option("-o", "--out", type=click.Path(path_type=Path), metavar="OUT", help="Where results are kept; resumes.")
 @click.option("--act-timeout", type=click.FloatRange(0.01), default=10.0, show_default=True, help="Seconds an answer.")
-@click.option("--load-timeout", type=click.FloatRange(0.1), default=300.0, show_default=True, help="Of the first one.")
+@click.option("--load-timeout", type=click.FloatRange(0.1), default=300.0, show_default=True, help="Of the first one, and of a reset.")
 @click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose in the frame of the start.")
 @click.option("--videos", type=click.IntRange(0), default=12, show_default=True, help="Failures shown a policy.")
 @click.option("--tables", "all_tables", is_flag=True, help="Print by scene, tier, category and template too.")
@@ -98,16 +99,19 @@ def _door(
     listen: tuple[str, ...], connect: tuple[str, ...], tls: Path | None, out: Path | None, workers: int | None
 ) -> Door | None:
     """Returns how workers are reached; `None` where this machine drives."""
-    if not listen and tls is not None:
-        raise UsageError("--tls is for the workers of --listen; leave it out, or say where to listen")
     if not (listen or connect):
+        if tls is not None:
+            raise UsageError("--tls is for --listen and --connect; leave it out, or give one of them")
         return None
     if out is None:
         raise UsageError("give -o OUT with --listen and --connect: what workers bring is archived there")
     if workers is not None:
         raise UsageError("--workers drives on this machine; else start `factory worker`s, here too if wanted")
-    if connect and tls is not None:
-        raise UsageError("an evaluation joins a coordinator without TLS only; with --tls let workers come to --listen")
+    if tls is not None and connect:
+        if listen:
+            raise UsageError("with --tls give --listen or --connect: a certificate is for one of them")
+        require_tls_endpoints(connect)
+        return Door((), connect, Guard(tls, listens=False), _invite)
     require_loopback(connect)
     guard, endpoints = open_door(tls, listen) if listen else (None, ())
     return Door(endpoints, connect, guard, _invite)

@@ -14,6 +14,7 @@ from factory.eval.from_dataset import Places
 from factory.eval.message import Errand, Order
 from factory.eval.policies import file_of
 from schemas.errors import UsageError
+from schemas.keys import EVALUATION_PREFIX
 from schemas.plan import Budget, Plan, canonical_json
 from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
 
@@ -89,8 +90,8 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, Order], attache
         raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; make new specs of it")
     settings = campaign.specs.settings
     numbers = {name: getattr(settings, name) for name in type(settings).model_fields}
-    changes = {"name": f"eval_{_digest(campaign, orders, attached)}", "scenes": scenes, "budget": _BUDGET, **numbers}
-    return plan.model_copy(update=changes)
+    name = f"{EVALUATION_PREFIX}{_digest(campaign, orders, attached)}"
+    return plan.model_copy(update={"name": name, "scenes": scenes, "budget": _BUDGET, **numbers})
 
 
 def planned_of(order: Order, index: int) -> PlannedJob:

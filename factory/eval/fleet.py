@@ -50,6 +50,7 @@ class Door:
     connect: tuple[str, ...] = ()
     """Running coordinators whose workers shall drive."""
     guard: Guard | None = None
+    """Certificates, of one who listens or of one who connects."""
     tell: Callable[[tuple[str, ...]], None] = lambda _endpoints: None
     """Told the endpoints once it is open."""
 
@@ -88,7 +89,7 @@ def run_fleet(
     errands = Errands(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
     judge = ResultJudge(orders, campaign.specs.settings)
     if door.connect:
-        ask_progress(door.connect)  # says so when nobody is there
+        _look_for_coordinator(door)
     _try_failed_again(root)
     with Coordinator(
         root,
@@ -113,6 +114,14 @@ def run_fleet(
         with contextlib.suppress(OSError):
             root.parent.rmdir()  # unless another campaign is waiting there
     return is_over
+
+
+def _look_for_coordinator(door: Door) -> None:
+    """Says so when nobody is there."""
+    if door.guard is None:
+        ask_progress(door.connect)
+    else:
+        ask_progress(door.connect, door.guard.name, door.guard.files)
 
 
 def _try_failed_again(root: Path) -> None:

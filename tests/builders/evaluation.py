@@ -1,4 +1,4 @@
-"""Builds a small real dataset for evaluation: attempts of the real simulation in a room of boxes, archived."""
+"""A small real dataset for evaluation, attempts of the real simulation in a room of boxes, and a campaign on it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from pathlib import Path
 from coordinator.archive.opening import open_archive
 from coordinator.dataset.tables import write_tables
 from coordinator.summary import summary_of
+from factory.dataset import Dataset
+from factory.eval.campaign import Campaign
+from factory.eval.from_dataset import specs_of_dataset
+from factory.eval.message import Setup
+from factory.eval.store import Manifest, Store
 from schemas.config import TaskConfig
 from schemas.episode import EpisodeMeta
 from schemas.job import Job
@@ -24,7 +29,7 @@ from tests.builders.scene import box_room
 from workers.attempt import Success, run_attempt
 from workers.stage import Stage
 
-__all__ = ["archive_drives", "room_job", "room_package"]
+__all__ = ["archive_drives", "open_store", "room_job", "room_package", "standing_still"]
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TEST_ID)
 
@@ -79,6 +84,20 @@ def archive_drives(root: Path, episodes: int = 3) -> Path:
             rows.append(summary_of(meta, hashlib.sha256(data).hexdigest(), len(data)))
         write_tables(archive, plan, {"office": sha256}, rows, [], NOW)
     return root
+
+
+def standing_still(drives: Dataset) -> Campaign:
+    """Returns two episodes of ten steps in which nobody moves."""
+    specs = specs_of_dataset(drives, [Split.TEST_ID])
+    task = specs.settings.task.model_copy(update={"max_steps": 10})
+    specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
+    return Campaign(specs, drives.root, ("stop",), (), Setup(settings=specs.settings))
+
+
+def open_store(root: Path, campaign: Campaign) -> Store:
+    """Opens the results of a campaign."""
+    manifest = Manifest(run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=10.0)
+    return Store(root, campaign.specs, manifest)
 
 
 def _first_success(index: int, stage: Stage, run: str, plan_digest: str) -> tuple[bytes, EpisodeMeta]:

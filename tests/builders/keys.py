@@ -18,12 +18,19 @@ def make_authority(
     operators: Sequence[str] = (),
     days: int = 2,
     gateways: Sequence[str] = (),
+    evaluators: Sequence[str] = (),
 ) -> Path:
     """Returns the folder of an authority with a coordinator called hub and these hosts."""
     now = datetime.now(UTC)
     found(folder, "test", days, now)
     admit(folder, "hub", Role.COORDINATOR, (), days, now)
-    for role, names in ((Role.WORKER, workers), (Role.OPERATOR, operators), (Role.GATEWAY, gateways)):
+    named = {
+        Role.WORKER: workers,
+        Role.OPERATOR: operators,
+        Role.GATEWAY: gateways,
+        Role.EVALUATOR: evaluators,
+    }
+    for role, names in named.items():
         for name in names:
             admit(folder, name, role, (), days, now)
     return folder

@@ -17,13 +17,10 @@ from coordinator.settings import CoordinatorSettings
 from factory.dataset import Dataset
 from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
-from factory.eval.from_dataset import specs_of_dataset
-from factory.eval.message import Setup
 from factory.eval.result import Variant
 from factory.eval.run import Pace
-from factory.eval.store import Manifest, Store
 from schemas.errors import TransientError, UsageError, WorldError
-from schemas.terms import Split
+from tests.builders.evaluation import open_store, standing_still
 from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.worker import WorkerThread, settings_for
@@ -35,15 +32,7 @@ EVALUATE = (sys.executable, "-m", "factory.eval.station")
 @pytest.fixture(scope="module")
 def campaign(drives: Dataset) -> Campaign:
     """Two episodes in which nobody moves."""
-    specs = specs_of_dataset(drives, [Split.TEST_ID])
-    task = specs.settings.task.model_copy(update={"max_steps": 10})
-    specs = specs.model_copy(update={"settings": specs.settings.model_copy(update={"task": task})})
-    return Campaign(specs, drives.root, ("stop",), (), Setup(settings=specs.settings))
-
-
-def open_store(root: Path, campaign: Campaign) -> Store:
-    manifest = Manifest(run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=10.0)
-    return Store(root, campaign.specs, manifest)
+    return standing_still(drives)
 
 
 def archived(hub: Coordinator) -> int:

@@ -1,0 +1,133 @@
+"""An evaluation that borrows the workers of a collection behind mTLS; its certificate is worth nothing else."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from coordinator.gateway.service import Gateway
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from coordinator.wire.tls import Guard
+from coordinator.wire.zenoh_config import client_config
+from factory.dataset import Dataset
+from factory.eval.fleet import Door, run_fleet
+from factory.keys import revoke
+from schemas.errors import TransientError
+from schemas.keys import Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
+from schemas.wire import AdminAction, AdminReply, AdminRequest, Claim, ClaimReply, Done
+from tests.builders.evaluation import open_store, standing_still
+from tests.builders.keys import files_of, make_authority
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+from tests.builders.worker import WorkerThread, settings_for
+
+COLLECT = (sys.executable, "-m", "tests.builders.small_simulation", "0.2")
+EVALUATE = (sys.executable, "-m", "factory.eval.station")
+SETTINGS = CoordinatorSettings(
+    reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=15.0, admission_s=0.2
+)
+ANY_PORT = ("tls/127.0.0.1:0",)
+
+
+@pytest.fixture
+def pki(tmp_path: Path) -> Path:
+    return make_authority(tmp_path / "pki", ("node",), ("boss",), gateways=("gw1",), evaluators=("desk", "other"))
+
+
+@pytest.fixture
+def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
+    """A collection that does not end by itself."""
+    plan, catalog = room_plan(2000), room_catalog(tmp_path)
+    guard = Guard(pki / "hub")
+    with Coordinator(tmp_path / "out", plan, catalog, ANY_PORT, settings=SETTINGS, guard=guard) as running:
+        yield running
+
+
+@contextmanager
+def working(endpoint: str, pki: Path, folder: Path) -> Iterator[None]:
+    """A worker of the collection that can drive evaluations too."""
+    more = {"host": "node", "tls": files_of(pki, "node"), "command": COLLECT, "errand_command": EVALUATE}
+    with WorkerThread(settings_for(endpoint, folder / "worker", **more)):
+        yield
+
+
+def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> list[tuple[str, int]]:
+    """What comes of two episodes in which nobody moves."""
+    campaign = standing_still(drives)
+    door = Door(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
+    with open_store(folder / "results", campaign) as store:
+        assert run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
+        return [(row.end, row.num_steps) for row in store.results("stop")]
+
+
+def test_the_workers_of_a_collection_behind_tls_drive_an_evaluation_and_go_back(drives, hub, pki, tmp_path):
+    with working(hub.endpoints[0], pki, tmp_path):
+        until(lambda: hub.progress().jobs["archived"] > 0, 120)
+        assert evaluates(drives, hub, pki, tmp_path) == [("timeout", 10)] * 2
+        before = hub.progress().jobs["archived"]
+        until(lambda: hub.progress().jobs["archived"] > before, 120)
+
+
+def test_workers_behind_a_gateway_are_lent_too(drives, hub, pki, tmp_path):
+    guard = Guard(pki / "gw1", of_gateway=True)
+    with (
+        Gateway(tmp_path / "gw1", "gw1", hub.endpoints, ANY_PORT, SETTINGS, guard=guard) as gateway,
+        working(gateway.endpoints[0], pki, tmp_path),
+    ):
+        until(lambda: hub.progress().jobs["archived"] > 0, 120)
+        assert evaluates(drives, hub, pki, tmp_path) == [("timeout", 10)] * 2
+
+
+def test_an_evaluation_that_is_not_admitted_says_where_to_look(drives, hub, pki, tmp_path):
+    revoke(pki, "desk")
+    until(lambda: "desk" not in Guard(pki / "hub").admitted(), 60)
+    time.sleep(1.0)  # several looks of the coordinator at its list
+    with pytest.raises(TransientError, match=r"does not admit 'desk' \(its hosts\.txt\)"):
+        evaluates(drives, hub, pki, tmp_path)
+
+
+def test_an_evaluator_can_neither_work_nor_steer(hub, pki):
+    with WireWorker(hub.endpoints, hub.run, "desk", files_of(pki, "desk")) as greedy:
+        assert greedy.hello(version("minivla-factory")) is None
+        assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token="0" * 32), ClaimReply) is None
+        assert greedy.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
+    assert hub.progress().jobs["pending"] == 2000
+
+
+def test_an_evaluator_hears_and_answers_nothing_of_the_collection(hub, pki):
+    heard: list[str] = []
+
+    def lie(query: zenoh.Query) -> None:
+        with query:
+            heard.append(str(query.key_expr))
+            query.reply(verb_key(hub.run, "node", Verb.CLAIM), b'{"finished": true}')
+
+    with (
+        zenoh.open(client_config(hub.endpoints, 2.0, files_of(pki, "desk"))) as curious,
+        WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker,
+    ):
+        curious.declare_queryable(verb_pattern(hub.run), lie)
+        curious.declare_queryable(verb_pattern("*"), lie)
+        time.sleep(0.3)
+        worker.hello(version("minivla-factory"))
+        job, lease = worker.job()
+        done = Done(sid=worker.sid, lease=lease, sha256="0" * 64, size=9, via=worker.via)
+        worker.spool[lease.job_id, lease.fence] = done, b"secret" * 100
+        for run in (hub.run, "*"):
+            selector = bundle_selector(run, worker.sid, lease, Chunk(0, 10))
+            replies = curious.get(selector, zenoh.handlers.FifoChannel(4), timeout=2.0)
+            assert [reply for reply in replies if reply.ok is not None] == []
+        curious.declare_queryable(bundle_key(hub.run, worker.sid), lie)
+        time.sleep(0.3)
+        assert worker.deliver(lease, bundle_for(job))
+        until(lambda: hub.progress().jobs["archived"] == 1, 60)
+    assert heard == []
