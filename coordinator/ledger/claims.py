@@ -10,7 +10,8 @@ from typing import Any
 from sqlalchemy import Row, bindparam, case, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.moves import FREED, UNDER_LEASE, Move, is_in, lease_parameters, record_attempt
+from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, is_in, lease_parameters, record_attempt
+from coordinator.ledger.prepared import Prepared
 from coordinator.ledger.states import OPEN_STATES, Event, State
 from coordinator.ledger.tables import jobs
 from schemas.wire import Beat, Lease
@@ -35,7 +36,7 @@ _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
 
-BY_TOKEN = select(jobs).where(jobs.c.token == bindparam("token"))
+BY_TOKEN = select(*JOB).where(jobs.c.token == bindparam("of_token"))
 NEXT_ID = (
     select(jobs.c.id)
     .where(jobs.c.state == State.PENDING, jobs.c.not_before <= bindparam("now"))
@@ -50,6 +51,9 @@ _BEAT = (
     .values(lease_until=bindparam("until"), step=bindparam("at_step"), sid=bindparam("by"))
 )
 OVERDUE = select(jobs).where(jobs.c.lease_until < bindparam("now")).order_by(jobs.c.lease_until).limit(_SWEEP_ROWS)
+_HOLDER = Prepared(BY_TOKEN)
+_LONGER = case((jobs.c.lease_until < bindparam("until"), bindparam("until")), else_=jobs.c.lease_until)
+_EXTEND = Prepared(update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=_LONGER))
 _CLAIM = Move(
     Event.CLAIMED,
     jobs.c.id == NEXT_ID.scalar_subquery(),
@@ -80,14 +84,14 @@ class BeatOutcome:
     """Jobs whose announced bundle waits to be pulled."""
 
 
-def lease_of(row: Row[Any]) -> Lease:
+def lease_of(row: JobRow) -> Lease:
     """Returns the lease in force on a held job."""
     return Lease(job_id=row.id, fence=row.fence, token=row.token)
 
 
 def claim(
     connection: Connection, sid: str, token: str, now: datetime, ttl_s: float, *, may_start: bool = True
-) -> Row[Any] | None:
+) -> JobRow | None:
     """Leases the job that waits longest, or returns the one that the token holds already.
 
     Args:
@@ -101,7 +105,7 @@ def claim(
     Returns:
         The job's row; `None` when nothing is due, or the token has been used up.
     """
-    known = connection.execute(BY_TOKEN, {"token": token}).first()
+    known = _HOLDER.first(connection, {"of_token": token})
     if known is not None:
         return known if known.state in HELD_STATES else None
     if not may_start:
@@ -131,10 +135,7 @@ def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> Bea
 
 def extend(connection: Connection, lease: Lease, now: datetime, seconds: float) -> bool:
     """Lets a lease last at least so long from now; returns whether it was in force."""
-    until = now.timestamp() + seconds
-    longer = case((jobs.c.lease_until < until, until), else_=jobs.c.lease_until)
-    held = update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=longer)
-    return connection.execute(held, lease_parameters(lease)).rowcount == 1
+    return _EXTEND.count(connection, {**lease_parameters(lease), "until": now.timestamp() + seconds}) == 1
 
 
 def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> int:

@@ -10,14 +10,21 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, bindparam, insert, or_, update
+from sqlalchemy import Boolean, ColumnElement, bindparam, insert, or_, update
 from sqlalchemy.engine import Connection
 
+from coordinator.ledger.prepared import Prepared
 from coordinator.ledger.states import Event, State, sources, target
 from coordinator.ledger.tables import attempts, events, jobs
 from schemas.wire import Lease
 
-__all__ = ["FREED", "UNDER_LEASE", "Move", "is_in", "lease_parameters", "record_attempt"]
+__all__ = ["FREED", "JOB", "UNDER_LEASE", "JobRow", "Move", "is_in", "lease_parameters", "record_attempt"]
+
+JobRow = Any
+"""A row of `jobs` with the columns of `JOB`."""
+
+JOB = tuple(column for column in jobs.c if not isinstance(column.type, Boolean))
+"""What a prepared statement returns of a job."""
 
 FREED: Mapping[str, Any] = MappingProxyType(
     {"token": None, "sid": None, "lease_until": None, "step": 0, "sha256": None, "size": None}
@@ -31,8 +38,8 @@ UNDER_LEASE: tuple[ColumnElement[bool], ...] = (
 )
 """The condition that a lease is the one in force; its parameters are `lease_parameters`."""
 
-_INSERT_EVENT = insert(events)
-_INSERT_ATTEMPT = insert(attempts)
+_INSERT_EVENT = Prepared(insert(events))
+_INSERT_ATTEMPT = Prepared(insert(attempts))
 
 
 def lease_parameters(lease: Lease) -> dict[str, Any]:
@@ -56,12 +63,13 @@ class Move:
 
     def __init__(self, event: Event, *where: ColumnElement[bool], **values: Any) -> None:
         self.event = event
+        self._name = event.value
         changes = {"state": target(event), "changed_at": bindparam("now")} | values
-        self._statement = update(jobs).where(*where, is_in(*sources(event))).values(changes).returning(jobs)
+        self._update = Prepared(update(jobs).where(*where, is_in(*sources(event))).values(changes).returning(*JOB))
 
     def make(
         self, connection: Connection, parameters: Mapping[str, Any], now: datetime, *, by: str = "", detail: str = ""
-    ) -> Row[Any] | None:
+    ) -> JobRow | None:
         """Moves one job if it stands where the event can find it, and logs the event.
 
         Args:
@@ -75,16 +83,16 @@ class Move:
             The row after the move; `None` when somebody else won.
         """
         at = now.timestamp()
-        row = connection.execute(self._statement, {**parameters, "now": at}).first()
+        row = self._update.first(connection, {**parameters, "now": at})
         if row is not None:
-            line = {"job_id": row.id, "event": self.event, "state": row.state, "sid": by, "detail": detail}
-            connection.execute(_INSERT_EVENT, {**line, "at": at, "attempt": row.attempt, "fence": row.fence})
+            line = {"job_id": row.id, "event": self._name, "state": row.state, "sid": by, "detail": detail}
+            _INSERT_EVENT.count(connection, {**line, "at": at, "attempt": row.attempt, "fence": row.fence})
         return row
 
 
 def record_attempt(
     connection: Connection,
-    before: Row[Any],
+    before: JobRow,
     outcome: str,
     now: datetime,
     *,
@@ -105,8 +113,8 @@ def record_attempt(
         steps: simulated.
         seconds: of wall time.
     """
-    connection.execute(
-        _INSERT_ATTEMPT,
+    _INSERT_ATTEMPT.count(
+        connection,
         {
             "job_id": before.id,
             "idx": before.idx,

@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from sqlalchemy import Row, bindparam, delete, insert, select, update
+from sqlalchemy import bindparam, delete, insert, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import HELD_STATES
-from coordinator.ledger.moves import FREED, UNDER_LEASE, Move, lease_parameters, record_attempt
+from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, lease_parameters, record_attempt
 from coordinator.ledger.opening import insert_planned, planned_of
+from coordinator.ledger.prepared import Prepared
 from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
 from coordinator.plan.draw import PlannedJob
@@ -33,7 +34,7 @@ _HURTS = "crash, hang or invalid bundle"
 _CRASH_PAUSE_S = 1.0
 
 
-_UNDER_LEASE = select(jobs).where(*UNDER_LEASE)
+_UNDER_LEASE = Prepared(select(*JOB).where(*UNDER_LEASE))
 _PAUSED: dict[str, Any] = {
     "attempt": bindparam("next_attempt"),
     "not_before": bindparam("until"),
@@ -64,6 +65,13 @@ _HURTING: dict[str, Any] = {**FREED, **_PAUSED, "crashes": jobs.c.crashes + 1}
 _HURT = Move(Event.HURT, *UNDER_LEASE, **_HURTING)
 _QUARANTINE = Move(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
 _RELEASE = Move(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))
+_INSERT_EPISODE = Prepared(insert(episodes))
+_CREDIT = Prepared(update(workers).where(workers.c.sid == bindparam("by")).values(archived=workers.c.archived + 1))
+_AT_HOME = Prepared(
+    select(episodes.c.idx)
+    .outerjoin(keepers, keepers.c.idx == episodes.c.idx)
+    .where(keepers.c.idx.is_(None), episodes.c.idx == bindparam("index"))
+)
 
 
 class Announced(NamedTuple):
@@ -71,14 +79,14 @@ class Announced(NamedTuple):
 
     accepted: bool
     """Whether the lease is, or until its fulfilment was, the worker's."""
-    waiting: Row[Any] | None
+    waiting: JobRow | None
     """The job, when its bundle is still to be pulled."""
 
 
 def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) -> Announced:
     """Notes that a bundle can be pulled; repeating it is harmless."""
     lease = lease_parameters(done.lease)
-    known = connection.execute(_UNDER_LEASE, lease).first()
+    known = _UNDER_LEASE.first(connection, lease)
     if known is None or known.state not in (*HELD_STATES, State.ARCHIVED):
         return Announced(False, None)
     if known.state == State.ARCHIVED:
@@ -113,7 +121,7 @@ def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, su
     Returns:
         Whether the report was accepted now, or is the repetition of one that was.
     """
-    row = connection.execute(_UNDER_LEASE, lease_parameters(report.lease)).first()
+    row = _UNDER_LEASE.first(connection, lease_parameters(report.lease))
     if row is None or row.state not in HELD_STATES:
         return _was_reported(connection, report)
     if report.reason.is_of_the_world:
@@ -136,8 +144,7 @@ def lose(connection: Connection, index: int, now: datetime, detail: str) -> bool
 
 def is_owned(connection: Connection, index: int) -> bool:
     """Returns whether the file of an episode in the core's directory is the ledger's: no late loser may delete it."""
-    at_home = select(episodes.c.idx).outerjoin(keepers, keepers.c.idx == episodes.c.idx).where(keepers.c.idx.is_(None))
-    return connection.execute(at_home.where(episodes.c.idx == index)).first() is not None
+    return _AT_HOME.first(connection, {"index": index}) is not None
 
 
 def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Receipt, now: datetime) -> bool:
@@ -146,8 +153,8 @@ def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Rec
     if row is None:
         return False
     record_attempt(connection, row, SUCCESS, now, settles=True, steps=summary.num_steps)
-    connection.execute(
-        insert(episodes),
+    _INSERT_EPISODE.count(
+        connection,
         {
             "idx": row.idx,
             "job_id": row.id,
@@ -159,7 +166,7 @@ def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Rec
             "archived_at": now.timestamp(),
         },
     )
-    connection.execute(update(workers).where(workers.c.sid == row.sid).values(archived=workers.c.archived + 1))
+    _CREDIT.count(connection, {"by": row.sid})
     return True
 
 
@@ -170,7 +177,7 @@ def _was_reported(connection: Connection, report: Fail) -> bool:
 
 
 def _miss(
-    connection: Connection, row: Row[Any], report: Fail, now: datetime, budget: Budget, successor: Successor
+    connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, successor: Successor
 ) -> bool:
     is_last = row.misses + 1 >= budget.attempts_per_draw
     has_successor = is_last and row.draw + 1 < budget.draws
@@ -187,7 +194,7 @@ def _miss(
     return True
 
 
-def _hurt(connection: Connection, row: Row[Any], report: Fail, now: datetime, budget: Budget) -> bool:
+def _hurt(connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget) -> bool:
     crashes = row.crashes + 1
     is_last = crashes >= budget.crashes
     why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
@@ -195,14 +202,14 @@ def _hurt(connection: Connection, row: Row[Any], report: Fail, now: datetime, bu
     return _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False)
 
 
-def _release(connection: Connection, row: Row[Any], report: Fail, now: datetime) -> bool:
+def _release(connection: Connection, row: JobRow, report: Fail, now: datetime) -> bool:
     return _settle(connection, _RELEASE, row, report, now, {"until": now.timestamp()}, settles=False)
 
 
 def _settle(
     connection: Connection,
     how: Move,
-    row: Row[Any],
+    row: JobRow,
     report: Fail,
     now: datetime,
     values: Mapping[str, Any],

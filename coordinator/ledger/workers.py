@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from sqlalchemy import insert, update
+from sqlalchemy import bindparam, insert, update
 from sqlalchemy.engine import Connection
 
+from coordinator.ledger.prepared import Prepared
 from coordinator.ledger.tables import workers
 from schemas.wire import Hello
 
 __all__ = ["introduce", "note_alive"]
+
+_HEARD = Prepared(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
 
 
 def introduce(connection: Connection, hello: Hello, now: datetime) -> None:
@@ -22,6 +25,5 @@ def introduce(connection: Connection, hello: Hello, now: datetime) -> None:
 
 def note_alive(connection: Connection, sid: str, host: str, now: datetime) -> None:
     """Records that a worker was heard of, introduced or not."""
-    heard = update(workers).where(workers.c.sid == sid).values(last_beat=now.timestamp())
-    if connection.execute(heard).rowcount == 0:
+    if _HEARD.count(connection, {"by": sid, "now": now.timestamp()}) == 0:
         connection.execute(insert(workers).values(sid=sid, host=host, slots=1, last_beat=now.timestamp()))
