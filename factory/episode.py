@@ -20,8 +20,6 @@ from schemas.errors import ArchiveCorrupt, InvalidBundle
 
 __all__ = ["Episode", "Frame"]
 
-_KEPT_FREE_BYTES = 30 << 20
-
 
 class Frame(NamedTuple):
     """What the robot saw before one action."""
@@ -161,7 +159,6 @@ class _Opened:
             raise ArchiveCorrupt(f"{path} is missing: run `factory verify`") from error
         except OSError as error:
             raise ArchiveCorrupt(f"{path} cannot be read: {error.strerror}") from error
-        _keep_freed_memory()
         self.close = weakref.finalize(self, file.close)
         self.pid = os.getpid()
         try:
@@ -169,15 +166,6 @@ class _Opened:
         except InvalidBundle as error:
             self.close()
             raise _corrupt(path, error) from error
-
-
-def _keep_freed_memory() -> None:
-    """Lets glibc keep up to twice as much freed memory as the block it frees here (mallopt(3), M_MMAP_THRESHOLD).
-
-    Otherwise it may give the pages of every frame back to the kernel and fault them in anew for the next one: a frame
-    has about 900 pages, and that took 1.5 of 6.1 ms. No page of the block itself is ever touched.
-    """
-    np.empty(_KEPT_FREE_BYTES, np.uint8)
 
 
 def _corrupt(path: Place, error: InvalidBundle) -> ArchiveCorrupt:

@@ -6,9 +6,10 @@ Describes and checks arrays; never computes, stores or converts them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 __all__ = [
     "ACTIONS_CONTINUOUS",
@@ -62,16 +63,27 @@ class ArraySpec:
             return [f"{self.name}: dtype {array.dtype}, expected {np.dtype(self.dtype)}"]
         return self._value_violations(array)
 
-    def _value_violations(self, array: NDArray[np.generic]) -> list[str]:
-        if array.size == 0:
+    def _value_violations(self, array: NDArray[Any]) -> list[str]:
+        has_bounds = self.low is not None or self.high is not None
+        if array.size == 0 or not (has_bounds or array.dtype.kind == "f"):
             return []
-        if array.dtype.kind == "f" and not bool(np.isfinite(array).all()):
+        axes = tuple(range(array.ndim - 1)) if isinstance(self.low or self.high, tuple) else None
+        return self.range_violations(array.min(axes), array.max(axes))
+
+    def range_violations(self, least: ArrayLike, most: ArrayLike) -> list[str]:
+        """Says what is wrong with values that range from `least` to `most`, as `violations` does.
+
+        Args:
+            least: the minimum of an array, or of each column where the bounds are tuples; NaN when one value is.
+            most: the maximum, likewise.
+        """
+        if not (np.isfinite(least).all() and np.isfinite(most).all()):
             return [f"{self.name}: holds NaN or infinity"]
         found = []
-        if self.low is not None and bool((array < np.asarray(self.low)).any()):
-            found.append(f"{self.name}: minimum {array.min()} is below {self.low} {self.unit}")
-        if self.high is not None and bool((array > np.asarray(self.high)).any()):
-            found.append(f"{self.name}: maximum {array.max()} is above {self.high} {self.unit}")
+        if self.low is not None and np.less(least, self.low).any():
+            found.append(f"{self.name}: minimum {np.min(least)} is below {self.low} {self.unit}")
+        if self.high is not None and np.greater(most, self.high).any():
+            found.append(f"{self.name}: maximum {np.max(most)} is above {self.high} {self.unit}")
         return found
 
     def _show_shape(self, length: int | None) -> str:
