@@ -1,7 +1,11 @@
-"""The coordinator's disk as chaos has it: small, full, slow. What this machine does not allow is said."""
+"""The coordinator's disk as chaos has it: small, full, slow. What this machine does not allow is said.
+
+A library preloaded into the coordinator slows its fsync down, and notes what it felt.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import subprocess
@@ -10,10 +14,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from tests.chaos.spell import Spell
+
 __all__ = ["Disk"]
 
 _SOURCE = Path(__file__).with_name("slow_fsync.c")
 _BLOCK = bytes(1 << 16)
+_FULL, _SLOW = "f", "s"
+"""What the preloaded library notes."""
 _PROBE = """
 import os, sys, time
 with open(sys.argv[1], "wb") as file:
@@ -38,37 +46,50 @@ class Disk:
         """Fault -> why it cannot be had here."""
         self._is_mounted = self._mount(megabytes)
         self._speed = folder / "slow_ms"
+        self._felt = folder / "slow_ms.felt"
+        self._spells: dict[str, Spell] = {}
         self._shim = folder / "slow_fsync.so"
         self._make_shim()
 
     @property
-    def environment(self) -> dict[str, str]:
-        """What a process needs in its environment to feel the slowness."""
-        if "slow disk" in self.missing:
-            return {}
-        return {"LD_PRELOAD": str(self._shim), "SLOW_DISK": str(self._speed)}
+    def preload(self) -> dict[str, str]:
+        """What the environment of a process needs from its beginning to feel anything."""
+        return {} if "slow disk" in self.missing else {"LD_PRELOAD": str(self._shim)}
 
     @property
-    def is_full(self) -> bool:
-        return (self.path / "filler").exists()
+    def environment(self) -> dict[str, str]:
+        """What else it needs, then or later."""
+        return {} if "slow disk" in self.missing else {"SLOW_DISK": str(self._speed)}
 
-    def fill(self) -> None:
-        """Leaves not a byte free."""
-        with (self.path / "filler").open("wb", buffering=0) as file:
-            try:
-                while True:
-                    file.write(_BLOCK)
-            except OSError:
-                return
+    def fill(self) -> Spell | None:
+        """Leaves not a byte free until it is cleared; `None` when it is full already."""
+        if _FULL in self._spells:
+            return None
+        with (self.path / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
+            while True:
+                file.write(_BLOCK)
+        return self._begin(_FULL)
+
+    def slow(self, milliseconds: int) -> Spell | None:
+        """Lets every fsync wait until it is cleared; `None` when it is slow already."""
+        if _SLOW in self._spells:
+            return None
+        self._speed.write_text(str(milliseconds))
+        return self._begin(_SLOW)
 
     def clear(self) -> None:
-        """Gives back the room and the speed."""
+        """Gives back the room and the speed, and tells the spells what was felt of them."""
         (self.path / "filler").unlink(missing_ok=True)
         self._speed.unlink(missing_ok=True)
+        felt = self._felt.read_text() if self._felt.exists() else ""
+        self._felt.unlink(missing_ok=True)
+        for letter, spell in self._spells.items():
+            spell.felt += felt.count(letter)
+        self._spells.clear()
 
-    def slow(self, milliseconds: int) -> None:
-        """Lets every fsync wait."""
-        self._speed.write_text(str(milliseconds))
+    def _begin(self, letter: str) -> Spell:
+        spell = self._spells[letter] = Spell()
+        return spell
 
     def close(self) -> None:
         """Unmounts the disk; what was on it is gone."""
@@ -101,16 +122,19 @@ class Disk:
         try:
             command = ["cc", "-shared", "-fPIC", "-O1", "-o", str(self._shim), str(_SOURCE), "-ldl"]
             subprocess.run(command, check=True, capture_output=True)
-            self.slow(120)
+            spell = self.slow(120)
             probe = [sys.executable, "-c", _PROBE, str(self.path / "probe")]
-            took = float(
-                subprocess.run(probe, check=True, capture_output=True, env=os.environ | self.environment).stdout
-            )
+            feeling = os.environ | self.preload | self.environment
+            took = float(subprocess.run(probe, check=True, capture_output=True, env=feeling).stdout)
+            self.clear()
+            if took < 0.1 or spell is None or not spell.felt:
+                self._miss(f"a preloaded library has no effect: {took:.3f} s")
         except (OSError, subprocess.CalledProcessError, ValueError) as error:
-            self.missing["slow disk"] = f"a preloaded library is not to be had: {error}"
-        else:
-            if took < 0.1:
-                self.missing["slow disk"] = f"a preloaded library has no effect: {took:.3f} s"
+            self._miss(f"a preloaded library is not to be had: {error}")
         finally:
-            self._speed.unlink(missing_ok=True)
+            self.clear()
             (self.path / "probe").unlink(missing_ok=True)
+
+    def _miss(self, why: str) -> None:
+        for fault in ("slow disk", "full disk"):  # without the library nobody says whether a full disk was felt
+            self.missing.setdefault(fault, why)

@@ -1,27 +1,30 @@
-"""The mishaps of a campaign: one line each, so that a new one is a line here."""
+"""The mishaps of a campaign: one line each, so that a new one is a line here.
+
+Each hits somebody in the middle of the work or is not to be had at that moment; what is felt later, its spell says.
+"""
 
 from __future__ import annotations
 
 import random
-import signal
 from collections.abc import Callable, Mapping
 
 from tests.chaos.party import LEASE_S, Party
+from tests.chaos.spell import Spell
 
 __all__ = ["FAULTS", "possible"]
 
-Fault = Callable[[Party, int, random.Random], None]
+Fault = Callable[[Party, int, random.Random], Spell | None]
 
 
-def _fill_disk(party: Party, _number: int, _rng: random.Random) -> None:
-    if party.disk is not None:
-        party.note_full_disk()
-        party.disk.fill()
+def _fill_disk(party: Party, _number: int, _rng: random.Random) -> Spell | None:
+    if party.disk is None:
+        return None
+    party.note_full_disk()
+    return party.disk.fill()
 
 
-def _slow_disk(party: Party, _number: int, rng: random.Random) -> None:
-    if party.disk is not None:
-        party.disk.slow(rng.randint(20, 300))
+def _slow_disk(party: Party, _number: int, rng: random.Random) -> Spell | None:
+    return party.disk.slow(rng.randint(20, 300)) if party.disk is not None else None
 
 
 def _of(party: Party, number: int) -> int:
@@ -29,26 +32,25 @@ def _of(party: Party, number: int) -> int:
 
 
 FAULTS: Mapping[str, Fault] = {
-    "kill -9 supervisor": lambda party, n, _rng: party.kill_worker(n, signal.SIGKILL),
-    "kill -9 simulation": lambda party, n, rng: party.harm_simulation(n, signal.SIGKILL, rng),
+    "kill -9 supervisor": lambda party, n, _rng: party.kill_worker(n),
+    "kill -9 simulation": lambda party, n, rng: party.kill_simulation(n, rng),
     "kill -9 coordinator": lambda party, _n, rng: party.kill_coordinator(rng.uniform(0.0, 0.5)),
-    "SIGTERM supervisor": lambda party, n, _rng: party.kill_worker(n, signal.SIGTERM),
-    "SIGSTOP supervisor beyond the lease": lambda party, n, rng: party.freeze(
-        party.workers[n], rng.uniform(1.1, 2.0) * LEASE_S
+    "SIGTERM supervisor": lambda party, n, _rng: party.dismiss_worker(n),
+    "SIGSTOP supervisor beyond the lease": lambda party, n, rng: party.freeze_worker(
+        n, rng.uniform(1.1, 2.0) * LEASE_S
     ),
-    "SIGSTOP supervisor for a moment": lambda party, n, rng: party.freeze(party.workers[n], rng.uniform(0.1, 1.0)),
-    "SIGSTOP coordinator": lambda party, _n, rng: party.freeze(party.coordinator, rng.uniform(0.2, 1.5) * LEASE_S),
+    "SIGSTOP supervisor for a moment": lambda party, n, rng: party.freeze_worker(n, rng.uniform(0.1, 1.0)),
+    "SIGSTOP coordinator": lambda party, _n, rng: party.freeze_coordinator(rng.uniform(0.2, 1.5) * LEASE_S),
     "replies lost": lambda party, n, rng: party.wires.mute(n, rng.uniform(0.1, 1.5)),
     "host cut off and healed": lambda party, n, rng: party.wires.cut(n, rng.uniform(0.05, 1.5) * LEASE_S),
     "link reset": lambda party, n, _rng: party.wires.cut(n, 0.0),
     "kill -9 gateway": lambda party, n, rng: party.kill_gateway(_of(party, n), rng.uniform(0.0, 2.0)),
-    "SIGSTOP gateway": lambda party, n, rng: party.freeze(
-        party.gateways[_of(party, n)], rng.uniform(0.2, 2.0) * LEASE_S
-    ),
+    "SIGSTOP gateway": lambda party, n, rng: party.freeze_gateway(_of(party, n), rng.uniform(0.2, 2.0) * LEASE_S),
     "full disk": _fill_disk,
     "slow disk": _slow_disk,
 }
-"""Name -> what to do to a party's n-th worker, to the gateway of that number, or to its coordinator."""
+"""Name -> what to do to a party's n-th worker, to the gateway of that number, or to its coordinator; `None` says that
+nobody is there to be hit."""
 _GATEWAYS = frozenset({"kill -9 gateway", "SIGSTOP gateway"})
 
 

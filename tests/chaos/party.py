@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
 import random
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -17,15 +20,23 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from tests.builders.fake_coordinator import free_endpoint
 from tests.chaos.disk import Disk
+from tests.chaos.kitchen import Kitchen
+from tests.chaos.nursery import Child, Nursery
+from tests.chaos.spell import Spell
 from tests.chaos.wire import Wires
 
 __all__ = ["Cast", "Party", "fake_cast", "real_cast"]
 
+_Process = subprocess.Popen[bytes] | Child
 LEASE_S = 2.0
 _LEAVES_WITHIN_S = 30.0
 """Generous: how quickly a worker leaves is tested elsewhere, and many cores are harassed here."""
+_SERVES_WITHIN_S = 120.0
+_CALM_S, _EPISODE_S = 300.0, 10.0
+_LOWEST_PORT = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+_PORTS = itertools.cycle(range(max(_LOWEST_PORT, 20_000) - 2 - os.getpid() % 8000, 10_000, -1))
+"""Below those of outgoing connections: none of these takes the port of somebody who is away for a moment."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +46,14 @@ class Cast:
     episodes: int
     coordinator: Callable[[Path, str], list[str]]
     """(root, endpoint) -> command line; the dataset lies in `root/out`."""
-    worker: Callable[[Path, str], list[str]]
-    """(folder of the host, endpoint) -> command line."""
+    worker: Callable[[Path, str, str], list[str]]
+    """(folder of the host, endpoints, name of a kitchen) -> command line."""
     longest_s: float
     """How long a round may take."""
     has_small_disk: bool
     """Whether the coordinator works on a disk of a few megabytes."""
+    modules: tuple[str, ...] = ()
+    """What a nursery imports for all of them; without any each is a command of its own."""
     gateways: int = 0
     gateway: Callable[[Path, str, str], list[str]] | None = None
     """(its directory, endpoint of the core, endpoint) -> command line; its name is that of the directory."""
@@ -54,13 +67,17 @@ def fake_cast(episodes: int, longest_s: float, gateways: int = 0) -> Cast:
         longest_s: how long a simulation may take.
         gateways: that the workers are connected to; without any they are to the coordinator.
     """
-    simulation = [sys.executable, "-m", "tests.builders.small_simulation", str(longest_s)]
+    simulation = [sys.executable, "-I", "-S", str(Path(__file__).with_name("light_simulation.py")), str(longest_s)]
     return Cast(
         episodes,
         lambda root, endpoint: _module("tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S),
-        lambda folder, endpoint: [*_module("tests.builders.worker", endpoint, folder, 2), *simulation],
-        longest_s=300.0,
+        lambda folder, endpoints, kitchen: [
+            *_module("tests.builders.worker", endpoints, folder, 2),
+            *(*simulation, kitchen),
+        ],
+        longest_s=_CALM_S + _EPISODE_S * episodes,
         has_small_disk=True,
+        modules=("tests.builders.room_coordinator", "tests.builders.worker", "tests.builders.room_gateway"),
         gateways=gateways,
         gateway=lambda folder, core, endpoint: _module(
             "tests.builders.room_gateway", folder, folder.name, core, endpoint
@@ -76,7 +93,7 @@ def real_cast(plan: Path, episodes: int) -> Cast:
             *("factory", "coordinator", "start", plan, "--out", root / "out", "--listen", endpoint),
             *("--lease", 3 * LEASE_S, "--stay"),
         ),
-        lambda folder, endpoint: _module(
+        lambda folder, endpoint, _kitchen: _module(
             *("factory", "worker", "--connect", endpoint, "--cores", 1, "--spool", folder / "spool", "--wait", 600)
         ),
         longest_s=1200.0,
@@ -105,12 +122,20 @@ class Party:
         self.violations: list[str] = []
         self.restarts: Counter[str] = Counter()
         self._started: list[subprocess.Popen[bytes]] = []
-        self._endpoint = free_endpoint()
-        self._doors = [free_endpoint() for _ in range(cast.gateways)]
-        self._thaw: dict[int, float] = {}
+        self._endpoint = _free_endpoint()
+        self._doors = [_free_endpoint() for _ in range(cast.gateways)]
+        self._thaw: dict[_Process, float] = {}
+        """Who is frozen -> until when."""
+        self._back: dict[_Process, float] = {}
+        """Whom we ended -> when another takes its place."""
+        self._deaf: dict[_Process, float] = {}
+        """A worker told to leave -> when it counts as deaf."""
         self._stack = ExitStack()
         doors = self._doors or [self._endpoint]
-        self.wires = self._stack.enter_context(Wires([doors[n % len(doors)] for n in range(workers)]))
+        self.wires = self._stack.enter_context(Wires([doors] * workers))
+        self._kitchen = self._stack.enter_context(Kitchen())
+        preload = disk.preload if disk is not None else {}
+        self._nursery = self._stack.enter_context(Nursery(cast.modules, preload)) if cast.modules else None
         self._stack.callback(self._kill_all)
         self.coordinator = self._start_coordinator()
         self.gateways = [self._start_gateway(number) for number in range(cast.gateways)]
@@ -127,7 +152,7 @@ class Party:
         return [self.root / f"gw{number}" for number in range(self.cast.gateways)]
 
     @property
-    def everybody(self) -> tuple[subprocess.Popen[bytes], ...]:
+    def everybody(self) -> tuple[_Process, ...]:
         """Every process, in the order in which they are asked to leave."""
         return (*self.workers, *self.gateways, self.coordinator)
 
@@ -154,60 +179,84 @@ class Party:
         except sqlite3.OperationalError:  # it is busy, or the coordinator is about to make the tables
             return []
 
-    def kill_worker(self, number: int, how: signal.Signals) -> None:
-        """Ends a supervisor and starts another in its place, as an init system would."""
-        victim = self.workers[number]
-        victim.send_signal(how)
-        victim.send_signal(signal.SIGCONT)
-        self._await(victim, f"worker {number}")
-        self._thaw.pop(victim.pid, None)
-        self.workers[number] = self._start_worker(number)
+    def kill_worker(self, number: int) -> Spell | None:
+        """Kills a supervisor at work; another takes its place."""
+        return self._kill(self.workers[number], 0.0) if self._is_at_work(number) else None
 
-    def harm_simulation(self, number: int, how: signal.Signals, rng: random.Random) -> None:
-        """Signals one of a supervisor's simulations."""
+    def dismiss_worker(self, number: int) -> Spell | None:
+        """Asks a supervisor at work to leave; another takes its place once it has left."""
+        worker = self.workers[number]
+        if not self._is_at_work(number) or worker in self._deaf:
+            return None
+        worker.send_signal(signal.SIGTERM)
+        self._back[worker] = 0.0
+        self._deaf[worker] = time.monotonic() + _LEAVES_WITHIN_S
+        return Spell(1)
+
+    def kill_simulation(self, number: int, rng: random.Random) -> Spell | None:
+        """Kills one of a supervisor's simulations."""
         victims = _children(self.workers[number].pid)
-        if victims:
-            os.kill(rng.choice(victims), how)
+        if not victims:
+            return None
+        try:
+            os.kill(rng.choice(victims), signal.SIGKILL)
+        except ProcessLookupError:
+            return None
+        return Spell(1)
 
-    def freeze(self, process: subprocess.Popen[bytes], seconds: float) -> None:
-        """Stops a process; `tend` lets it go on after that time."""
-        if process.poll() is None:
-            process.send_signal(signal.SIGSTOP)
-            self._thaw[process.pid] = time.monotonic() + seconds
+    def kill_coordinator(self, pause_s: float) -> Spell | None:
+        """Kills a coordinator that serves; it starts again after a while."""
+        return self._kill(self.coordinator, pause_s) if self._serves(self.coordinator, self._endpoint) else None
 
-    def kill_coordinator(self, pause_s: float) -> None:
-        """Kills the coordinator and starts it again after a while."""
-        self.coordinator.kill()
-        self.coordinator.wait()
-        self._thaw.pop(self.coordinator.pid, None)
-        time.sleep(pause_s)
-        self.coordinator = self._start_coordinator()
-
-    def kill_gateway(self, number: int, pause_s: float) -> None:
-        """Kills a gateway and starts it again after a while."""
+    def kill_gateway(self, number: int, pause_s: float) -> Spell | None:
+        """Kills a gateway that serves; it starts again after a while."""
         victim = self.gateways[number]
-        victim.kill()
-        victim.wait()
-        self._thaw.pop(victim.pid, None)
-        time.sleep(pause_s)
-        self.gateways[number] = self._start_gateway(number)
+        return self._kill(victim, pause_s) if self._serves(victim, self._doors[number]) else None
+
+    def freeze_worker(self, number: int, seconds: float) -> Spell | None:
+        """Stops a supervisor at work; `tend` lets it go on after that time."""
+        return self._freeze(self.workers[number], seconds) if self._is_at_work(number) else None
+
+    def freeze_coordinator(self, seconds: float) -> Spell | None:
+        """Stops a coordinator that serves."""
+        return self._freeze(self.coordinator, seconds) if self._serves(self.coordinator, self._endpoint) else None
+
+    def freeze_gateway(self, number: int, seconds: float) -> Spell | None:
+        """Stops a gateway that serves."""
+        victim = self.gateways[number]
+        return self._freeze(victim, seconds) if self._serves(victim, self._doors[number]) else None
 
     def tend(self, *, everybody: bool = False) -> None:
-        """Thaws who was frozen long enough, and starts again who has left with a failure, as an init system would."""
+        """Thaws who was frozen long enough, and starts again who has left before its time, as an init system would.
+
+        Args:
+            everybody: thaw and start again at once, however long they were to be away.
+        """
         self._thaw_due(everybody=everybody)
+        now = float("inf") if everybody else time.monotonic()
         for number, worker in enumerate(self.workers):
-            if worker.poll() not in {None, 0}:
-                self.restarts["worker"] += 1
+            self._end_if_deaf(worker)
+            if self._is_due(worker, now) and (worker in self._back or worker.poll() != 0):
+                self.restarts["worker"] += worker not in self._back
                 self.workers[number] = self._start_worker(number)
         for number, gateway in enumerate(self.gateways):
-            if gateway.poll() is not None:
-                self.violations.append(f"gateway {number} ended by itself with {gateway.poll()}")
+            if self._is_due(gateway, now):
+                if gateway not in self._back:
+                    self.violations.append(f"gateway {number} ended by itself with {gateway.poll()}")
                 self.gateways[number] = self._start_gateway(number)
-        if self.coordinator.poll() is not None:
-            if self.disk is None or not self._was_full:
-                self.violations.append(f"the coordinator ended by itself with {self.coordinator.poll()}")
-            self.restarts["coordinator, disk full"] += 1
+        if self._is_due(self.coordinator, now):
+            if self.coordinator not in self._back:
+                self._note_given_up()
             self.coordinator = self._start_coordinator()
+
+    def _is_due(self, process: _Process, now: float) -> bool:
+        return process.poll() is not None and self._back.get(process, 0.0) <= now
+
+    def _note_given_up(self) -> None:
+        if self._was_full:
+            self.restarts["coordinator, disk full"] += 1
+        else:
+            self.violations.append(f"the coordinator ended by itself with {self.coordinator.poll()}")
 
     _was_full = False
 
@@ -217,7 +266,13 @@ class Party:
 
     def end(self) -> None:
         """Asks everybody to leave; who does not is a violation."""
-        self.tend(everybody=True)
+        deadline = time.monotonic() + _SERVES_WITHIN_S
+        while not self._is_whole():  # who was killed last puts in order what it left when it starts
+            if time.monotonic() > deadline:
+                self.violations.append(f"not everybody serves again within {_SERVES_WITHIN_S:g} s")
+                break
+            self.tend(everybody=True)
+            time.sleep(0.05)
         for process in self.everybody:
             process.send_signal(signal.SIGTERM)
         for process in self.everybody:
@@ -232,14 +287,48 @@ class Party:
         self._stack.close()
 
     def _thaw_due(self, *, everybody: bool = False) -> None:
-        for process in self.everybody:
-            if everybody or self._thaw.get(process.pid, float("inf")) < time.monotonic():
-                self._thaw.pop(process.pid, None)
-                if process.poll() is None:
-                    process.send_signal(signal.SIGCONT)
+        now = time.monotonic()
+        for process in [process for process, until in self._thaw.items() if everybody or until < now]:
+            del self._thaw[process]
+            if process.poll() is None:
+                process.send_signal(signal.SIGCONT)
 
-    def _await(self, process: subprocess.Popen[bytes], who: str) -> None:
-        deadline = time.monotonic() + _LEAVES_WITHIN_S
+    def _is_at_work(self, number: int) -> bool:
+        worker = self.workers[number]
+        return worker.poll() is None and worker not in self._thaw and bool(_children(worker.pid))
+
+    def _is_whole(self) -> bool:
+        doors = zip(self.gateways, self._doors, strict=True)
+        return all(self._serves(process, door) for process, door in [(self.coordinator, self._endpoint), *doors])
+
+    def _serves(self, process: _Process, endpoint: str) -> bool:
+        if process.poll() is not None or process in self._thaw:
+            return False
+        host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+        try:
+            socket.create_connection((host, int(port)), timeout=0.5).close()
+        except OSError:
+            return False
+        return True
+
+    def _kill(self, victim: _Process, pause_s: float) -> Spell:
+        victim.kill()
+        victim.wait()
+        self._thaw.pop(victim, None)
+        self._back[victim] = time.monotonic() + pause_s
+        return Spell(1)
+
+    def _freeze(self, process: _Process, seconds: float) -> Spell:
+        process.send_signal(signal.SIGSTOP)
+        self._thaw[process] = time.monotonic() + seconds
+        return Spell(1)
+
+    def _end_if_deaf(self, worker: _Process) -> None:
+        if worker.poll() is None and self._deaf.get(worker, float("inf")) < time.monotonic():
+            self._await(worker, "dismissed", within_s=0.0)
+
+    def _await(self, process: _Process, who: str, within_s: float = _LEAVES_WITHIN_S) -> None:
+        deadline = time.monotonic() + within_s
         while process.poll() is None and time.monotonic() < deadline:
             self._thaw_due()  # it may wait for somebody who is frozen
             time.sleep(0.02)
@@ -254,21 +343,22 @@ class Party:
                 process.kill()
                 process.wait()
 
-    def _start_coordinator(self) -> subprocess.Popen[bytes]:
-        extra = self.disk.environment if self.disk is not None else {}
+    def _start_coordinator(self) -> _Process:
+        extra = self.disk.preload | self.disk.environment if self.disk is not None else {}
         return self._spawn(self.cast.coordinator(self.place, self._endpoint), extra)
 
-    def _start_gateway(self, number: int) -> subprocess.Popen[bytes]:
+    def _start_gateway(self, number: int) -> _Process:
         assert self.cast.gateway is not None
         return self._spawn(self.cast.gateway(self.stores[number], self._endpoint, self._doors[number]), {})
 
-    def _start_worker(self, number: int) -> subprocess.Popen[bytes]:
-        """Starts a worker that reaches one door through its wire and, with gateways, the others without any."""
-        others = [door for place, door in enumerate(self._doors) if place != number % len(self._doors)]
-        doors = ",".join((self.wires.endpoints[number], *others))
-        return self._spawn(self.cast.worker(self.root / f"host-{number}", doors), {})
+    def _start_worker(self, number: int) -> _Process:
+        doors = ",".join(self.wires.endpoints[number])
+        return self._spawn(self.cast.worker(self.root / f"host-{number}", doors, self._kitchen.name), {})
 
-    def _spawn(self, command: Sequence[str], extra: dict[str, str]) -> subprocess.Popen[bytes]:
+    def _spawn(self, command: Sequence[str], extra: dict[str, str]) -> _Process:
+        if self._nursery is not None:
+            _, _, module, *words = command
+            return self._nursery.start(module, words, self.log, extra)
         with self.log.open("ab") as log:
             process = subprocess.Popen(
                 command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=os.environ | extra
@@ -278,9 +368,25 @@ class Party:
 
 
 def _children(pid: int) -> list[int]:
-    """Returns the processes that any thread of a process has started."""
+    """Returns the living processes that any thread of a process has started."""
     try:
         lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
     except (FileNotFoundError, ProcessLookupError):
         return []
-    return [int(child) for text in lists for child in text.split()]
+    return [child for text in lists for child in map(int, text.split()) if _lives(child)]
+
+
+def _lives(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def _free_endpoint() -> str:
+    """Returns a loopback endpoint that nobody listens on, nor takes while its owner is away."""
+    for port in _PORTS:
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return f"tcp/127.0.0.1:{port}"
+    raise AssertionError("itertools.cycle ended")

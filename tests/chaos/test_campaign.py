@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.chaos.campaign import Tally, digest_of, gathering_of, play_round, violations_of
 from tests.chaos.party import Party, fake_cast
+from tests.chaos.round import Storm, play_round
+from tests.chaos.verdict import digest_of, gathering_of, violations_of
 
 EPISODES = 10
 FAULTS = 16
@@ -30,10 +31,9 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Party]:
 
 @pytest.mark.slow
 def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_path):
-    tally = Tally()
-    digest = play_round(fake_cast(EPISODES, 3.0), tmp_path / "wild", 2, 7, FAULTS, tally, (0.05, 0.3))
+    storm = Storm(workers=2, faults=FAULTS, pause_s=(0.05, 0.3))
+    tally = play_round(fake_cast(EPISODES, 3.0), tmp_path / "wild", storm, 7, calm[0])
     assert tally.violations == []
-    assert digest == calm[0]
     assert tally.faults.total() >= FAULTS // 2
     assert tally.outcomes["success"] == tally.episodes == EPISODES
 
@@ -41,19 +41,15 @@ def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_pa
 def test_workers_change_over_when_a_gateway_is_killed_and_the_gathered_dataset_equals_a_calm_ones(calm, tmp_path):
     with Party(tmp_path, fake_cast(EPISODES, 3.0, gateways=2), 2) as party:
         deadline = time.monotonic() + 240
-        killed: list[int] = []
+        is_killed = False
         while len(party.archived()) < EPISODES:
             assert time.monotonic() < deadline, party.log.read_text()[-4000:]
             done = len(party.archived())
-            if not killed and done >= 2:  # whoever has archived; it stays away until the other has taken over
-                party.gateways[0].kill()
-                party.gateways[0].wait()
-                killed.append(done)
-            elif killed and done > EPISODES // 2 and party.gateways[0].poll() is not None:
-                party.kill_gateway(0, 0.0)
-            if not killed or party.gateways[0].poll() is None:
-                party.tend()
+            if not is_killed and done >= 2:  # it stays away until the other has taken over
+                is_killed = party.kill_gateway(0, float("inf")) is not None
+            party.tend(everybody=is_killed and done > EPISODES // 2)
             time.sleep(0.05)
+        assert is_killed
         party.end()
         assert party.violations == []
         assert party.query("select count(*) from keepers where gateway = 'gw1'") > [(0,)]  # the one that was left

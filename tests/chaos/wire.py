@@ -1,4 +1,4 @@
-"""The wire between a worker and whom it reaches: a relay that can be cut, and that can lose what is answered."""
+"""The wires between a worker and whom it reaches: relays that can be cut, and that can lose what is answered."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
+from tests.chaos.spell import Spell
+
 __all__ = ["Wires"]
 
 _BLOCK = 1 << 16
+_KEEP_ALIVE_BYTES = 16
+"""What is not longer says no more than that somebody is there."""
 
 
 class _Wire:
@@ -22,6 +26,12 @@ class _Wire:
         self._open: set[asyncio.StreamWriter] = set()
         self.is_cut = False
         self.is_mute = False
+        self.spell = Spell()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether anybody is connected."""
+        return bool(self._open)
 
     async def listen(self) -> int:
         self._server = await asyncio.start_server(self._relay, "127.0.0.1", 0)
@@ -33,13 +43,16 @@ class _Wire:
         self._server.close()
         self.drop_all()
 
-    def drop_all(self) -> None:
-        """Resets every connection, as a router that forgets its table does."""
-        for writer in list(self._open):
+    def drop_all(self) -> int:
+        """Resets every connection, as a router that forgets its table does, and returns how many there were."""
+        writers = list(self._open)
+        for writer in writers:
             writer.transport.abort()
+        return len(writers)
 
     async def _relay(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if self.is_cut:
+            self.spell.felt += 1
             writer.transport.abort()
             return
         try:
@@ -67,51 +80,64 @@ class _Wire:
 
     async def _pump(self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, *, answers: bool) -> None:
         while data := await source.read(_BLOCK):
-            if not (answers and self.is_mute):
-                sink.write(data)
-                await sink.drain()
+            if answers and self.is_mute:
+                self.spell.felt += len(data) > _KEEP_ALIVE_BYTES
+                continue
+            sink.write(data)
+            await sink.drain()
 
 
 class Wires:
-    """A relay a worker, all in one thread; a context manager.
+    """A relay for each door of each worker, all in one thread; a context manager.
 
     Args:
-        targets: for each worker where its wire leads, `tcp/127.0.0.1:PORT`.
+        targets: for each worker where its wires lead, each `tcp/127.0.0.1:PORT`.
     """
 
-    def __init__(self, targets: Sequence[str]) -> None:
+    def __init__(self, targets: Sequence[Sequence[str]]) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="wires")
         self._thread.start()
-        self._wires = [_Wire(_address(target)) for target in targets]
-        self.endpoints = [f"tcp/127.0.0.1:{self._call(wire.listen())}" for wire in self._wires]
+        self._wires = [[_Wire(_address(target)) for target in doors] for doors in targets]
+        self.endpoints = [[f"tcp/127.0.0.1:{self._call(wire.listen())}" for wire in wires] for wires in self._wires]
+        """For each worker its own ends of the wires."""
 
-    def cut(self, number: int, seconds: float) -> None:
-        """Resets the connections of a worker and lets none through for a while."""
+    def cut(self, number: int, seconds: float) -> Spell | None:
+        """Resets the connections of a worker and lets none through for a while; `None` while it has none."""
 
-        async def act() -> None:
-            wire = self._wires[number]
-            wire.is_cut = True
-            wire.drop_all()
-            self._loop.call_later(seconds, self._heal, wire)
+        async def act() -> Spell | None:
+            spell = self._begin(number, seconds)
+            if spell is None:
+                return None
+            for wire in self._wires[number]:
+                wire.is_cut = True
+                spell.felt += wire.drop_all()
+            return spell
 
-        self._call(act())
+        return self._call(act())
 
-    def mute(self, number: int, seconds: float) -> None:
-        """Loses whatever a worker is answered for a while, then resets its connections: bytes are missing in them."""
+    def mute(self, number: int, seconds: float) -> Spell | None:
+        """Loses whatever a worker is answered for a while, then resets its connections: bytes are missing in them.
 
-        async def act() -> None:
-            wire = self._wires[number]
-            wire.is_mute = True
-            self._loop.call_later(seconds, self._heal, wire)
+        Returns:
+            `None` while it has no connection, or is muted already.
+        """
 
-        self._call(act())
+        async def act() -> Spell | None:
+            spell = self._begin(number, seconds)
+            if spell is None:
+                return None
+            for wire in self._wires[number]:
+                wire.is_mute = True
+            return spell
+
+        return self._call(act())
 
     def close(self) -> None:
         """Ends all relays."""
 
         async def act() -> None:
-            for wire in self._wires:
+            for wire in (wire for wires in self._wires for wire in wires):
                 await wire.end()
             tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
             for task in tasks:
@@ -131,10 +157,20 @@ class Wires:
     ) -> None:
         self.close()
 
-    def _heal(self, wire: _Wire) -> None:
-        if wire.is_mute:
-            wire.drop_all()
-        wire.is_cut = wire.is_mute = False
+    def _begin(self, number: int, seconds: float) -> Spell | None:
+        wires, spell = self._wires[number], Spell()
+        if any(wire.is_cut or wire.is_mute for wire in wires) or not any(wire.is_open for wire in wires):
+            return None
+        for wire in wires:
+            wire.spell = spell
+        self._loop.call_later(seconds, self._heal, wires)
+        return spell
+
+    def _heal(self, wires: Sequence[_Wire]) -> None:
+        for wire in wires:
+            if wire.is_mute:
+                wire.drop_all()
+            wire.is_cut = wire.is_mute = False
 
     def _call(self, work):  # type: ignore[no-untyped-def]
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(10)

@@ -1,0 +1,53 @@
+"""Makes the bundles of simulations that are too light to make their own; what is in one is a function of its order."""
+
+from __future__ import annotations
+
+import secrets
+import socketserver
+import threading
+from types import TracebackType
+from typing import Self
+
+from tests.builders.bundle import parts_for
+from workers.order import Order
+
+__all__ = ["Kitchen"]
+
+
+class _Handler(socketserver.StreamRequestHandler):
+    def handle(self) -> None:
+        line = self.rfile.readline()
+        if not line:
+            return
+        order = Order.model_validate_json(line)
+        parts = parts_for(order.job)
+        worker = parts.meta.provenance.model_copy(update={"worker": order.sid})
+        self.wfile.write(parts.with_meta(provenance=worker).write())
+
+
+class _Server(socketserver.ThreadingUnixStreamServer):
+    daemon_threads = True
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A simulation was killed while it was served."""
+
+
+class Kitchen:
+    """Answers each order, a line of JSON, with a bundle; a context manager."""
+
+    def __init__(self) -> None:
+        self.name = f"minivla-{secrets.token_hex(8)}"
+        """Of its socket, in the abstract namespace."""
+        self._server = _Server(f"\0{self.name}", _Handler)
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="kitchen")
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()

@@ -1,0 +1,72 @@
+"""What is wrong with a run once everybody has left: lost, doubled, torn, forgotten. Looks only; mends nothing."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from coordinator.check.validator import Validator
+from coordinator.gateway.gather import gather
+from coordinator.repair.mend import Patient, repair
+from schemas.digest import dataset_digest
+from tests.builders.ledger import room_catalog, room_plan
+from tests.chaos.party import Party
+
+__all__ = ["digest_of", "gathering_of", "violations_of"]
+
+
+def digest_of(party: Party) -> str:
+    """Returns the digest of the dataset."""
+    return dataset_digest((str(index), digest) for index, digest in party.archived().items())
+
+
+def gathering_of(party: Party) -> Iterator[str]:
+    """Brings together what gateways keep, so that the dataset is whole; yields what cannot be had."""
+    if not party.gateways:
+        return
+    report = gather(_patient(party), party.stores, datetime.now(UTC))
+    yield from (f"{one.episode} is not whole at {one.gateway}: {one.why}" for one in report.missing)
+    for store in party.stores:
+        parts = list((store / ".staging").iterdir())
+        if parts:
+            yield f"part files are left in {store.name}"
+
+
+def violations_of(party: Party) -> Iterator[str]:
+    """Looks for what was lost, doubled or torn, once everybody has left."""
+    wanted = set(range(1, party.cast.episodes + 1))
+    files = {path.name: path for path in (party.out / "episodes").iterdir()}
+    if set(files) != {f"ep_{index:06d}.zip" for index in wanted}:
+        yield f"files {sorted(files)[:5]}... of {len(files)}, wanted {len(wanted)}"
+    for index, sha256 in party.query("select idx, sha256 from episodes"):
+        path = files.get(f"ep_{index:06d}.zip")
+        if path is not None and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+            yield f"episode {index} is torn"
+    if party.outcomes()["success"] != len(wanted):
+        yield f"{party.outcomes()['success']} successes recorded for {len(wanted)} episodes"
+    gained = Counter(dict(party.query("select job_id, count(*) from events where state = 'archived' group by job_id")))
+    lost = Counter(dict(party.query("select job_id, count(*) from events where event = 'lost' group by job_id")))
+    doubled = [job for job in gained if gained[job] - lost[job] != 1]
+    if doubled:
+        yield f"jobs {doubled[:5]} archived more than once"
+    if list((party.out / ".staging").iterdir()):
+        yield "part files are left"
+    for held in party.query("select idx, state from jobs where state in ('leased', 'submitted')"):
+        yield f"episode {held[0]} is still {held[1]}"
+    yield from _disagreements(party)
+
+
+def _disagreements(party: Party) -> Iterator[str]:
+    """What `factory repair` would find between files, ledger and tables; only for the run whose scene is synthetic."""
+    if not party.cast.has_small_disk:
+        return
+    with Validator() as validator:
+        report = repair(_patient(party), validator, datetime.now(UTC), apply=False)
+    yield from (f"{action.kind} {action.what}: {action.why}" for action in report.actions)
+
+
+def _patient(party: Party) -> Patient:
+    plan, catalog = room_plan(party.cast.episodes, crashes=20), room_catalog(party.place)
+    return Patient(party.out, party.out, f"sqlite:///{party.out / 'ledger.db'}", plan, catalog, {})
