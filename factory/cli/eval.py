@@ -45,7 +45,9 @@ __all__ = ["command"]
 @tls_option
 @click.option("-o", "--out", type=click.Path(path_type=Path), metavar="OUT", help="Where results are kept; resumes.")
 @click.option("--act-timeout", type=click.FloatRange(0.01), default=10.0, show_default=True, help="Seconds an answer.")
-@click.option("--load-timeout", type=click.FloatRange(0.1), default=300.0, show_default=True, help="Of the first one, and of a reset.")
+@click.option(
+    "--load-timeout", type=click.FloatRange(0.1), default=300.0, show_default=True, help="Of the first; a reset."
+)
 @click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose in the frame of the start.")
 @click.option("--videos", type=click.IntRange(0), default=12, show_default=True, help="Failures shown a policy.")
 @click.option("--tables", "all_tables", is_flag=True, help="Print by scene, tier, category and template too.")

@@ -14,20 +14,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import contextlib
 import faulthandler
-import math
 import queue
 import sys
-import time
 import traceback
 from collections.abc import Callable
 
 from factory.eval.message import Order, Report, ReportKind, Setup, to_line
 from factory.eval.policies import Outside, describe_knowledge, make_policy
-from factory.eval.policy import Policy, ServerAway
+from factory.eval.policy import Policy, ServerAway, is_insider
 from factory.eval.result import EpisodeResult, EvalEnd
 from factory.eval.rollout import describe_error, run_episode
-from factory.eval.sheet import Busy, Sheet, State
-from factory.eval.simulator import Simulator, View
+from factory.eval.sheet import Busy, Sheet
+from factory.eval.sheet_watch import SheetWatch
+from factory.eval.simulator import Simulator
 from schemas.errors import FactoryError, UsageError
 from workers.pipe import listen, take_stdout
 from workers.stage import Stage
@@ -71,7 +70,7 @@ class _Driver:
 
     def __init__(self, setup: Setup, stage: Stage, simulator: Simulator, sheet: Sheet, tell: Tell) -> None:
         self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
-        self._watch = _SheetWatch(sheet)
+        self._watch = SheetWatch(sheet)
         self._name = ""
         self._policy: Policy | None = None
 
@@ -104,7 +103,11 @@ class _Driver:
         result = run_episode(order, policy, self._simulator, place, self._watch)
         if result.end is EvalEnd.POLICY_LOST:
             # the server may have been started again: its episode begins anew, once
+            self._watch.is_warm = False
+            self._watch.begin(Busy.SIMULATING)
             result = run_episode(order, policy, self._simulator, place, self._watch)
+        if result.end in {EvalEnd.POLICY_LOST, EvalEnd.POLICY_HUNG}:
+            self._watch.is_warm = False  # its next answer comes over a new connection
         return result
 
     def _policy_of(self, order: Order) -> Policy:
@@ -122,52 +125,9 @@ class _Driver:
                 reconnect_s=self._setup.reconnect_s,
             )
             self._policy = make_policy(name, outside, order.file)
-            self._watch.is_warm = False
+            self._watch.is_warm, self._watch.is_insider = False, is_insider(self._policy)
             self._tell(Report(kind=ReportKind.POLICY, number=order.number, detail=describe_knowledge(self._policy)))
         return self._policy
-
-
-class _SheetWatch:
-    """Notes every turn on the sheet, and how far the robot has come."""
-
-    def __init__(self, sheet: Sheet) -> None:
-        self._sheet = sheet
-        self._state = State()
-        self._last: tuple[float, float] | None = None
-        self._calls = 0
-        self.is_warm = False
-        """Whether the policy has given an answer; the first one may take long."""
-
-    def note(self, busy: Busy) -> None:
-        """Writes down what is being done from now on."""
-        self._state = self._state._replace(busy=busy, since_s=time.monotonic())
-        self._sheet.write(self._state)
-
-    def begin(self, busy: Busy) -> None:
-        """The same, with the distances of a new episode."""
-        self._state, self._last, self._calls = State(), None, 0
-        self.note(busy)
-
-    def asks(self, simulator: Simulator, view: View) -> None:
-        """The policy is about to be asked."""
-        self._calls += 1
-        here, state = (view.pose.x, view.pose.y), self._state
-        moved = 0.0 if self._last is None else math.dist(self._last, here)
-        is_first, self._last = self._last is None, here
-        self._state = state._replace(
-            steps=simulator.steps,
-            start_m=view.distance_m if is_first else state.start_m,
-            now_m=view.distance_m,
-            least_m=view.distance_m if is_first else min(state.least_m, view.distance_m),
-            driven_m=state.driven_m + moved,
-            contact_steps=simulator.contact_steps,
-        )
-        self.note(Busy.ASKING if self.is_warm else Busy.MAKING)
-
-    def has_answer(self) -> None:
-        """The policy has answered."""
-        self.is_warm = self.is_warm or self._calls > 1  # the first call is a reset
-        self.note(Busy.SIMULATING)
 
 
 if __name__ == "__main__":

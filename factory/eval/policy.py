@@ -26,6 +26,7 @@ __all__ = [
     "ServerAway",
     "Situation",
     "is_built_in",
+    "is_insider",
     "kind_of_actions",
     "looks",
 ]
@@ -119,6 +120,11 @@ class ServerAway(Exception):
 def is_built_in(policy: Policy) -> bool:
     """Whether a policy is one of ours; no other is let in or shown more than the camera sees."""
     return type(policy).__module__.startswith("factory.eval.policies.")
+
+
+def is_insider(policy: Policy) -> bool:
+    """Whether a policy is let into the running simulation."""
+    return isinstance(policy, Insider) and is_built_in(policy)
 
 
 def looks(policy: Policy) -> bool:

@@ -26,17 +26,18 @@ from factory.eval.policy import (
     PolicyFault,
     ServerAway,
     Situation,
-    is_built_in,
+    is_insider,
     kind_of_actions,
     looks,
 )
 from factory.eval.question import Question
 from factory.eval.result import EpisodeResult, EvalEnd
-from factory.eval.simulator import Simulator, View
+from factory.eval.simulator import Simulator
 from factory.eval.spec import EvalSpec
 from schemas.config import TaskConfig
 from schemas.terms import ExpertName
 from workers.stage import LoadedScene
+from workers.view import View
 
 __all__ = ["TRACK_HZ", "Watch", "describe_question", "progresses", "run_episode", "thin_track"]
 
@@ -115,9 +116,10 @@ class _Drive:
             fov_deg=settings.camera.fov_deg,
         )
         with self._asking(view):
-            if isinstance(self.policy, Insider) and is_built_in(self.policy):
+            if is_insider(self.policy):
                 expert = getattr(self.policy, "expert", ExpertName.PROPORTIONAL)
-                self.policy.enter(Situation(self.simulator, spec.job(settings, expert), self.order.actions))
+                situation = Situation(self.simulator, spec.job(settings, expert), self.order.actions)
+                cast(Insider, self.policy).enter(situation)
             self.policy.reset(self.question.instruction, info)
 
     def _turn(self, view: View) -> View:

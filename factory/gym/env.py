@@ -19,7 +19,7 @@ from factory.dataset import Dataset
 from factory.eval import measure
 from factory.eval.from_dataset import Places, specs_of_dataset
 from factory.eval.odometry import odometry
-from factory.eval.simulator import Simulator, View
+from factory.eval.simulator import Simulator
 from factory.eval.spec import EvalSpec, SpecSet
 from factory.eval.spec_file import read_specs
 from schemas.arrays import FRAME_SIZE_PX
@@ -28,6 +28,7 @@ from schemas.terms import EndReason, RendererKind, Split
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.slew import Twist
 from workers.stage import Stage
+from workers.view import View
 
 __all__ = ["MiniVLANavEnv"]
 

@@ -141,6 +141,28 @@ def test_a_connection_that_is_closed_is_opened_again_for_the_next_episode() -> N
     assert caught.value.fault is PolicyFault.LOST
 
 
+def test_a_server_that_was_started_again_may_take_its_time_once_more() -> None:
+    calls: list[int] = []
+
+    def answer(connection: ServerConnection, observation: dict[str, Any]) -> None:
+        calls.append(1)
+        if len(calls) == 2:
+            connection.close()
+            return
+        if len(calls) == 3:
+            time.sleep(0.3)
+        connection.send(pack({"actions": np.full(2, 0.1 * len(calls))}))
+
+    with server(answer) as address:
+        policy = begin(address, Outside(act_timeout_s=0.1, load_timeout_s=120.0, reconnect_s=60.0))
+        policy.act(VIEW)
+        with pytest.raises(PolicyFailure):
+            policy.act(VIEW)
+        policy.reset("Go to the chair.", INFO)
+        assert policy.act(VIEW)["actions"][0] == pytest.approx(0.3)
+        policy.close()
+
+
 def test_a_server_that_is_gone_is_nobodys_failure() -> None:
     with server(lambda connection, _: connection.close()) as address:
         policy = begin(address)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from schemas.scene import Target
 from workers.grid import Grid
@@ -11,7 +11,7 @@ from workers.pose import Pose
 from workers.sight import Sighting
 from workers.slew import Twist
 
-__all__ = ["Expert", "Observation", "Senses"]
+__all__ = ["Expert", "Senses"]
 
 
 class Senses(Protocol):
@@ -36,16 +36,6 @@ class Senses(Protocol):
     @property
     def pose(self) -> Pose:
         """Of base_link in the world frame."""
-
-
-class Observation(NamedTuple):
-    """Senses that have all been taken."""
-
-    sighting: Sighting
-    bearing_rad: float
-    distance_m: float
-    obstacle_near: bool
-    pose: Pose
 
 
 @runtime_checkable

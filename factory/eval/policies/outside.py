@@ -12,8 +12,8 @@ class Outside:
     """Given to every policy when it is made."""
 
     act_timeout_s: float = 10.0
-    """Longest time for an answer."""
+    """Longest time for any other answer."""
     load_timeout_s: float = 300.0
-    """Longest time for the first answer, in which models are compiled."""
+    """Longest time for a reset, and for the first answer, in which models are compiled."""
     reconnect_s: float = 30.0
     """How long a server that went away is waited for."""

@@ -31,8 +31,9 @@ class RemotePolicy:
         self._address = address
         self._outside = outside
         self._connection: Any = None
-        self._held = ExitStack()
         self._has_answered = False
+        """Over this connection; the first answer of one may take long."""
+        self._held = ExitStack()
         self._connect(min(outside.reconnect_s, outside.load_timeout_s))
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
@@ -90,6 +91,7 @@ class RemotePolicy:
         while True:
             try:
                 self._connection = self._open()
+                self._has_answered = False
                 return
             except (OSError, TimeoutError, EOFError) as error:
                 reason = f"{type(error).__name__}: {error}"

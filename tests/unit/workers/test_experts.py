@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import pytest
 
@@ -13,12 +14,22 @@ from schemas.job import Job
 from schemas.terms import ExpertName
 from tests.builders.catalog import make_catalog
 from tests.builders.scene import box_room
-from workers.experts import Expert, Observation, make_expert
+from workers.experts import Expert, make_expert
 from workers.grid import Grid
 from workers.pose import Pose
 from workers.sight import Sighting
 
 UNSEEN = Sighting(0, 320.0, lambda: 0.0)
+
+
+class Seen(NamedTuple):
+    """Senses that have all been taken."""
+
+    sighting: Sighting
+    bearing_rad: float
+    distance_m: float
+    obstacle_near: bool
+    pose: Pose
 
 
 def make_job(expert: ExpertName = ExpertName.PROPORTIONAL) -> Job:
@@ -27,8 +38,8 @@ def make_job(expert: ExpertName = ExpertName.PROPORTIONAL) -> Job:
     return to_job(plan, catalog, expand(plan, catalog)[0], 1)
 
 
-def seen(distance=3.0, bearing=0.0, sighting=UNSEEN, near=False) -> Observation:
-    return Observation(sighting, bearing, distance, near, Pose.planar(2.5 - distance, 1.3, 0.0))
+def seen(distance=3.0, bearing=0.0, sighting=UNSEEN, near=False) -> Seen:
+    return Seen(sighting, bearing, distance, near, Pose.planar(2.5 - distance, 1.3, 0.0))
 
 
 def test_speed_is_proportional_to_the_centroid_distance_and_clamped():

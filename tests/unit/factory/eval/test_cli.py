@@ -29,7 +29,10 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--connect", "tcp/10.0.0.1:1", "-o", "out"), "only loopback"),
         (("--connect", "tcp/127.0.0.1:1", "--tls", "pki", "-o", "out"), "write tls/127.0.0.1:1"),
         (("--connect", "tls/h:1", "--tls", "/nowhere", "-o", "out"), "lacks ca.pem"),
-        (("--connect", "tls/h:1", "--listen", "tls/h:2", "--tls", "pki", "-o", "out"), "a certificate is for one of them"),
+        (
+            ("--connect", "tls/h:1", "--listen", "tls/h:2", "--tls", "pki", "-o", "out"),
+            "a certificate is for one of them",
+        ),
         (("--policy", "oracle"), "no policy 'oracle'; there are expert"),
         (("--policy", "expert:best"), "no expert 'best'"),
         (("--policy", "stop"), "no episodes but for training; say --split all"),
