@@ -29,6 +29,7 @@ from workers.stopping import stop_on_signals
 __all__ = ["command"]
 
 Command = Callable[..., Any]
+_NAMED = 5
 
 
 @click.command("export")
@@ -52,7 +53,7 @@ def command(
     as_json: bool,
     **chosen: Any,
 ) -> int:
-    """Write the dataset to --out in another format; exit 1 when episodes had to be skipped.
+    """Write the dataset to --out in another format; exit 1 when episodes are missing or had to be skipped.
 
     Interrupted by Ctrl-C, a kill or a full disk, the same command goes on where it was.
     """
@@ -72,6 +73,10 @@ def command(
         report = run_export(order, bar.tell, stop)
     for skip in report.skipped:
         click.echo(f"skipped {skip.episode_id}: {skip.reason}", err=True)
+    if report.absent:
+        named, more = ", ".join(report.absent[:_NAMED]), len(report.absent) - _NAMED
+        names = f"{named} and {more} more" if more > 0 else named
+        click.echo(f"not in the dataset: {names}; once its run has brought them, export to another --out", err=True)
     if not report.finished:
         click.echo(f"interrupted after {report.episodes} episodes; the same command goes on", err=True)
         return 130
@@ -79,7 +84,7 @@ def command(
         print_json(report.model_dump(mode="json"))
     else:
         _print(report)
-    return 0 if report.complete else 1
+    return 0 if report.complete and not report.absent else 1
 
 
 def _options(name: str, chosen: dict[str, Any]) -> Options:
@@ -121,7 +126,8 @@ def _print(report: ExportReport) -> None:
     resumed = f" ({report.resumed} from before)" if report.resumed else ""
     speed = f", {report.frames_per_second:.0f} frames/s" if report.frames_per_second else ""
     what = f"{report.episodes} episodes{resumed}, {report.frames} frames, {_megabytes(report.bytes)}"
-    state = "complete" if report.complete else f"{len(report.skipped)} episodes skipped"
+    lacking = {"skipped": len(report.skipped), "not in the dataset": len(report.absent)}
+    state = ", ".join(f"{count} episodes {what}" for what, count in lacking.items() if count) or "complete"
     click.echo(f"{report.out}: {report.format}, {what}, {say_duration(report.seconds)}{speed}; {state}")
 
 

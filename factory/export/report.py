@@ -29,6 +29,9 @@ class ExportReport(Model):
     resumed: int
     """Episodes that an earlier, interrupted call had brought."""
     skipped: tuple[Skip, ...]
+    absent: tuple[str, ...]
+    """Planned episodes that the dataset does not hold, as a run is not finished or gave them up; none where certain
+    episodes were asked for."""
     bytes: int
     """Size of the export."""
     seconds: float

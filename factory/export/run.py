@@ -21,6 +21,7 @@ from factory.export.report import ExportReport, Skip
 from factory.export.selection import select
 from factory.export.task import Task, make_piece
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
+from schemas.job import episode_id
 
 __all__ = ["ExportOrder", "Progress", "plan_manifest", "run_export"]
 
@@ -119,7 +120,7 @@ def run_export(
     dataset, manifest = plan_manifest(order, exporter)
     there = require_ours(order.out, manifest)
     if there is not None and there.complete:
-        return _nothing_to_do(order, there)
+        return _nothing_to_do(order, dataset, there)
     with Output(order.out) as out:
         if there is None:
             write_manifest(out, manifest)
@@ -236,7 +237,7 @@ def _finish(state: _State, manifest: Manifest) -> Manifest:
     return manifest
 
 
-def _nothing_to_do(order: ExportOrder, manifest: Manifest) -> ExportReport:
+def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: Manifest) -> ExportReport:
     with Output(order.out) as out:
         out.drop_work()
         size = out.size_bytes()
@@ -249,6 +250,7 @@ def _nothing_to_do(order: ExportOrder, manifest: Manifest) -> ExportReport:
         frames=manifest.frames,
         resumed=manifest.episodes,
         skipped=(),
+        absent=_absent(order, dataset),
         bytes=size,
         seconds=0.0,
         frames_per_second=None,
@@ -266,8 +268,18 @@ def _report(state: _State, manifest: Manifest, seconds: float) -> ExportReport:
         frames=sum(state.frame_counts.values()),
         resumed=state.resumed,
         skipped=manifest.skipped,
+        absent=_absent(state.order, state.dataset),
         bytes=state.out.size_bytes(),
         seconds=round(seconds, 3),
         frames_per_second=round(state.frames / seconds, 1) if state.frames else None,
         complete=manifest.complete,
     )
+
+
+def _absent(order: ExportOrder, dataset: Dataset) -> tuple[str, ...]:
+    """Returns the ids of the plan that a dataset does not hold; none where certain episodes were asked for."""
+    if order.episodes or dataset.meta.complete:
+        return ()
+    held = set(Dataset(order.root).metadata["episode_id"].to_pylist())
+    planned = map(episode_id, range(1, dataset.meta.planned + 1))
+    return tuple(name for name in planned if name not in held)

@@ -22,6 +22,7 @@ from factory.export.paper import PaperOptions
 from factory.export.pool import carry_out
 from factory.export.selection import parse_episodes, select
 from schemas.errors import UsageError, WorldError
+from tests.builders.dataset import make_dataset
 
 
 def square(number: int) -> int:
@@ -207,6 +208,18 @@ def test_command_names_what_it_skips_and_ends_with_one(varied: Path, tmp_path: P
     assert done.return_value == 1
     assert "skipped ep_000002:" in done.stderr
     assert "1 episodes skipped" in done.stdout
+
+
+def test_command_names_what_the_dataset_lacks_of_its_plan_and_ends_with_one(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data", 1, planned=7)
+    words = [str(tmp_path / "data"), "--to", "vlnce", "-o", str(tmp_path / "out"), "--workers", "1"]
+    for _ in range(2):  # the second time all is there already
+        done = CliRunner().invoke(command, words, standalone_mode=False)
+        assert done.return_value == 1
+        assert "not in the dataset: ep_000002, ep_000003, ep_000004, ep_000005, ep_000006 and 1 more" in done.stderr
+        assert "6 episodes not in the dataset" in done.stdout
+    chosen = [*words[:4], str(tmp_path / "one"), "--episodes", "1"]
+    assert CliRunner().invoke(command, chosen, standalone_mode=False).return_value == 0
 
 
 def test_option_of_another_format_is_refused(varied: Path, tmp_path: Path) -> None:
