@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -102,11 +103,12 @@ def compile_stage(
     notes = list(extraction.notes)
     parts = _without_outliers(path.name, extraction, notes)
     shown = _show(path.name, extraction, parts, (rules, chosen), notes)
-    floor_m = _floor_height(path.name, shown.triangles())
-    solid = solid_triangles(
-        [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
-    )
-    frame, occupancy = build_occupancy(solid, shown.triangles(), floor_m)
+    with _told_with_sizes(path.name, extraction, shown.parts):
+        floor_m = find_floor_height(shown.triangles())
+        solid = solid_triangles(
+            [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
+        )
+        frame, occupancy = build_occupancy(solid, shown.triangles(), floor_m)
     grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
     terrain = Terrain(grid, grid.connected_floor(), SpawnConfig())
     survey = _survey(path.name, terrain, shown, floor_m, notes)
@@ -133,7 +135,7 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
     """Drops parts that lie absurdly far from the others: authors' slips would spoil bounds and grid."""
     parts = [part for part in extraction.parts if len(part.triangles)]
     if not any(not part.is_collider for part in parts):
-        noted = "; ".join(extraction.notes[:3]) or "no visible mesh or basic solid of purpose default or render"
+        noted = "; ".join(extraction.notes[-4:])
         raise WorldError(f"{file} shows no mesh ({noted}); check payloads, references, visibility and purpose")
     middles = np.array([part.triangles.mean(axis=(0, 1)) for part in parts])
     centre = np.median(middles, axis=0)
@@ -165,16 +167,25 @@ def _show(
     rules, chosen = wishes
     candidates = honour_candidates(find_candidates(extraction, visible, rules), visible, chosen)
     owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
-    book = load_textures(_texture_areas(visible), read_asset)
+    users = {part.surface.texture: part.path for part in reversed(visible)}
+    book = load_textures(_texture_areas(visible), read_asset, users)
     notes += book.notes
     return _Shown(visible, candidates, owners, number_objects(owners), book, chosen, rules.uncoloured)
 
 
-def _floor_height(file: str, triangles: Floats) -> float:
+@contextmanager
+def _told_with_sizes(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
+    """Adds to an error what shows a wrong unit: the stage's, and the size of its widest prim."""
     try:
-        return find_floor_height(triangles)
+        yield
     except WorldError as error:
-        raise WorldError(f"{file}: {error}") from error
+        sizes = [np.ptp(part.triangles.reshape(-1, 3), axis=0) for part in parts]
+        widest = int(np.argmax([size[:2].max() for size in sizes]))
+        x, y, z = sizes[widest]
+        unit = f"metersPerUnit = {extraction.metres_per_unit:g}"
+        raise WorldError(
+            f"{file}, {unit}, widest prim {parts[widest].path} ({x:.4g} x {y:.4g} x {z:.4g} m): {error}"
+        ) from error
 
 
 def _texture_areas(parts: Sequence[Part]) -> dict[str, float]:
@@ -203,9 +214,9 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
 def _why_no_target(file: str, shown: _Shown, terrain: Terrain, notes: list[str]) -> str:
     counts = Counter(candidate.category for candidate in shown.candidates)
     if not counts:
-        names = sorted({path.rpartition("/")[2] for path in shown.owners})
+        paths = sorted(set(shown.owners))
         return (
-            f"{file} has no thing of a known category among {len(names)} objects (such as {', '.join(names[:5])}); "
+            f"{file} has no thing of a known category among {len(paths)} objects (such as {', '.join(paths[:5])}); "
             "name prims after their category or give your own --rules"
         )
     found = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))

@@ -93,5 +93,8 @@ def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
         return RuleBook(rules=TypeAdapter(tuple[CategoryRule, ...]).validate_python(table))
     except OSError as error:
         raise UsageError(f"no category rules at {path} ({error.strerror})") from error
-    except (yaml.YAMLError, ValidationError) as error:
-        raise UsageError(f"{path.name} is no table of category rules: {error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path} is no YAML: {error}") from error
+    except ValidationError as error:
+        mistakes = [f"  - {'.'.join(map(str, item['loc'])) or 'file'}: {item['msg']}" for item in error.errors()]
+        raise UsageError("\n".join([f"{path} is no list of category rules:", *mistakes])) from error

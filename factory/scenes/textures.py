@@ -9,6 +9,7 @@ import hashlib
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +40,15 @@ class TextureBook:
     notes: tuple[str, ...]
 
 
-def load_textures(areas: Mapping[str, float], read: Callable[[str], bytes | None]) -> TextureBook:
+def load_textures(
+    areas: Mapping[str, float], read: Callable[[str], bytes | None], users: Mapping[str, str] = MappingProxyType({})
+) -> TextureBook:
     """Decodes the textures of a scene.
 
     Args:
         areas: square metres that each texture path covers; the largest get the layers.
         read: returns the bytes behind a path, or `None`.
+        users: a prim that shows each texture, for the notes.
     """
     notes: list[str] = []
     pictures: dict[str, Picture] = {}
@@ -52,7 +56,7 @@ def load_textures(areas: Mapping[str, float], read: Callable[[str], bytes | None
     for path in sorted(areas):
         data = read(path)
         digest = hashlib.sha256(data or b"").hexdigest()
-        picture = pictures[digest] if digest in pictures else _decode(path, data, notes)
+        picture = pictures[digest] if digest in pictures else _decode(path, data, users.get(path, ""), notes)
         if picture is not None:
             pictures[digest], digest_of[path] = picture, digest
     kept = _largest(areas, digest_of, notes)
@@ -66,10 +70,10 @@ def load_textures(areas: Mapping[str, float], read: Callable[[str], bytes | None
     )
 
 
-def _decode(path: str, data: bytes | None, notes: list[str]) -> Picture | None:
-    name = path.rpartition("/")[2]
+def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Picture | None:
+    name = f"{user}: texture {path.rpartition('/')[2]}".removeprefix(": ")
     if data is None:
-        notes.append(f"texture {name} is missing, shown in one colour")
+        notes.append(f"{name} is missing, shown in one colour; put it where the material looks for it")
         return None
     try:
         with Image.open(io.BytesIO(data)) as image:
@@ -79,7 +83,7 @@ def _decode(path: str, data: bytes | None, notes: list[str]) -> Picture | None:
             size = (TEXTURE_SIZE_PX, TEXTURE_SIZE_PX)
             return np.asarray(plain if plain.size == size else plain.resize(size, Image.Resampling.LANCZOS))
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        notes.append(f"texture {name} cannot be read ({error}), shown in one colour")
+        notes.append(f"{name} cannot be read ({error}), shown in one colour; save it anew as 8-bit PNG or JPEG")
         return None
 
 

@@ -17,10 +17,18 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from factory.scenes.importer.assets import read_asset
+from factory.scenes.importer.complaints import say_refusal
 from factory.scenes.importer.fence import Fence
 from factory.scenes.importer.material import Surface, bound_material, read_surface
-from factory.scenes.importer.mesh import Mesh, corner_values, material_subsets, read_mesh, uv_values
-from factory.scenes.importer.stage import BROKEN_PRIM, Placement, open_stage, walk_stage
+from factory.scenes.importer.mesh import (
+    Mesh,
+    corner_values,
+    count_triangles,
+    material_subsets,
+    read_mesh,
+    uv_values,
+)
+from factory.scenes.importer.stage import BROKEN_PRIM, Placement, find_unseen, open_stage, walk_stage
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.errors import WorldError
 
@@ -81,6 +89,8 @@ class _Piece:
 class _Extractor:
     notes: list[str]
     fence: Fence
+    file: str
+    max_triangles: int
     surfaces: dict[str, Surface | None] = field(default_factory=dict)
     pieces: dict[tuple[str, str], list[_Piece]] = field(default_factory=dict)
     parts: list[Part] = field(default_factory=list)
@@ -104,13 +114,14 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
     """
     notes: list[str] = []
     scene = open_stage(path, notes)
-    work = _Extractor(notes, Fence(path, limits.allow_outside))
+    work = _Extractor(notes, Fence(path, limits.allow_outside), path.name, limits.max_triangles)
     for placement in walk_stage(scene, notes):
         try:
             _take(work, placement)
         except BROKEN_PRIM as error:
-            notes.append(f"{placement.path}: skipped, {' '.join(str(error).split())[:200]}")
-        _require_few_triangles(path.name, work, placement.path, limits.max_triangles)
+            notes.append(f"{placement.path}: skipped, {say_refusal(str(error))}")
+    if all(part.is_collider for part in work.parts):
+        notes += find_unseen(scene)
     return Extraction(
         parts=tuple(work.parts),
         metres_per_unit=scene.metres_per_unit,
@@ -140,18 +151,22 @@ def _take(work: _Extractor, placement: Placement) -> None:
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
     collides = purpose == UsdGeom.Tokens.guide and _is_collider(prim)
     if purpose in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render) or collides:
-        pieces = _pieces(work, prim)
-        work.triangles += sum(len(piece.triangles) for piece in pieces)
+        pieces = _pieces(work, placement)
+        more = sum(len(piece.triangles) for piece in pieces)
+        _require_room(work, placement.path, more)
+        work.triangles += more
         work.parts += [_placed(piece, placement, collides) for piece in pieces]
 
 
-def _require_few_triangles(file: str, work: _Extractor, path: str, limit: int) -> None:
-    if work.triangles <= limit:
+def _require_room(work: _Extractor, path: str, more: int) -> None:
+    if work.triangles + more <= work.max_triangles:
         return
-    counts = Counter({part.path: len(part.triangles) for part in work.parts})
+    counts = Counter({path: more})
+    counts.update({part.path: len(part.triangles) for part in work.parts})
     largest = ", ".join(f"{prim} ({count})" for prim, count in counts.most_common(3))
     raise WorldError(
-        f"{file} has more than {limit} triangles, passed at {path}; the largest prims so far are {largest}; "
+        f"{work.file} has more than {work.max_triangles} triangles, passed at {path}; the largest prims so far are "
+        f"{largest}; "
         "decimate or deactivate them, split the stage, or raise --max-triangles if memory allows"
     )
 
@@ -175,8 +190,9 @@ def _source_path(prim: Any) -> str:
     return str(prim.GetPrimInPrototype().GetPath() if prim.IsInstanceProxy() else prim.GetPath())
 
 
-def _pieces(work: _Extractor, prim: Any) -> list[_Piece]:
+def _pieces(work: _Extractor, placement: Placement) -> list[_Piece]:
     """The pieces of a prim, made once for all its instances that look alike."""
+    prim = placement.prim
     material = bound_material(prim)
     look = _source_path(material.GetPrim()) if material else ""
     colour = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
@@ -184,6 +200,7 @@ def _pieces(work: _Extractor, prim: Any) -> list[_Piece]:
         look = _source_path(colour.GetAttr().GetPrim())
     key = (_source_path(prim), look)
     if key not in work.pieces:
+        _require_room(work, placement.path, count_triangles(prim))  # before a mesh too large is cut up
         mesh = read_mesh(prim, work.notes)
         work.pieces[key] = [] if mesh is None else _cut_pieces(work, prim, mesh)
     return work.pieces[key]

@@ -16,7 +16,7 @@ from pxr import Usd, UsdGeom, UsdShade
 from factory.scenes.importer.gprims import solid_polygons
 from factory.scenes.importer.polygons import Triangulation, is_closed, triangulate
 
-__all__ = ["Mesh", "corner_values", "material_subsets", "read_mesh"]
+__all__ = ["Mesh", "corner_values", "count_triangles", "material_subsets", "read_mesh", "uv_values"]
 
 _TIME = Usd.TimeCode.EarliestTime()
 _UV_NAMES = ("st", "st0", "st_0", "UVMap", "map1", "uv")
@@ -42,6 +42,16 @@ class Mesh:
     def triangle_points(self) -> Floats:
         """Returns (T, 3, 3) the corners of the triangles."""
         return self.points[self.indices[self.cut.corners]]
+
+
+def count_triangles(prim: Any) -> int:
+    """Returns how many triangles a mesh makes, without cutting it up; 0 for what is no mesh or contradicts itself."""
+    if not prim.IsA(UsdGeom.Mesh):
+        return 0
+    mesh = UsdGeom.Mesh(prim)
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(_TIME) or [], np.int64)
+    is_whole = counts.sum() == len(mesh.GetFaceVertexIndicesAttr().Get(_TIME) or [])
+    return int(np.maximum(counts - 2, 0).sum()) if is_whole else 0
 
 
 def read_mesh(prim: Any, notes: list[str]) -> Mesh | None:

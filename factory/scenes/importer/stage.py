@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
+from factory.scenes.importer.complaints import say_complaint, say_refusal
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["BROKEN_PRIM", "Placement", "SceneStage", "matrix_of", "open_stage", "walk_stage"]
+__all__ = ["BROKEN_PRIM", "Placement", "SceneStage", "find_unseen", "matrix_of", "open_stage", "walk_stage"]
 
 BROKEN_PRIM = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RuntimeError)
 """What a malformed prim raises, from USD (`Tf.ErrorException` is a RuntimeError) or from numpy."""
 
 _Y_UP_TO_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+_MOST_UNSEEN = 3
 _SANE_METRES = (1e-6, 1e3)
 _LATEST_START = Usd.TimeCode.EarliestTime()
 
@@ -83,9 +86,9 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        reason = _one_line(str(error)).rpartition(" : ")[2].strip("'")
+        reason = say_refusal(str(error))
         raise WorldError(f"{path.name} is no readable USD stage ({reason}); check it with usdchecker") from error
-    notes += [_one_line(diagnostic.commentary) for diagnostic in listener.TakeUncoalescedDiagnostics()]
+    notes += [say_complaint(diagnostic.commentary) for diagnostic in listener.TakeUncoalescedDiagnostics()]
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
         raise WorldError(
@@ -93,17 +96,25 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
             "such as 1 (metres), 0.01 (centimetres) or 0.0254 (inches)"
         )
     if not UsdGeom.StageHasAuthoredMetersPerUnit(stage):
-        notes.append(f"no metersPerUnit authored; taken as {metres} metres")
-    if not stage.HasDefaultPrim():
-        roots = ", ".join(str(prim.GetPath()) for prim in stage.GetPseudoRoot().GetChildren()) or "none"
-        notes.append(f"no defaultPrim authored; all root prims are taken: {roots[:200]}")
+        notes.append(
+            f"no metersPerUnit authored; taken as {metres} metres; author it on the root layer if that is wrong"
+        )
+    if not stage.GetDefaultPrim():
+        notes.append(_say_roots(stage))
     notes += _foreign_units(stage, metres)
     notes += _foreign_layers(stage, path)
     return SceneStage(stage, metres, _to_metres(stage, metres))
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split())[:300]
+def _say_roots(stage: Any) -> str:
+    """Which prims are taken where none is said to be the scene."""
+    wanted = stage.GetRootLayer().defaultPrim
+    found = f"defaultPrim {wanted!r} is not there" if wanted else "no defaultPrim authored"
+    return f"{found}; all root prims are taken: {_roots(stage)}; deactivate those that are not of the scene"
+
+
+def _roots(stage: Any) -> str:
+    return ", ".join(str(prim.GetPath()) for prim in stage.GetPseudoRoot().GetChildren())[:200] or "none"
 
 
 def _to_metres(stage: Any, metres: float) -> Matrix:
@@ -128,7 +139,39 @@ def _foreign_layers(stage: Any, root: Path) -> Iterator[str]:
     for layer in sorted(stage.GetUsedLayers(), key=lambda layer: str(layer.GetDisplayName())):
         file = Path(str(layer.realPath).partition("[")[0])
         if layer.realPath and not file.resolve().is_relative_to(folder):
-            yield f"layer {layer.GetDisplayName()} lies outside of the stage's folder; read from where it is"
+            yield (
+                f"{_user_of(stage, layer)}: layer {layer.GetDisplayName()} lies outside of the stage's folder; read "
+                "from where it is; move it below the folder to keep the scene as it is"
+            )
+
+
+def _user_of(stage: Any, layer: Any) -> str:
+    """The first prim that has an opinion of a layer."""
+    prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
+    users = (prim for prim in prims if any(spec.layer == layer for spec in prim.GetPrimStack()))
+    return next((str(prim.GetPath()) for prim in users), "/")
+
+
+def find_unseen(scene: SceneStage) -> list[str]:
+    """Returns what may be why a stage shows nothing: the first prims that are switched off, hidden or no scenery.
+
+    Args:
+        scene: the opened stage.
+    """
+    unseen = list(islice(_unseen(scene), _MOST_UNSEEN))
+    return unseen or [f"no mesh or basic solid at or below {_roots(scene.stage)}"]
+
+
+def _unseen(scene: SceneStage) -> Iterator[str]:
+    for prim in Usd.PrimRange(scene.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
+        if not prim.IsActive():
+            yield f"{prim.GetPath()} is not active"
+        elif prim.IsA(UsdGeom.Gprim):
+            shape = UsdGeom.Imageable(prim)
+            if shape.ComputeVisibility(_LATEST_START) == UsdGeom.Tokens.invisible:
+                yield f"{prim.GetPath()} is invisible"
+            elif shape.ComputePurpose() in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy):
+                yield f"{prim.GetPath()} has purpose {shape.ComputePurpose()}"
 
 
 def walk_stage(scene: SceneStage, notes: list[str]) -> Iterator[Placement]:
@@ -159,7 +202,7 @@ def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matri
                     place = frame @ walk.matrix(prim)
                 yield Placement(prim, path, place)
         except BROKEN_PRIM as error:
-            walk.notes.append(f"{path}: skipped, {_one_line(str(error))}")
+            walk.notes.append(f"{path}: skipped, {say_refusal(str(error))}")
 
 
 def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[Placement]:

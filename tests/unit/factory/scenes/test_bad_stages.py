@@ -39,6 +39,12 @@ def test_a_stage_without_default_prim_is_taken_whole_and_says_so(tmp_path: Path)
     assert noted(extraction, "defaultPrim", "/Hall")
 
 
+def test_a_default_prim_that_is_not_there_is_noted_by_name(tmp_path: Path) -> None:
+    path = TEXT.write(tmp_path / "scene.usda", BOX)
+    path.write_text(path.read_text().replace('defaultPrim = "World"', 'defaultPrim = "Hall"'))
+    assert noted(extract_stage(path), "'Hall' is not there", "/World", "deactivate")
+
+
 @pytest.mark.parametrize("value", ["0", "-1", "1e-12", "1e9"])
 def test_absurd_units_are_refused_with_the_usual_ones(tmp_path: Path, value: str) -> None:
     path = TEXT.write(tmp_path / "scene.usda", BOX, units=f"metersPerUnit = {value}")
@@ -49,8 +55,15 @@ def test_absurd_units_are_refused_with_the_usual_ones(tmp_path: Path, value: str
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        ("", ["odd.usda", "shows no mesh", "payloads"]),
-        (TEXT.box("Wall", (0, 0, 0), (5, 0.1, 3)), ["odd.usda", "no floor", "metersPerUnit"]),
+        ("", ["odd.usda", "shows no mesh", "/World", "payloads"]),
+        (TEXT.box("Ghost", (0, 0, 0), (9, 9, 1), more='token visibility = "invisible"'), ["/World/Ghost is invisible"]),
+        (TEXT.box("Ghost", (0, 0, 0), (9, 9, 1), more='token purpose = "proxy"'), ["/World/Ghost has purpose proxy"]),
+        (TEXT.group("Ghost", BOX, head="active = false"), ["/World/Ghost is not active"]),
+        (
+            TEXT.box("Wall", (0, 0, 0), (5, 0.1, 3)),
+            ["odd.usda", "metersPerUnit = 1,", "/World/Wall (5 x 0.1 x 3 m)", "no floor", "upAxis"],
+        ),
+        (TEXT.box("Floor", (0, 0, -1), (8000, 8000, 0)), ["odd.usda", "/World/Floor (8000 x", "grid", "metersPerUnit"]),
     ],
 )
 def test_a_stage_without_mesh_or_floor_names_file_and_remedy(tmp_path: Path, body: str, words: list[str]) -> None:
@@ -85,11 +98,39 @@ def test_all_copies_count_towards_the_limit(tmp_path: Path) -> None:
         extract(tmp_path, instancer, StageLimits(max_triangles=100))
 
 
+def test_a_mesh_too_large_is_refused_before_it_is_cut_up(tmp_path: Path) -> None:
+    fan = f"""
+    def Mesh "Fan" {{
+        int[] faceVertexCounts = [60]
+        int[] faceVertexIndices = {[7] * 60}
+        point3f[] points = [(0, 0, 0)]
+    }}"""
+    assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # cut up, it shows itself as broken
+    with pytest.raises(WorldError, match=r"more than 50 triangles, passed at /World/Fan.*/World/Fan \(58\)"):
+        extract(tmp_path, fan + BOX, StageLimits(max_triangles=50))
+
+
 def test_a_cyclic_reference_is_noted_and_the_rest_is_kept(tmp_path: Path) -> None:
     TEXT.write(tmp_path / "other.usda", TEXT.group("Back", "", head="prepend references = @scene.usda@"))
     extraction = extract(tmp_path, TEXT.group("There", "", head="prepend references = @other.usda@") + BOX)
     assert "/World/Box" in [part.path for part in extraction.parts]
-    assert noted(extraction, "ycle", "other.usda")
+    assert noted(extraction, "ycle", "/World/There", "@other.usda@", "take the reference out")
+
+
+def test_what_usd_complains_about_is_the_same_at_every_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = TEXT.group("Lost", "", head="references = @nowhere.usda@") + TEXT.group(
+        "Loop", "", head="references = </World>"
+    )
+    notes = []
+    for folder in ("here", "there"):
+        (tmp_path / folder).mkdir()
+        path = TEXT.write(tmp_path / folder / "room.usda", room_body(TEXT, lost))
+        monkeypatch.chdir(tmp_path if folder == "here" else path.parent)
+        for _ in range(2):
+            notes.append(compile_stage(path, "room", "test").info.notes)
+    assert len(notes[0]) == 2
+    assert notes == [notes[0]] * 4
+    assert not any("0x" in note or str(tmp_path) in note for note in notes[0]), notes[0]
 
 
 @pytest.mark.parametrize("indices", ["[0, 7]", "[0, -1]"])
@@ -229,7 +270,10 @@ def test_a_refused_texture_shows_its_fallback(tmp_path: Path, secret: Path) -> N
 @pytest.mark.parametrize("file", ["../../etc/nothing.png", "nothing.png"])
 def test_a_texture_that_is_not_there_is_noted_by_name(tmp_path: Path, file: str) -> None:
     scene = compile_stage(TEXT.write(tmp_path / "room.usda", room_body(TEXT, textured(file))), "room", "test")
-    assert any("nothing.png" in note and "one colour" in note for note in scene.info.notes)
+    assert any(
+        "nothing.png" in note and "one colour" in note and note.startswith(("/World/Poster:", "/World/Print:"))
+        for note in scene.info.notes
+    )
 
 
 def test_a_texture_in_the_working_directory_is_none_of_the_stage(
@@ -247,4 +291,4 @@ def test_a_layer_outside_of_the_folder_is_noted(tmp_path: Path, secret: Path) ->
     )
     extraction = extract_stage(path)
     assert len(extraction.parts) == 1
-    assert noted(extraction, "prop.usda", "outside")
+    assert noted(extraction, "/World/Prop", "prop.usda", "outside", "move it below")
