@@ -23,7 +23,15 @@ from schemas.errors import TransientError
 from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
 from schemas.wire import Beat, BeatReply, Claim, Done, Hello, Lease
 
-__all__ = ["Member", "bundle_of", "claim_and_announce", "claim_until_told", "deliver_together", "stay_connected"]
+__all__ = [
+    "Effort",
+    "Member",
+    "bundle_of",
+    "claim_and_announce",
+    "claim_until_told",
+    "deliver_together",
+    "stay_connected",
+]
 
 _LINK_LEASE_S = 60.0
 _ASK_S = 30.0
@@ -32,7 +40,15 @@ _PARALLEL = 64
 """Members that act at a time."""
 _ARRIVING, _TRIES = 8, 10
 """Sessions that are opened at a time, and how often: a connection gives up after two seconds on a busy machine."""
-_NO_DIGEST = "c" * 64
+
+
+class Effort(Model):
+    """What some work took."""
+
+    seconds: float
+    """Wall clock."""
+    cpu_s: float
+    """Of all threads of the process that did it."""
 
 
 def bundle_of(size: int) -> bytes:
@@ -115,22 +131,28 @@ class Member:
                 query.reply(bundle_key(self._run, self.sid), self._bundle[chunk.offset : chunk.offset + chunk.length])
 
 
-def claim_and_announce(pipe: Connection, endpoints: Sequence[str], run: str, members: int, cycles: int) -> None:
-    """Every member claims a job and announces its bundle so many times; sends how long that took, seconds.
+def claim_and_announce(
+    pipe: Connection, endpoints: Sequence[str], run: str, members: int, cycles: int, size: int
+) -> None:
+    """Every member claims a job and announces its bundle so many times, and serves what is pulled; sends an `Effort`.
 
-    Nobody serves a bundle: what is asked for comes back empty, and the coordinator's pullers leave it to a later beat.
+    Pulling goes on beside the cycles, as fast as the coordinator's pullers can; no member waits for it.
     """
+    bundle = bundle_of(size)
+    digest = sha256(bundle).hexdigest()
 
     def work(member: Member) -> None:
         for _ in range(cycles):
-            member.announce(member.claim(), _NO_DIGEST, 1)
+            member.announce(member.claim(), digest, size)
 
-    fleet = _open(endpoints, run, members)
+    fleet = _open(endpoints, run, members, bundle)
     pipe.send(len(fleet))
     pipe.recv()
-    begun = time.perf_counter()
+    begun, begun_cpu = time.perf_counter(), time.process_time()
     _all(work, fleet)
-    pipe.send(time.perf_counter() - begun)
+    pipe.send(Effort(seconds=time.perf_counter() - begun, cpu_s=time.process_time() - begun_cpu))
+    with contextlib.suppress(EOFError):
+        pipe.recv()
     _all(Member.close, fleet)
 
 

@@ -21,7 +21,7 @@ from schemas.job import Job
 from schemas.plan import Plan
 from schemas.scene import Target
 
-__all__ = ["Opened", "serve_hub"]
+__all__ = ["Condition", "Opened", "serve_hub"]
 
 _LEASE_S = 600.0
 """No lease runs out while a busy machine is measured."""
@@ -33,6 +33,14 @@ class Opened(Model):
     endpoints: tuple[str, ...]
     seconds: float
     """From the call to the moment at which it listens: ledger checked, archive reconciled."""
+
+
+class Condition(Model):
+    """How a coordinator does."""
+
+    memory: Memory
+    cpu_s: float
+    """CPU time of its process so far, all threads."""
 
 
 class _Trust:
@@ -53,10 +61,10 @@ class _Trust:
 def serve_hub(
     pipe: Connection, root: Path, plan: Plan, catalog: Catalog, meta: EpisodeMeta, sha256: str, size: int
 ) -> None:
-    """Opens a coordinator, tells where it listens, and answers every message with its memory until the pipe ends.
+    """Opens a coordinator, tells where it listens, and answers every message with its condition until the pipe ends.
 
     Args:
-        pipe: to the conductor; the first thing sent is `Opened`, all others are `Memory`.
+        pipe: to the conductor; the first thing sent is `Opened`, all others are `Condition`.
         root: of the dataset; its ledger may be filled already.
         plan: what the ledger holds.
         catalog: its scenes.
@@ -75,7 +83,6 @@ def serve_hub(
         try:
             while True:
                 pipe.recv()
-                memory: Memory = measure_memory(start_mib)
-                pipe.send(memory)
+                pipe.send(Condition(memory=measure_memory(start_mib), cpu_s=time.process_time()))
         except EOFError:
             return

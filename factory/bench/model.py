@@ -203,6 +203,12 @@ class WireBench(Model):
 
     cycles_per_s: Spread
     """Claim and announcement of one job each, answered when durable; wall clock."""
+    archived_per_s: Spread
+    """Small bundles pulled and archived meanwhile; the others wait, as they would for a busy coordinator."""
+    coordinator_cpu_ms: Spread
+    """CPU time of the coordinator's process a cycle, pulling beside it included."""
+    workers_cpu_ms: Spread
+    """CPU time of the process of all workers a cycle, on the same cores."""
     start_s: Spread
     """Until it listens, on the filled ledger."""
     crowd: Crowd

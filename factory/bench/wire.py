@@ -8,14 +8,21 @@ from contextlib import contextmanager
 from hashlib import sha256
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from coordinator.plan.catalog import Catalog
-from factory.bench.fleet import bundle_of, claim_and_announce, claim_until_told, deliver_together, stay_connected
-from factory.bench.hub import Opened, serve_hub
-from factory.bench.model import Crowd, Memory, Rush, Spread, WireBench
+from factory.bench.fleet import (
+    Effort,
+    bundle_of,
+    claim_and_announce,
+    claim_until_told,
+    deliver_together,
+    stay_connected,
+)
+from factory.bench.hub import Condition, Opened, serve_hub
+from factory.bench.model import Crowd, Rush, Spread, WireBench
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.plan import Plan
@@ -24,6 +31,8 @@ __all__ = ["bench_wire"]
 
 _CYCLES = 5000
 """Of one run, all workers together; fewer on a small ledger, for each takes a job."""
+_CYCLE_BUNDLE_BYTES = 1 << 20
+"""Pulled beside the cycles: one chunk."""
 _MEMBERS_A_PROCESS = 500
 _BYSTANDER_PAUSE_S = 0.02
 _PATIENCE_S = 600.0
@@ -56,24 +65,47 @@ def bench_wire(
     Raises:
         WorldError: one of the processes ended early.
     """
-    bundle = sha256(bundle_of(bundle_bytes)).hexdigest()
-    facts = (root, plan, catalog, meta, bundle, bundle_bytes)
     rounds = max(1, min(_CYCLES, plan.episodes // (4 * repeats)) // workers)
-    starts, cycles = [], []
-    for _ in range(repeats):
-        with _process(serve_hub, *facts) as hub:
-            opened: Opened = _hear(hub)
-            starts.append(opened.seconds)
-            with _process(claim_and_announce, opened.endpoints, plan.run, workers, rounds) as fleet:
-                _hear(fleet)
-                fleet.send("go")
-                cycles.append(rounds * workers / _hear(fleet))
+    light = (root, plan, catalog, meta, *_named(_CYCLE_BUNDLE_BYTES))
+    runs = [_cycles(light, plan.run, workers, rounds) for _ in range(repeats)]
+    heavy = (root, plan, catalog, meta, *_named(bundle_bytes))
     return WireBench(
-        cycles_per_s=Spread.of(cycles),
-        start_s=Spread.of(starts),
-        crowd=_crowd(facts, plan.run, sessions),
-        rush=_rush(facts, plan.run, workers, bundle_bytes),
+        cycles_per_s=Spread.of([run.cycles / run.fleet.seconds for run in runs]),
+        archived_per_s=Spread.of([run.archived / run.fleet.seconds for run in runs]),
+        coordinator_cpu_ms=Spread.of([1000 * run.coordinator_cpu_s / run.cycles for run in runs]),
+        workers_cpu_ms=Spread.of([1000 * run.fleet.cpu_s / run.cycles for run in runs]),
+        start_s=Spread.of([run.start_s for run in runs]),
+        crowd=_crowd(heavy, plan.run, sessions),
+        rush=_rush(heavy, plan.run, workers, bundle_bytes),
     )
+
+
+class _Run(NamedTuple):
+    """Cycles on a coordinator that was started for them."""
+
+    cycles: int
+    start_s: float
+    fleet: Effort
+    coordinator_cpu_s: float
+    archived: int
+    """Bundles of theirs that were archived before the last cycle was answered."""
+
+
+def _named(size: int) -> tuple[str, int]:
+    return sha256(bundle_of(size)).hexdigest(), size
+
+
+def _cycles(facts: tuple[Any, ...], run: str, workers: int, rounds: int) -> _Run:
+    episodes: Path = facts[0] / "episodes"
+    with _process(serve_hub, *facts) as hub:
+        opened: Opened = _hear(hub)
+        with _process(claim_and_announce, opened.endpoints, run, workers, rounds, _CYCLE_BUNDLE_BYTES) as fleet:
+            _hear(fleet)
+            before, there = _condition(hub), len(list(episodes.iterdir()))
+            fleet.send("go")
+            effort: Effort = _hear(fleet)
+            archived, after = len(list(episodes.iterdir())) - there, _condition(hub)
+            return _Run(rounds * workers, opened.seconds, effort, after.cpu_s - before.cpu_s, archived)
 
 
 def _crowd(facts: tuple[Any, ...], run: str, sessions: int) -> Crowd:
@@ -82,7 +114,7 @@ def _crowd(facts: tuple[Any, ...], run: str, sessions: int) -> Crowd:
         shares = [min(_MEMBERS_A_PROCESS, sessions - start) for start in range(0, sessions, _MEMBERS_A_PROCESS)]
         with _processes(stay_connected, [(opened.endpoints, run, share) for share in shares]) as fleets:
             connected = sum(_hear(fleet) for fleet in fleets)
-            return Crowd(sessions=connected, memory=_memory(hub))
+            return Crowd(sessions=connected, memory=_condition(hub).memory)
 
 
 def _rush(facts: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> Rush:
@@ -106,14 +138,14 @@ def _rush(facts: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> 
                 claims=len(waits_ms),
                 claim_p50_ms=float(np.percentile(waits_ms, 50)),
                 claim_p99_ms=float(np.percentile(waits_ms, 99)),
-                memory=_memory(hub),
+                memory=_condition(hub).memory,
             )
 
 
-def _memory(hub: Connection) -> Memory:
-    hub.send("memory")
-    memory: Memory = _hear(hub)
-    return memory
+def _condition(hub: Connection) -> Condition:
+    hub.send("how do you do")
+    condition: Condition = _hear(hub)
+    return condition
 
 
 def _hear(pipe: Connection) -> Any:

@@ -109,6 +109,13 @@ def show_coordinator(report: CoordinatorBench) -> None:
     wire, crowd, rush = report.wire, report.wire.crowd, report.wire.rush
     rows = [
         ("claim + announcement over zenoh, cycles/s", wire.cycles_per_s.median, _range(wire.cycles_per_s)),
+        ("small bundles archived meanwhile, 1/s", wire.archived_per_s.median, _range(wire.archived_per_s)),
+        (
+            "the coordinator's CPU time, ms a cycle",
+            _round(wire.coordinator_cpu_ms.median),
+            f"a core of its own: {1000 / wire.coordinator_cpu_ms.median:.0f} cycles/s",
+        ),
+        ("the workers' CPU time, ms a cycle", _round(wire.workers_cpu_ms.median), _range(wire.workers_cpu_ms)),
         ("start until it listens, s", wire.start_s.median, _range(wire.start_s)),
         (f"memory with {crowd.sessions} sessions, MiB", crowd.memory.end_mib, f"peak {crowd.memory.peak_mib:.0f}"),
         (

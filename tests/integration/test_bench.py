@@ -122,8 +122,12 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert found.validate_ms_per_frame.median > 0
     assert found.archive_mb_per_s.median > 0
     assert found.wire.cycles_per_s.median > 1
+    assert found.wire.archived_per_s.median >= 0
+    assert found.wire.coordinator_cpu_ms.low > 0.05  # less than its COMMIT alone takes would be no measure
+    assert found.wire.workers_cpu_ms.low > 0.05
     assert (found.wire.crowd.sessions, found.wire.rush.workers) == (8, 4)
     assert found.wire.rush.claims > 0
     # a process of its own, with the bundles never whole in memory
     assert 30 < found.wire.rush.memory.start_mib <= found.wire.rush.memory.peak_mib
-    assert len(list((tmp_path / "bench" / "episodes").iterdir())) == 4
+    # those of the rush, and what was pulled of the cycles before
+    assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4
