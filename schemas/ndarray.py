@@ -22,6 +22,9 @@ __all__ = ["decode_npy", "decode_npy_zst", "encode_npy", "encode_npy_zst"]
 
 _MAX_HEADER_BYTES = 4096
 _MAX_WINDOW_BYTES = 128 << 20
+_FAST, _FAST_HASH_LOG = 1, 12
+# The fast level's own hash table, of 2**14 entries, does not fit into a core's first cache: depth takes 0.84 instead of
+# 0.73 ms with it, for 73.2 instead of 73.6 kB.
 _MAGIC = b"\x93NUMPY\x01\x00"
 
 
@@ -35,13 +38,22 @@ class _Codecs(threading.local):
     def compressor(self, level: int, checksum: bool) -> zstandard.ZstdCompressor:
         key = (level, checksum)
         if key not in self._compressors:
-            self._compressors[key] = zstandard.ZstdCompressor(level, write_checksum=checksum, write_content_size=True)
+            self._compressors[key] = _make_compressor(level, checksum)
         return self._compressors[key]
 
     def decompressor(self) -> zstandard.ZstdDecompressor:
         if self._decompressor is None:
             self._decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
         return self._decompressor
+
+
+def _make_compressor(level: int, checksum: bool) -> zstandard.ZstdCompressor:
+    if level != _FAST:
+        return zstandard.ZstdCompressor(level, write_checksum=checksum, write_content_size=True)
+    fast = zstandard.ZstdCompressionParameters.from_level(
+        level, write_checksum=checksum, write_content_size=True, hash_log=_FAST_HASH_LOG
+    )
+    return zstandard.ZstdCompressor(compression_params=fast)
 
 
 _codecs = _Codecs()

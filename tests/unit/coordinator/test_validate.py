@@ -113,6 +113,7 @@ FRAMES = {
     "frozen": (freeze_images, "depth_front is the same in frames 0 to 4"),
     "frozen colour": (lambda _: freeze_colour(parts_for(steps=40)), "rgb_front is the same in frames 0 to 21"),
     "strange id": (lambda p: with_image(p, 3, 2, slice(400, 401), 77), "frame 3: seg_front shows ids [77]"),
+    "strange id below others": (lambda p: with_image(p, 3, 2, slice(400, 401), 5), "seg_front shows ids [5]"),
     "hollow": (lambda p: with_image(p, 3, 1, slice(400, 405), 0.0), "frame 3: depth and ids disagree"),
     "too deep": (lambda p: with_image(p, 3, 1, slice(400, 405), 31.0), "frame 3: depth_front: maximum 31.0"),
     "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: holds NaN"),
