@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -114,6 +115,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=3, help="hosts (default 3)")
     parser.add_argument("--gateways", type=int, default=2, help="of every second round, 0 for none (default 2)")
     parser.add_argument("--at-once", type=int, default=2, help="rounds side by side (default 2)")
+    parser.add_argument("--longest", type=float, help="what a round may take, s (default: a few times what it needs)")
     parser.add_argument("--pause", type=float, default=0.4, help="longest pause between two faults, s (default 0.4)")
     parser.add_argument("--seed", type=int, default=1, help="of round 0; the next ones count on (default 1)")
     parser.add_argument("--round", type=int, help="play this round and no other, e.g. one that failed")
@@ -158,9 +160,11 @@ def _casts(told: argparse.Namespace, root: Path) -> tuple[Cast, ...]:
     if told.simulation == "real":
         plan = root / "plan.toml"
         plan.write_text(_REAL_PLAN.format(episodes=told.episodes))
-        return (real_cast(plan, told.episodes),)
-    cast = fake_cast(told.episodes, 2.0)
-    return (cast, fake_cast(told.episodes, 2.0, told.gateways)) if told.gateways else (cast,)
+        casts = [real_cast(plan, told.episodes)]
+    else:
+        gateways = {0, told.gateways}
+        casts = [fake_cast(told.episodes, 2.0, number) for number in sorted(gateways)]
+    return tuple(replace(cast, longest_s=told.longest or cast.longest_s) for cast in casts)
 
 
 def _keep_evidence(root: Path) -> None:

@@ -93,9 +93,11 @@ class Nursery:
     def close(self) -> None:
         """Kills who is left."""
         assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._process.stdin.close()
         self._process.wait()
         self._thread.join()
+        self._process.stdout.close()
 
     def __enter__(self) -> Self:
         return self
