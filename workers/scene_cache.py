@@ -6,19 +6,18 @@ Never reads what is in a scene; where the bytes come from is the caller's.
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
 import os
 import secrets
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import structlog
 
 from schemas.errors import WorldError
 from schemas.keys import MAX_CHUNK_BYTES, Chunk
+from workers.host_lock import alone
 
 __all__ = ["SceneCache"]
 
@@ -59,7 +58,7 @@ class SceneCache:
         path = self._directory / f"{sha256}{_SUFFIX}"
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
-            with _alone(self._directory / f"{sha256}.lock", wait):
+            with alone(self._directory / f"{sha256}.lock", wait):
                 if not self._is_good(path, sha256):
                     self._bring(path, sha256, size, fetch)
                 os.utime(path)
@@ -128,22 +127,6 @@ class SceneCache:
                 path.with_suffix(".lock").unlink(missing_ok=True)
                 total -= size
                 log.info("scene_evicted", path=path.name, size=size)
-
-
-@contextmanager
-def _alone(path: Path, wait: Wait) -> Iterator[None]:
-    """Holds a lock among the threads and processes of the host."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        while True:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                wait()
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _remedy(error: OSError) -> str:

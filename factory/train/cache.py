@@ -7,14 +7,11 @@ want the same one, the first makes it under a lock and the others wait.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
-import os
 import shutil
 import time
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +26,7 @@ from factory.train.labels import chosen_frames, label_episode, stop_frame
 from schemas.base import Model, Positive, Sha256
 from schemas.errors import UsageError, WorldError
 from schemas.plan import canonical_json
+from workers.host_lock import alone
 
 __all__ = ["CACHE_FORMAT", "MASK_SHRINK", "CacheKey", "CachedEpisode", "FrameCache", "open_cache"]
 
@@ -126,7 +124,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Tell) -
     if index is None or index.key != key:
         with translated("write the cache", folder):
             root.mkdir(parents=True, exist_ok=True)
-            with _alone(root / f".{key.name}.lock", wait):
+            with alone(root / f".{key.name}.lock", wait):
                 index = _read_index(folder)  # another training may have made it meanwhile
                 if index is None or index.key != key:
                     _make(dataset, key, folder, tell)
@@ -134,22 +132,6 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Tell) -
     if index is None:
         raise WorldError(f"the cache {folder} vanished while it was opened: run the command again")
     return _open(folder, index)
-
-
-@contextmanager
-def _alone(path: Path, wait: Callable[[], None]) -> Iterator[None]:
-    """Holds a lock among the trainings of this host; ends with the process, however that ends."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        while True:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                wait()
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: Tell) -> None:

@@ -63,6 +63,12 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         self.twist = nn.Linear(128, _CELLS if self._is_tokens else 3)
 
     def forward(self, pictures: Tensor, words: Tensor) -> Answer:
+        """Returns what to do, and where the network points.
+
+        Args:
+            pictures: (N, 4, S, S) as `look.to_input` makes them, sRGB and nearness.
+            words: (N, L) numbers of the words, 0 behind the last one.
+        """
         said = self._read(words)
         low = self.stage2(self.stage1(self.stem(pictures), said), said)
         near = self.look(low, said)
@@ -99,6 +105,12 @@ class _Block(nn.Module):  # type: ignore[misc]
         self.around = nn.Identity() if plain else nn.Conv2d(into, out, 1, stride=stride, bias=False)
 
     def forward(self, x: Tensor, said: Tensor) -> Tensor:
+        """Returns (N, out, H / stride, W / stride) features.
+
+        Args:
+            x: (N, into, H, W) features.
+            said: (N, said) state after the last word.
+        """
         scale, shift = self.film(said)[:, :, None, None].chunk(2, dim=1)
         y = functional.relu(self.norm1(self.conv1(x)))
         y = self.norm2(self.conv2(y)) * (1 + scale) + shift
