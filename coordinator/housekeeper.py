@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from types import TracebackType
-from typing import Self
 
 import structlog
+
+from schemas.closing import Closing
 
 __all__ = ["Chore", "Housekeeper"]
 
@@ -23,7 +23,7 @@ _AFTER_FAILURE_S = 2.0
 log = structlog.get_logger(__name__)
 
 
-class Housekeeper:
+class Housekeeper(Closing):
     """Runs chores one after the other until closed; a context manager."""
 
     def __init__(self, chores: Mapping[str, Chore]) -> None:
@@ -41,14 +41,6 @@ class Housekeeper:
         """Ends after the chore in hand."""
         self._stop.set()
         self._thread.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _run(self) -> None:
         due = {name: time.monotonic() + pause for name, (pause, _) in self._chores.items()}

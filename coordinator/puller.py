@@ -10,8 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import structlog
 
@@ -21,6 +20,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.summary import EpisodeSummary, Receipt
 from coordinator.wire.protocol import Pull
 from schemas.bundle import MAX_BUNDLE_BYTES
+from schemas.closing import Closing
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job, episode_id
 from schemas.keys import Chunk
@@ -73,7 +73,7 @@ class Book(Protocol):
         """Reports a bundle that is not what was asked for."""
 
 
-class Pullers:
+class Pullers(Closing):
     """A few threads that bring bundles home, one of an episode at a time; a context manager."""
 
     def __init__(
@@ -124,14 +124,6 @@ class Pullers:
             self._queue.put(None)
         for thread in self._threads:
             thread.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _run(self) -> None:
         while (pull := self._queue.get()) is not None:

@@ -11,8 +11,6 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import structlog
 
@@ -42,6 +40,7 @@ from coordinator.wire.front import Front
 from coordinator.wire.protocol import Terms
 from coordinator.wire.router import Router
 from coordinator.wire.tls import Guard
+from schemas.closing import Closing
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.wire import Progress
@@ -59,7 +58,7 @@ def utc_now() -> datetime:
     return datetime.now(UTC)
 
 
-class Coordinator:
+class Coordinator(Closing):
     """A running coordinator; a context manager whose exit loses nothing.
 
     Args:
@@ -187,14 +186,6 @@ class Coordinator:
     def close(self) -> None:
         """Stops listening, finishes what is queued, writes the tables and releases the directory."""
         self._stack.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _open_ledger(self, stack: ExitStack, url: str, checker: Judge) -> None:
         terms = self._terms

@@ -10,8 +10,6 @@ import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
 from coordinator.archive.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error
@@ -19,13 +17,14 @@ from coordinator.archive.place import Place
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
 from coordinator.summary import file_name_of
+from schemas.closing import Closing
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 
 __all__ = ["DirectoryArchive"]
 
 
-class DirectoryArchive:
+class DirectoryArchive(Closing):
     """An opened dataset directory; while it is open no other coordinator can open it.
 
     Raises:
@@ -156,11 +155,3 @@ class DirectoryArchive:
     def close(self) -> None:
         """Lets another coordinator open the directory."""
         self._staging.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

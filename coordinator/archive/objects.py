@@ -15,8 +15,6 @@ import secrets
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import structlog
 
@@ -27,6 +25,7 @@ from coordinator.archive.place import Place, digest_of
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
 from coordinator.summary import file_name_of
+from schemas.closing import Closing
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 
@@ -38,7 +37,7 @@ _NAME = ".name"
 log = structlog.get_logger(__name__)
 
 
-class ObjectArchive:
+class ObjectArchive(Closing):
     """An opened dataset in object storage; while it is open no coordinator with another home can open it.
 
     Args:
@@ -206,14 +205,6 @@ class ObjectArchive:
             log.warning("lock_left_behind", dataset=str(self.root), error=str(error), remedy="the same home opens it")
         finally:
             self._staging.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _sign_of(home: Path) -> str:

@@ -12,14 +12,14 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Self
+from typing import Annotated
 
 import structlog
 from pydantic import Field, ValidationError
 
 from coordinator.summary import EpisodeSummary
 from schemas.base import Model
+from schemas.closing import Closing
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
 from schemas.scene import Target
@@ -58,7 +58,7 @@ class Verdict(Model):
     findings: tuple[str, ...] = ()
 
 
-class Validator:
+class Validator(Closing):
     """A pool of validating children; `check` may be called from many threads and waits for a free child.
 
     Raises:
@@ -108,14 +108,6 @@ class Validator:
         """Ends all children; one that is at work is killed."""
         for child in self._all:
             child.end()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class _Child:

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import structlog
 
@@ -31,6 +29,7 @@ from coordinator.wire.protocol import Pull
 from coordinator.wire.relay import Duty, Join, JoinReply, Order, Orders
 from coordinator.wire.tls import Guard
 from coordinator.wire.zenoh_config import router_config
+from schemas.closing import Closing
 from schemas.errors import TransientError
 from schemas.keys import Chunk, Verb
 from schemas.wire import Lease
@@ -45,7 +44,7 @@ _SILENCE_S = 10.0
 log = structlog.get_logger(__name__)
 
 
-class Gateway:
+class Gateway(Closing):
     """A running gateway; a context manager whose exit loses nothing.
 
     Args:
@@ -130,14 +129,6 @@ class Gateway:
     def close(self) -> None:
         """Asks for no more, stops pulling at the next chunk and releases the directory."""
         self._stack.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _open_node(self, listen: Sequence[str]) -> Node:
         guard, lease_s = self._guard, self._settings.transport_lease_s

@@ -11,14 +11,14 @@ from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socket import AF_INET, AF_INET6, socket
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import structlog
 
 from coordinator.http.address import HttpAddress
 from coordinator.http.exposition import Exposition
 from coordinator.vitals import Watched
+from schemas.closing import Closing
 from schemas.errors import WorldError
 
 __all__ = ["StatusServer"]
@@ -33,7 +33,7 @@ log = structlog.get_logger(__name__)
 Page = tuple[HTTPStatus, str, bytes]
 
 
-class StatusServer:
+class StatusServer(Closing):
     """An open server; a context manager whose exit closes it.
 
     Args:
@@ -67,14 +67,6 @@ class StatusServer:
         self._server.shutdown()
         self._thread.join()
         self._server.server_close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class _Pages:

@@ -9,8 +9,7 @@ import queue
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import structlog
 from sqlalchemy import Engine
@@ -18,6 +17,7 @@ from sqlalchemy.engine import Connection
 from sqlalchemy.exc import OperationalError, SQLAlchemyError
 
 from coordinator.ledger.engine import checkpoint_log
+from schemas.closing import Closing
 from schemas.errors import TransientError, WorldError
 
 __all__ = ["GROUP", "Writer"]
@@ -44,7 +44,7 @@ class _Request(Generic[T]):
             self.future.set_result(outcome)
 
 
-class Writer:
+class Writer(Closing):
     """Owns the only read-write connection; a context manager whose exit finishes what is queued."""
 
     def __init__(self, engine: Engine) -> None:
@@ -94,14 +94,6 @@ class Writer:
                 self._closed = True
                 self._queue.put(None)
         self._thread.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _run(self) -> None:
         with self._engine.connect() as connection:

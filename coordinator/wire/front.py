@@ -10,8 +10,6 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 from functools import partial
-from types import TracebackType
-from typing import Self
 
 import structlog
 
@@ -23,6 +21,7 @@ from coordinator.wire.protocol import Answer, Request, Terms, parse, serve
 from coordinator.wire.relay import Archived, Duty, Inventory, Join, JoinReply
 from coordinator.wire.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.wire.router import Inquiry
+from schemas.closing import Closing
 from schemas.errors import TransientError
 from schemas.keys import Verb
 from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusal
@@ -35,7 +34,7 @@ _VERBS = frozenset(verb.value for verb in Verb)
 log = structlog.get_logger(__name__)
 
 
-class Front:
+class Front(Closing):
     """Between router and writer; a context manager whose exit ends its reading thread.
 
     Args:
@@ -107,14 +106,6 @@ class Front:
     def close(self) -> None:
         """Ends the reading thread."""
         self._reads.shutdown(cancel_futures=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _reply(self, inquiry: Inquiry, request: Request, future: Future[Answer]) -> None:
         error = future.exception()

@@ -11,12 +11,11 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import TracebackType
-from typing import Self
 
 import structlog
 import zenoh
 
+from schemas.closing import Closing
 from schemas.errors import TransientError, WorldError
 from schemas.identity import Role
 from schemas.keys import Chunk, bundle_selector
@@ -36,7 +35,7 @@ _REOPEN_PAUSE_S = 0.2
 log = structlog.get_logger(__name__)
 
 
-class Node:
+class Node(Closing):
     """An open router session; a context manager.
 
     Args:
@@ -138,14 +137,6 @@ class Node:
         with self._opening:
             if self.is_open:
                 self._session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 Open = Callable[[Sequence[str]], zenoh.Config]

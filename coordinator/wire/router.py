@@ -8,8 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import structlog
 import zenoh
@@ -20,6 +18,7 @@ from coordinator.wire.node import Admitted, Node
 from coordinator.wire.tls import Guard
 from coordinator.wire.zenoh_config import router_config
 from schemas.base import Model
+from schemas.closing import Closing
 from schemas.keys import (
     Chunk,
     Verb,
@@ -64,7 +63,7 @@ class Inquiry:
         self._query.drop()
 
 
-class Router:
+class Router(Closing):
     """An open router session that answers for the coordinator; a context manager.
 
     Args:
@@ -125,14 +124,6 @@ class Router:
         for descriptor in self._scenes.values():
             os.close(descriptor)
         self._scenes = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _config(self, endpoints: Sequence[str], admitted: Admitted) -> zenoh.Config:
         files = self._guard.files if self._guard is not None else None
