@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,11 @@ def _load(dataset: Dataset, workers: int) -> float:
     import torch
 
     frames = FrameDataset(dataset, with_ids=True)
-    loader: Any = torch.utils.data.DataLoader(frames, _BATCH, shuffle=True, num_workers=workers)
+    # the client of an object store does not survive a fork
+    context = None if not workers or isinstance(dataset.root, Path) else "spawn"
+    loader: Any = torch.utils.data.DataLoader(
+        frames, _BATCH, shuffle=True, num_workers=workers, multiprocessing_context=context
+    )
     seen, begun = 0, 0.0
     for batch in loader:
         if not seen:

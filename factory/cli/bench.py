@@ -18,6 +18,7 @@ from typing import Any, TypeVar, cast
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from coordinator.archive.place import Place
 from coordinator.plan.file import load_plan
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.machine import describe_machine
@@ -32,6 +33,7 @@ from factory.bench.work import first_attempts, narrow
 from factory.catalog import open_catalog
 from factory.cli.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
 from factory.cli.output import json_option, print_json, stderr
+from factory.cli.places import PLACE
 from factory.dataset import Dataset
 from factory.logs import configure_logs
 from factory.settings import scene_cache
@@ -179,18 +181,18 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
 
 
 @command.command("read")
-@click.argument("root", metavar="[DIR]", required=False, type=click.Path(path_type=Path))
+@click.argument("root", metavar="[DIR|URL]", required=False, type=PLACE)
 @_scene_option
 @click.option("--frames", type=click.IntRange(1), default=500, show_default=True, help="Random frames a run.")
 @click.option("--workers", type=click.IntRange(0, 64), default=2, show_default=True, help="Of the torch loader.")
 @_repeats_option
 @json_option
-def read(root: Path | None, scenes: tuple[str, ...], frames: int, workers: int, repeats: int, as_json: bool) -> None:
-    """Time random access to the frames of DIR; without DIR to a few episodes of every scene, made for it."""
+def read(root: Place | None, scenes: tuple[str, ...], frames: int, workers: int, repeats: int, as_json: bool) -> None:
+    """Time random access to the frames of a dataset; without one to a few episodes of every scene, made for it."""
     with _nowhere() as nowhere:
         if root is None:
-            root = nowhere / "sample"
-            _make_sample(root, narrow(load_plan(_SAMPLE_PLAN), scenes, 1), nowhere)
+            root = made = nowhere / "sample"
+            _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes, 1), nowhere)
         report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
     _print(report, as_json, show_read)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
+from factory.cli.options import dataset_argument
 from factory.cli.output import json_option, print_json, print_table, stderr
 from factory.export.manifest import MANIFEST_FILE
 from factory.push import PushPlan, plan_push, push
@@ -16,7 +17,7 @@ __all__ = ["command"]
 
 
 @click.command("push")
-@click.argument("root", metavar="DIR", type=click.Path(path_type=Path))
+@dataset_argument
 @click.argument("repository", metavar="OWNER/NAME")
 @click.option("--private", is_flag=True, help="Make a new repository private.")
 @click.option("--endpoint", metavar="URL", help="Another Hub than huggingface.co (default: HF_ENDPOINT).")

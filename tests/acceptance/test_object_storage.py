@@ -21,6 +21,9 @@ def test_a_run_into_a_bucket_is_made_resumed_checked_and_told(plan, scene_cache,
         checked = factory.json("verify", url, "--deep")
         assert (checked["ok"], checked["complete"], checked["digest"]) == (True, True, made["digest"])
         assert factory.json("status", url)["finished"]
+        read = factory.json("bench", "read", url, "--frames", 4, "--repeats", 1, "--workers", 0)
+        assert (read["episodes"], read["frames"]) == (1, 4)
+        assert f"works on a dataset directory, not on {url}" in factory("push", url, "me/tiny", expect=2).stderr
         assert "works on a dataset directory, not on" in factory("eval", "--data", url, expect=2).stderr
     finally:
         factory.end()

@@ -125,6 +125,30 @@ def test_every_mount_has_its_volume():
                 assert mounts == volumes
 
 
+def test_the_ledger_of_a_dataset_in_object_storage_outlasts_whatever_writes_it():
+    (image,) = re.findall(r"\bMINIVLA_STATE=(\S+)", (DEPLOY / "Dockerfile").read_text())
+    (volumes,) = re.findall(r"^VOLUME (.*)$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
+    assert any(image.startswith(f"{volume}/") for volume in json.loads(volumes))
+    compose = documents(DEPLOY / "compose.yaml")[0]
+    coordinator = compose["services"]["coordinator"]
+    kept = {mount.split(":")[1] for mount in coordinator["volumes"] if mount.split(":")[0] in compose["volumes"]}
+    assert str(Path(coordinator["environment"]["MINIVLA_STATE"]).parent) in kept
+    (pod,) = [
+        document
+        for document in documents(DEPLOY / "kubernetes/base/coordinator.yaml")
+        if "replicas" in document["spec"]
+    ]
+    claims = {claim["metadata"]["name"] for claim in pod["spec"]["volumeClaimTemplates"]}
+    (container,) = pod["spec"]["template"]["spec"]["containers"]
+    claimed = {mount["mountPath"] for mount in container["volumeMounts"] if mount["name"] in claims}
+    state = {variable["name"]: variable["value"] for variable in container["env"]}["MINIVLA_STATE"]
+    assert str(Path(state).parent) in claimed
+    for unit in ("minivla-coordinator@", "minivla-gateway"):
+        text = (DEPLOY / "systemd" / f"{unit}.service").read_text()
+        assert "StateDirectory=minivla\n" in text
+        assert re.search(r"^Environment=.*\bMINIVLA_STATE=/var/lib/minivla/", text, re.MULTILINE)
+
+
 def test_every_watched_metric_is_served(tmp_path):
     settings = CoordinatorSettings(reserve_bytes=0)
     endpoint = ("tcp/127.0.0.1:0",)
