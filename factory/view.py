@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -62,6 +63,23 @@ def view_episode(
         WorldError: the recording cannot be written.
     """
     rerun = _library()
+    part = None if save is None else save.with_name(f".{save.name}.part")
+    try:
+        _record(rerun, episode, scene, part, stride, tell)
+        if save is not None and part is not None:
+            part.replace(save)
+    except OSError as error:
+        raise WorldError(f"cannot write {save} ({error.strerror}); free space or choose another --save") from error
+    finally:
+        if part is not None:
+            with suppress(OSError):  # where no file can be, there is none
+                part.unlink()
+
+
+def _record(
+    rerun: ModuleType, episode: Episode, scene: CompiledScene, save: Path | None, stride: int, tell: Listener | None
+) -> None:
+    """Logs all of an episode; the recording is whole when this returns."""
     with rerun.RecordingStream("minivla_factory", recording_id=f"{episode.meta.job.run}_{episode.episode_id}") as log:
         _open(rerun, log, save)
         log.send_blueprint(_layout(rerun))
@@ -73,6 +91,8 @@ def view_episode(
                 _log_frame(rerun, log, episode, t)
                 if tell is not None:
                     tell(t)
+        if save is not None:
+            log.disconnect()
 
 
 def floor_picture(scene: CompiledScene) -> FloorPicture:

@@ -17,6 +17,8 @@ def command(shell: str) -> None:
 
     \b
     bash:  factory completion bash >> ~/.bashrc
+    zsh:   factory completion zsh >> ~/.zshrc
+    fish:  factory completion fish > ~/.config/fish/completions/factory.fish
     """
     script = get_completion_class(shell)
     if script is not None:
