@@ -94,7 +94,7 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
     print_table(
         "attempts",
         ("attempt", "draw", "outcome", "steps", "seconds", "worker", "detail"),
-        [(a.attempt, a.draw, a.outcome, a.steps, a.seconds, a.worker, a.detail) for a in attempts],
+        [(a.attempt, a.draw, a.outcome, a.steps, a.seconds or None, a.worker, a.detail) for a in attempts],
     )
     print_table(
         "events",
