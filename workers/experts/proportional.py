@@ -19,29 +19,29 @@ from workers.slew import Twist
 
 __all__ = ["ProportionalExpert", "centroid_speed", "depth_speed", "literal_speed"]
 
-SpeedLaw = Callable[[Senses, bool, ExpertConfig, float], float]
-"""(observation, visible, gains, success radius) -> speed in m/s before clamping."""
+SpeedLaw = Callable[[Senses, ExpertConfig, float], float]
+"""(observation, gains, success radius) -> speed in m/s before clamping."""
 
 
-def centroid_speed(seen: Senses, visible: bool, gains: ExpertConfig, radius_m: float) -> float:  # noqa: ARG001
+def centroid_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
     """k_v * d with d the planar distance to the centroid, and 0 inside the circle: the published behaviour."""
     return gains.speed_gain * seen.distance_m if seen.distance_m > radius_m else 0.0
 
 
-def depth_speed(seen: Senses, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
+def depth_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
     """k_v * (median mask depth) while visible, else k_v * d; 0 inside the circle."""
     if seen.distance_m <= radius_m:
         return 0.0
-    return gains.speed_gain * (seen.sighting.measure_depth() if visible else seen.distance_m)
+    return gains.speed_gain * (seen.sighting.measure_depth() if _is_visible(seen, gains) else seen.distance_m)
 
 
-def literal_speed(seen: Senses, visible: bool, gains: ExpertConfig, radius_m: float) -> float:
+def literal_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
     """Paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) while visible, else k_v * d.
 
     Measured from the camera to the surface, the speed reaches 0 before the base is within the radius of the
     centroid, so that this law only times out (DESIGN 3.1).
     """
-    if visible:
+    if _is_visible(seen, gains):
         return gains.speed_gain * (seen.sighting.measure_depth() - radius_m)
     return gains.speed_gain * seen.distance_m
 
@@ -61,16 +61,20 @@ class ProportionalExpert:
 
     def act(self, seen: Senses) -> Twist:
         """Returns the wanted twist; standing still, heading and all, once the speed law says 0 inside the circle."""
-        visible = seen.sighting.pixels >= self._gains.min_mask_px
-        speed = self._speed_law(seen, visible, self._gains, self._radius_m)
+        gains = self._gains
+        speed = self._speed_law(seen, gains, self._radius_m)
         if speed <= 0.0 and seen.distance_m <= self._radius_m:
-            return Twist(0.0, 0.0)
-        if seen.obstacle_near:
-            speed = min(speed, self._gains.avoidance_speed_mps)
+            return Twist(0.0, 0.0)  # without a look, which costs more than all the rest
+        if speed > gains.avoidance_speed_mps and seen.obstacle_near:
+            speed = gains.avoidance_speed_mps
         half = FRAME_SIZE_PX / 2
-        error = -(seen.sighting.column - half) / half if visible else seen.bearing_rad
+        error = -(seen.sighting.column - half) / half if _is_visible(seen, gains) else seen.bearing_rad
         limit = self._robot.max_yaw_rate_rps
         return Twist(
             min(max(speed, 0.0), self._robot.max_speed_mps),
-            min(max(self._gains.yaw_gain * error, -limit), limit),
+            min(max(gains.yaw_gain * error, -limit), limit),
         )
+
+
+def _is_visible(seen: Senses, gains: ExpertConfig) -> bool:
+    return seen.sighting.pixels >= gains.min_mask_px
