@@ -13,6 +13,7 @@ from typing import Annotated
 import yaml
 from pydantic import AfterValidator, TypeAdapter, ValidationError
 
+from factory.scenes.yaml_text import read_yaml
 from schemas.base import Model, Name, NonNegative, Positive
 from schemas.errors import UsageError
 
@@ -89,7 +90,7 @@ def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
         UsageError: the file is not there or is no such table.
     """
     try:
-        table = yaml.safe_load(path.read_text(encoding="utf-8"))
+        table = read_yaml(path.read_text(encoding="utf-8"))
         return RuleBook(rules=TypeAdapter(tuple[CategoryRule, ...]).validate_python(table))
     except OSError as error:
         raise UsageError(f"no category rules at {path} ({error.strerror})") from error

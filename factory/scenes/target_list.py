@@ -13,6 +13,7 @@ import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from factory.scenes.colour import COLOUR_NAMES
+from factory.scenes.yaml_text import read_yaml
 from schemas.base import Model, Name
 from schemas.errors import UsageError
 from schemas.scene import SceneInfo
@@ -101,7 +102,7 @@ def load_target_list(path: Path) -> TargetList:
         UsageError: it is not there or is no such file; every mistake is named with its row.
     """
     try:
-        return TargetList.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        return TargetList.model_validate(read_yaml(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"no targets file at {path} ({error}); write one with `factory scene targets`") from error
     except yaml.YAMLError as error:

@@ -67,7 +67,10 @@ def test_words_are_split_at_case_digits_and_punctuation() -> None:
     assert split_name("SM_BarelPlastic-A01") == "sm_barel_plastic_a_01"
 
 
-@pytest.mark.parametrize("text", ["- category: chair\n  include: ['(']", "chair", ": :\n-"])
+@pytest.mark.parametrize(
+    "text",
+    ["- category: chair\n  include: ['(']", "chair", ": :\n-", "- category: chair\n  include: [a]\n  include: [b]"],
+)
 def test_a_table_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text)

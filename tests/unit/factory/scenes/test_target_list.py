@@ -96,6 +96,10 @@ ROW = "{id: a_1, category: chair, prim_path: /World/A}"
     ("text", "words"),
     [
         ("targets: [", ["YAML"]),
+        (
+            "scene: room\ntargets:\n- id: a_1\n  category: chair\n  prim_path: /A\n  category: chair\n  prim_path: /B",
+            ["category, prim_path", "line 3", "is a line lost"],
+        ),
         ("scene: room\ntargets: 7", ["targets"]),
         (f"scene: room\ntargets: [{ROW}, {ROW}]", ["id stands twice: a_1"]),
         ("scene: room\ntargets: [{id: a_1, category: chair, prim_path: /A, enabled: false}]", ["no target is enabled"]),

@@ -1,0 +1,32 @@
+"""Reads what users write as YAML; refuses what YAML would take in silence. Knows no file's meaning."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import yaml
+
+__all__ = ["read_yaml"]
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses a key that stands twice in one mapping: the last would win, and a lost line would join two rows."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Returns the mapping of a node."""
+        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        twice = sorted(key for key, count in keys.items() if count > 1)
+        if twice:
+            problem = f"{', '.join(twice)} stand(s) twice in one row; is a line lost?"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def read_yaml(text: str) -> Any:
+    """Returns what a YAML text says, plain data only.
+
+    Raises:
+        YAMLError: it is no YAML, or a key stands twice.
+    """
+    return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
