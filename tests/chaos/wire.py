@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
+import struct
 import threading
 from collections.abc import Sequence
 from types import TracebackType
@@ -14,6 +16,8 @@ from tests.chaos.spell import Spell
 __all__ = ["Wires"]
 
 _BLOCK = 1 << 16
+_RESET = struct.pack("ii", 1, 0)
+"""Closing sends RST, not FIN."""
 _KEEP_ALIVE_BYTES = 16
 """What is not longer says no more than that somebody is there."""
 
@@ -31,7 +35,7 @@ class _Wire:
     @property
     def is_open(self) -> bool:
         """Whether anybody is connected."""
-        return bool(self._open)
+        return any(not writer.is_closing() for writer in self._open)
 
     async def listen(self) -> int:
         self._server = await asyncio.start_server(self._relay, "127.0.0.1", 0)
@@ -44,9 +48,10 @@ class _Wire:
         self.drop_all()
 
     def drop_all(self) -> int:
-        """Resets every connection, as a router that forgets its table does, and returns how many there were."""
-        writers = list(self._open)
+        """Resets every connection, as a router that forgets its table does, and returns how many ends they had."""
+        writers = [writer for writer in self._open if not writer.is_closing()]
         for writer in writers:
+            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
             writer.transport.abort()
         return len(writers)
 

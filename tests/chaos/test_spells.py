@@ -1,0 +1,112 @@
+"""A mishap counts only when somebody felt it: what a full, slow or cut thing does to nobody is not among the faults."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.chaos.disk import Disk
+from tests.chaos.tally import Tally
+from tests.chaos.wire import Wires
+
+_WRITES = """
+import os, sys
+with open(sys.argv[1], "wb", buffering=0) as file:
+    try:
+        file.write(bytes(1 << 20))
+        os.fsync(file.fileno())
+    except OSError as error:
+        print(error.errno)
+"""
+
+
+def _write(disk: Disk) -> str:
+    command = [sys.executable, "-c", _WRITES, str(disk.path / "file")]
+    environment = os.environ | disk.preload | disk.environment
+    return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout.strip()
+
+
+@pytest.mark.parametrize("fault", ["full disk", "slow disk"])
+def test_a_disk_is_felt_by_who_writes_meanwhile_and_by_nobody_else(fault: str, tmp_path: Path):
+    with Disk(tmp_path, 4) as disk:
+        if fault in disk.missing:
+            pytest.skip(disk.missing[fault])
+
+        def cast():
+            return disk.fill() if fault == "full disk" else disk.slow(20)
+
+        idle = cast()
+        assert cast() is None
+        disk.clear()
+        busy = cast()
+        refused = _write(disk)
+        disk.clear()
+        assert (idle.felt, busy.felt > 0) == (0, True)
+        assert bool(refused) == (fault == "full disk")
+        assert _write(disk) == ""
+        assert busy.felt == 1
+
+
+class _Echo:
+    """Somebody who answers what he is told, and a worker that is connected to him through a wire."""
+
+    def __init__(self) -> None:
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.wires = Wires([[f"tcp/127.0.0.1:{self.server.getsockname()[1]}"]])
+
+    def connect(self) -> tuple[socket.socket, socket.socket]:
+        host, _, port = self.wires.endpoints[0][0].removeprefix("tcp/").rpartition(":")
+        near = socket.create_connection((host, int(port)), timeout=60)
+        far, _ = self.server.accept()
+        near.sendall(b"hello")
+        assert far.recv(100) == b"hello"
+        return near, far
+
+    def __enter__(self) -> _Echo:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.wires.close()
+        self.server.close()
+
+
+def test_a_wire_is_cut_only_while_somebody_is_connected():
+    with _Echo() as echo:
+        assert echo.wires.cut(0, 0.0) is None
+        near, far = echo.connect()
+        with near, far:
+            spell = echo.wires.cut(0, 0.0)
+            assert spell is not None
+            assert spell.felt == 2  # both ends
+            with pytest.raises(ConnectionError):
+                near.recv(100)
+
+
+@pytest.mark.parametrize(("answer", "felt"), [(b"x" * 100, 1), (b"\x01\x00\x04", 0)])
+def test_answers_count_as_lost_and_signs_of_life_do_not(answer: bytes, felt: int):
+    with _Echo() as echo:
+        near, far = echo.connect()
+        with near, far:
+            spell = echo.wires.mute(0, 1.0)
+            assert spell is not None
+            assert echo.wires.mute(0, 1.0) is None
+            far.sendall(answer)
+            with pytest.raises(ConnectionError):  # it is reset when the wire heals
+                near.recv(100)
+            assert spell.felt == felt
+
+
+def test_tallies_add_up_and_come_back_from_their_file(tmp_path: Path):
+    one, path = Tally(episodes=2, violations=["torn"], seconds=3.0), tmp_path / "tally.json"
+    one.faults["link reset"] += 2
+    both = Tally.load(path)
+    for _ in range(2):
+        both.add(one)
+    both.save(path)
+    assert Tally.load(path) == both
+    assert (both.faults.total(), both.episodes, len(both.violations)) == (4, 4, 2)
