@@ -32,6 +32,7 @@ from factory.bench.watch import Watch
 from factory.bench.work import first_attempts, narrow
 from factory.catalog import open_catalog
 from factory.cli.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
+from factory.cli.options import renderer_option
 from factory.cli.output import json_option, print_json, stderr
 from factory.cli.places import PLACE
 from factory.dataset import Dataset
@@ -53,9 +54,6 @@ _MEMORY_JOBS = 25
 Command = TypeVar("Command", bound=Callable[..., Any])
 Report = TypeVar("Report", bound=Model)
 
-_renderer_option = click.option(
-    "--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True
-)
 _repeats_option = click.option("--repeats", type=click.IntRange(1), default=3, show_default=True, help="Timed runs.")
 _scene_option = click.option(
     "--scene", "scenes", multiple=True, metavar="SCENE", help=f"Only this one ({', '.join(BUILTIN_CATEGORIES)}, ...)."
@@ -75,7 +73,7 @@ def command() -> None:
 @_repeats_option
 @click.option("--against", type=click.Choice(["plain"]), help="Also run the plain PyBullet pipeline.")
 @click.option("--frames", type=click.IntRange(2), default=_PLAIN_FRAMES, show_default=True, help="Of the plain one.")
-@_renderer_option
+@renderer_option
 @json_option
 def rollout(
     scenes: tuple[str, ...],
@@ -111,7 +109,7 @@ def rollout(
 @_scene_option
 @click.option("--frames", type=click.IntRange(1), default=60, show_default=True, help="Poses all over each scene.")
 @_repeats_option
-@_renderer_option
+@renderer_option
 @json_option
 def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as_json: bool) -> None:
     """Time rendering alone, at the same random poses on the floor of each scene."""
@@ -132,7 +130,7 @@ def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as
 @command.command("memory")
 @_scene_option
 @click.option("--episodes", type=click.IntRange(20), default=200, show_default=True, help="In all; most are cut short.")
-@_renderer_option
+@renderer_option
 @json_option
 def memory(scenes: tuple[str, ...], episodes: int, renderer: str, as_json: bool) -> None:
     """Watch one simulation's memory over many short episodes, in all scenes by turns."""

@@ -16,7 +16,7 @@ from factory.cli.eval_compare import command as compare_command
 from factory.cli.eval_options import SplitList
 from factory.cli.eval_specs import command as specs_command
 from factory.cli.eval_tables import print_evaluation
-from factory.cli.options import tls_option
+from factory.cli.options import renderer_option, tls_option
 from factory.cli.output import json_option, print_json
 from factory.cli.places import DIRECTORY
 from factory.dataset import Dataset
@@ -51,7 +51,7 @@ __all__ = ["command"]
 @click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose in the frame of the start.")
 @click.option("--videos", type=click.IntRange(0), default=12, show_default=True, help="Failures shown a policy.")
 @click.option("--tables", "all_tables", is_flag=True, help="Print by scene, tier, category and template too.")
-@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@renderer_option
 @json_option
 @click.pass_context
 def command(

@@ -20,7 +20,13 @@ _RESULTS = click.Path(path_type=Path)
 @click.command("compare")
 @click.argument("first", metavar="A", type=_RESULTS)
 @click.argument("second", metavar="B", type=_RESULTS)
-@click.option("--variant", type=click.Choice([str(v) for v in Variant]), default="original", show_default=True)
+@click.option(
+    "--variant",
+    type=click.Choice([str(v) for v in Variant]),
+    default="original",
+    show_default=True,
+    help="Which words.",
+)
 @json_option
 def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
     """Compare B with A over the episodes both drove.

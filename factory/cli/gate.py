@@ -12,7 +12,7 @@ import click
 from coordinator.plan.file import load_plan
 from factory.catalog import open_catalog
 from factory.cli.gating import try_scene
-from factory.cli.options import shrunk_plan, verbose_option
+from factory.cli.options import renderer_option, shrunk_plan, verbose_option
 from factory.cli.output import json_option, print_json, print_table
 from factory.gate import GateReport
 from factory.logs import configure_logs
@@ -34,7 +34,7 @@ __all__ = ["command"]
 @click.option("--expert", type=click.Choice([str(name) for name in ExpertName]), help="Another expert.")
 @click.option("--seed", type=click.IntRange(min=0), help="Another root seed.")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Simulation processes; default: one a core.")
-@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@renderer_option
 @json_option
 @verbose_option
 def command(

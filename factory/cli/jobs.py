@@ -33,11 +33,11 @@ def command() -> None:
 
 @command.command("list")
 @site_argument
-@click.option("--state", type=click.Choice([str(state) for state in State]))
-@click.option("--scene")
-@click.option("--tier", type=click.Choice([str(tier) for tier in Tier]))
-@click.option("--split", type=click.Choice([str(split) for split in Split]))
-@click.option("--limit", type=click.IntRange(1), default=100, show_default=True)
+@click.option("--state", type=click.Choice([str(state) for state in State]), help="Only in this state.")
+@click.option("--scene", help="Only of this scene.")
+@click.option("--tier", type=click.Choice([str(tier) for tier in Tier]), help="Only of this tier.")
+@click.option("--split", type=click.Choice([str(split) for split in Split]), help="Only of this split.")
+@click.option("--limit", type=click.IntRange(1), default=100, show_default=True, help="Rows at most.")
 @ledger_option
 @json_option
 def list_(

@@ -56,7 +56,13 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
 @command.command("host")
 @_folder_argument
 @click.argument("name")
-@click.option("--role", type=click.Choice([str(role) for role in Role]), default=str(Role.WORKER), show_default=True)
+@click.option(
+    "--role",
+    type=click.Choice([str(role) for role in Role]),
+    default=str(Role.WORKER),
+    show_default=True,
+    help="What it may do.",
+)
 @click.option("--address", multiple=True, help="Name or IP address under which one who listens is reached; repeatable.")
 @_days_option(365)
 @click.option("--renew", is_flag=True, help="Replace the certificate that is there.")

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import click
+from click.shell_completion import CompletionItem
 
+from coordinator.plan.builtin import BUILTIN_PLANS
 from coordinator.plan.file import shrink
 from factory.cli.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, RendererKind
 
 __all__ = [
     "dataset_argument",
@@ -19,6 +21,7 @@ __all__ = [
     "out_option",
     "place_argument",
     "plan_argument",
+    "renderer_option",
     "shrink_options",
     "shrunk_plan",
     "site_argument",
@@ -31,7 +34,12 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 def plan_argument(default: str | None) -> Callable[[Command], Command]:
     """PLAN: a built-in name or a TOML file."""
-    return click.argument("plan_name", metavar="[PLAN]", required=False, default=default)
+    return click.argument("plan_name", metavar="[PLAN]", required=False, default=default, shell_complete=_complete_plan)
+
+
+def _complete_plan(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    names = [CompletionItem(name) for name in BUILTIN_PLANS if name.startswith(word)]
+    return names or [CompletionItem(word, type="file")]
 
 
 def shrink_options(command: Command) -> Command:
@@ -91,5 +99,14 @@ tls_option = click.option(
     help="The TLS folder of this host, as `factory keys host` makes it.",
 )
 """`--tls DIR`, or the environment's MINIVLA_TLS."""
+
+renderer_option = click.option(
+    "--renderer",
+    type=click.Choice(get_args(RendererKind)),
+    default="auto",
+    show_default=True,
+    help="OpenGL, PyBullet's TinyRenderer, or the first of them that works here.",
+)
+"""`--renderer auto|gl|tiny`."""
 
 verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log every event, not only warnings.")

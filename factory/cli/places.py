@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from coordinator.archive.place import Place, place_of
 from factory.site import Site, site_of
@@ -14,8 +15,16 @@ from schemas.errors import UsageError
 __all__ = ["DIRECTORY", "PLACE", "SITE"]
 
 
+def _folders(word: str) -> list[CompletionItem]:
+    """Has the shell complete the names of folders; a URL is left to who types it."""
+    return [CompletionItem(word, type="dir")]
+
+
 class _SiteType(click.ParamType[Site]):
     name = "directory or URL"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        return _folders(incomplete)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Site:  # noqa: ARG002
         return value if isinstance(value, Site) else site_of(value)
@@ -24,12 +33,18 @@ class _SiteType(click.ParamType[Site]):
 class _PlaceType(click.ParamType[Place]):
     name = "directory or URL"
 
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        return _folders(incomplete)
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Place:  # noqa: ARG002
         return place_of(value)
 
 
 class _DirectoryType(click.ParamType[Path]):
     name = "directory"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        return _folders(incomplete)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:  # noqa: ARG002
         place = place_of(value)

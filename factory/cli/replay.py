@@ -10,7 +10,7 @@ from rich.progress import Progress
 
 from coordinator.archive.place import Place
 from factory.cli.episodes import episode_path
-from factory.cli.options import place_argument
+from factory.cli.options import place_argument, renderer_option
 from factory.cli.output import json_option, print_json, stderr
 from factory.logs import configure_logs
 from factory.replay import Replay, replay_episode
@@ -22,7 +22,7 @@ __all__ = ["command"]
 @click.command("replay")
 @place_argument
 @click.argument("episode")
-@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@renderer_option
 @json_option
 def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
     """Simulate EPISODE (`ep_000001` or a number) of the dataset again; exit 1 when the content differs."""

@@ -14,7 +14,7 @@ from coordinator.plan.file import load_plan
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
 from factory.cli.gating import GateMode, gate_option, hold_gate
-from factory.cli.options import out_option, plan_argument, shrink_options, shrunk_plan, verbose_option
+from factory.cli.options import out_option, plan_argument, renderer_option, shrink_options, shrunk_plan, verbose_option
 from factory.cli.output import json_option, print_json, say_duration, stderr
 from factory.cli.summary import print_summary, summarise
 from factory.ledger import plan_of
@@ -35,7 +35,7 @@ __all__ = ["command"]
 @plan_argument(default=None)
 @out_option
 @click.option("--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one a core.")
-@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@renderer_option
 @gate_option("auto")
 @shrink_options
 @json_option

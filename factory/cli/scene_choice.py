@@ -5,14 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from click.shell_completion import CompletionItem
 
 from factory.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, decode_scene
+from schemas.terms import BUILTIN_CATEGORIES
 
 __all__ = ["chosen_scene", "open_scene", "scene_argument", "seed_option"]
 
-scene_argument = click.argument("scene", metavar="SCENE|PACKAGE")
+
+def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    names = [CompletionItem(name) for name in BUILTIN_CATEGORIES if name.startswith(word)]
+    return names or [CompletionItem(word, type="file")]
+
+
+scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=_complete)
 """SCENE|PACKAGE: a built-in name or a compiled package (`*.scene.zip`)."""
 
 seed_option = click.option(

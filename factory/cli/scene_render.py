@@ -7,6 +7,7 @@ from typing import cast
 
 import click
 
+from factory.cli.options import renderer_option
 from factory.cli.output import json_option, print_json, stderr
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
 from factory.logs import configure_logs
@@ -23,7 +24,7 @@ __all__ = ["command"]
 @click.option("--views", type=click.IntRange(0, 64), default=6, show_default=True, help="Views at eye height, 1.5 m.")
 @click.option("--robot-views", type=click.IntRange(0, 64), default=4, show_default=True, help="Views of the robot.")
 @click.option("--colours", type=click.IntRange(0, 500), default=0, help="Also N targets in place with colour words.")
-@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@renderer_option
 @json_option
 def command(
     scene: str,

@@ -36,7 +36,11 @@ def command() -> None:
     "-o", "--out", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder of the result."
 )
 @click.option(
-    "--split", type=click.Choice([str(split) for split in Split]), default=str(Split.TRAIN_ID), show_default=True
+    "--split",
+    type=click.Choice([str(split) for split in Split]),
+    default=str(Split.TRAIN_ID),
+    show_default=True,
+    help="To learn from.",
 )
 @click.option("--scene", "scenes", multiple=True, metavar="SCENE", help="Only this scene; may be repeated.")
 @click.option(
@@ -46,17 +50,19 @@ def command() -> None:
     type=click.Choice([str(tier) for tier in Tier]),
     help="Only this tier; may be repeated.",
 )
-@click.option("--epochs", type=click.IntRange(1, 10_000), default=30, show_default=True)
+@click.option("--epochs", type=click.IntRange(1, 10_000), default=30, show_default=True, help="Rounds over all frames.")
 @click.option("--minutes", type=click.FloatRange(0.01), metavar="M", help="Begin no epoch that would end later.")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
-@click.option("--head", type=click.Choice(["continuous", "tokens"]), default="continuous", show_default=True)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, help="Of all chance.")
+@click.option(
+    "--head", type=click.Choice(["continuous", "tokens"]), default="continuous", show_default=True, help="What it says."
+)
 @click.option(
     "--ablate-language", is_flag=True, help="The twin that cannot read: one constant token for every instruction."
 )
 @click.option(
     "--size", type=click.Choice([str(size) for size in SIZES]), default="128", show_default=True, help="Pixels."
 )
-@click.option("--batch", type=click.IntRange(1, 4096), default=32, show_default=True)
+@click.option("--batch", type=click.IntRange(1, 4096), default=32, show_default=True, help="Frames a step.")
 @click.option(
     "--rate", type=click.FloatRange(1e-7, 1.0), default=1e-3, show_default=True, help="Highest learning rate."
 )

@@ -9,7 +9,7 @@ from typing import Any, cast
 import click
 
 from coordinator.wire.tls import read_credentials
-from factory.cli.options import tls_option, verbose_option
+from factory.cli.options import renderer_option, tls_option, verbose_option
 from factory.listen import require_tls_endpoints
 from factory.logs import configure_logs
 from schemas.terms import RendererKind
@@ -29,7 +29,7 @@ __all__ = ["command"]
     help="A coordinator or gateway; repeat it, or write a comma between, for several: the worker takes any and changes "
     "over by itself when that one is gone. Default tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447.",
 )
-@click.option("--renderer", type=click.Choice(["auto", "gl", "tiny"]), default="auto", show_default=True)
+@renderer_option
 @click.option("--spool", type=click.Path(path_type=Path), help="Where finished bundles wait; default: user's cache.")
 @click.option(
     "--wait",

@@ -1,0 +1,62 @@
+"""All verbs at once: every option explains itself, every result can be had as JSON, the shell completes what it can."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import click
+import pytest
+from click.shell_completion import ShellComplete
+
+from factory.cli.main import cli
+
+SERVERS = {"factory coordinator start", "factory gateway start", "factory worker"}
+"""Run until they are stopped, and print where others connect."""
+
+
+def verbs(command: click.Command = cli, path: str = "factory") -> Iterator[tuple[str, click.Command]]:
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None
+            yield from verbs(found, f"{path} {name}")
+    if not isinstance(command, click.Group) or command.invoke_without_command:
+        yield path, command
+
+
+def complete(*words: str) -> list[tuple[str, str]]:
+    shell = ShellComplete(cli, {}, "factory", "_FACTORY_COMPLETE")
+    return [(item.type, item.value) for item in shell.get_completions(list(words[:-1]), words[-1])]
+
+
+def test_every_option_of_every_verb_says_what_it_is_for() -> None:
+    silent = [
+        f"{path} {parameter.opts[0]}"
+        for path, verb in verbs()
+        for parameter in verb.params
+        if isinstance(parameter, click.Option) and not (parameter.help or parameter.hidden)
+    ]
+    assert silent == []
+
+
+def test_every_verb_that_prints_a_result_prints_it_as_json_too() -> None:
+    without = {path for path, verb in verbs() if "as_json" not in {parameter.name for parameter in verb.params}}
+    assert without == SERVERS | {"factory completion"}
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("status", "da"), [("dir", "da")]),
+        (("verify", "da"), [("dir", "da")]),
+        (("eval", "--data", "da"), [("dir", "da")]),
+        (("run", "pa"), [("plain", "paper")]),
+        (("run", "my_"), [("file", "my_")]),
+        (("scene", "inspect", "hos"), [("plain", "hospital")]),
+        (("scene", "inspect", "my_"), [("file", "my_")]),
+        (("export", "dataset", "--to", "gn"), [("plain", "gnm")]),
+    ],
+)
+def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, ...], found: list[object]) -> None:
+    assert complete(*words) == found
