@@ -40,7 +40,7 @@ class ClosedLoop:
 
     def __init__(self, job: Job, target: Target, world: World, renderer: Renderer) -> None:
         self._job, self._target, self._world = job, target, world
-        self._renderer: Renderer | None = renderer
+        self._lent = _Lent(renderer)
         self._termination = Termination(job.task)
         self._poses: list[tuple[float, ...]] = []
         self._actions: list[Twist] = []
@@ -90,7 +90,7 @@ class ClosedLoop:
 
     def leave(self) -> None:
         """From now on nothing is drawn any more, for the renderer may show another scene; what was drawn stays."""
-        self._renderer = None
+        self._lent.take_back()
 
     def _judge(self, view: View) -> EndReason | None:
         """Looks for obstacles only where it matters: where there is no progress."""
@@ -103,14 +103,24 @@ class ClosedLoop:
         self._poses.append((pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz))
         dx, dy = self._target.centroid_m[0] - pose.x, self._target.centroid_m[1] - pose.y
         return View(
-            camera=Camera(self._open_renderer, pose, self._job, self._target.instance_id),
+            camera=Camera(self._lent.renderer, pose, self._job, self._target.instance_id),
             pose=pose,
             distance_m=math.hypot(dx, dy),
             bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),
             is_touching=self._world.has_obstacle_contact(),
         )
 
-    def _open_renderer(self) -> Renderer:
+
+class _Lent:
+    """The renderer while views may use it. Views hold this and not the loop, so that the last frame goes with it."""
+
+    def __init__(self, renderer: Renderer) -> None:
+        self._renderer: Renderer | None = renderer
+
+    def renderer(self) -> Renderer:
         if self._renderer is None:
             raise RuntimeError("a view of an episode that is over is looked at; keep its frame, not the view")
         return self._renderer
+
+    def take_back(self) -> None:
+        self._renderer = None
