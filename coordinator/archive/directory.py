@@ -13,6 +13,7 @@ from pathlib import Path
 
 from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
 from coordinator.archive.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error
+from coordinator.archive.listing import Listing
 from coordinator.archive.place import Place
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
@@ -24,7 +25,7 @@ from schemas.job import episode_id
 __all__ = ["DirectoryArchive"]
 
 
-class DirectoryArchive(Closing):
+class DirectoryArchive(Listing[Path], Closing):
     """An opened dataset directory; while it is open no other coordinator can open it.
 
     Raises:
@@ -70,15 +71,6 @@ class DirectoryArchive(Closing):
     def path_of(self, index: int) -> Path:
         """Returns where the episode of that number lies, or will lie."""
         return self.root / file_name_of(episode_id(index))
-
-    def present(self) -> dict[int, Path]:
-        """Returns the episodes that lie there, by number in ascending order; says nothing of their contents."""
-        found = {index: path for index, path in self._listing() if index is not None}
-        return dict(sorted(found.items()))
-
-    def foreign(self) -> list[Path]:
-        """Returns what lies among the episodes and is none by its name."""
-        return sorted(path for index, path in self._listing() if index is None)
 
     def _listing(self) -> Iterator[tuple[int | None, Path]]:
         with os.scandir(self.root / EPISODES) as entries:

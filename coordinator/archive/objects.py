@@ -20,6 +20,7 @@ import structlog
 
 from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
 from coordinator.archive.disk import set_aside, translated
+from coordinator.archive.listing import Listing
 from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.place import Place, digest_of
 from coordinator.archive.staged import Staged
@@ -37,7 +38,7 @@ _NAME = ".name"
 log = structlog.get_logger(__name__)
 
 
-class ObjectArchive(Closing):
+class ObjectArchive(Listing[ObjectPath], Closing):
     """An opened dataset in object storage; while it is open no coordinator with another home can open it.
 
     Args:
@@ -94,16 +95,8 @@ class ObjectArchive(Closing):
         """See `Archive.path_of`."""
         return self.root / file_name_of(episode_id(index))
 
-    def present(self) -> dict[int, ObjectPath]:
-        """See `Archive.present`; the sizes come from the list, so that asking for them costs no request."""
-        found = {index: path for index, path in self._listing() if index is not None}
-        return dict(sorted(found.items()))
-
-    def foreign(self) -> list[ObjectPath]:
-        """See `Archive.foreign`."""
-        return sorted(path for index, path in self._listing() if index is None)
-
     def _listing(self) -> Iterator[tuple[int | None, ObjectPath]]:
+        # the sizes come with the list, so that asking a path for its size costs no request
         for path in (self.root / EPISODES).walk():
             index = index_of_file(path.name)
             yield index if index is not None and path == self.path_of(index) else None, path
