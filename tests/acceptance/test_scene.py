@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.builders.stage import StageText, room_body
 
 TEXT = StageText()
@@ -86,3 +88,23 @@ def test_render_into_what_is_no_folder_says_so(factory, tmp_path):
     _, package = room(factory, tmp_path)
     (tmp_path / "taken").write_text("a file")
     assert "choose another --out" in factory("scene", "render", package, "-o", tmp_path / "taken", expect=1).stderr
+
+
+BAD = {
+    "no mesh": (TEXT.group("Empty", ""), "1", "at or below /World"),
+    "no floor": (TEXT.box("Wall", (0, 0, 0), (5, 0.1, 3)), "1", "widest prim /World/Wall"),
+    "no unit": (room_body(TEXT), "0", "says metersPerUnit = 0"),
+    "a floor of kilometres": (room_body(TEXT), "1000", "widest prim /World/Floor"),
+    "no known thing": (TEXT.box("Floor", (0, 0, -0.1), (8, 8, 0)), "1", "such as /World/Floor"),
+    "a circle": (TEXT.group("Loop", "", head="references = </World>"), "1", "In </World/Loop>: Cycle detected"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_stage_that_cannot_be_a_scene_is_refused_by_prim_and_leaves_nothing(factory, tmp_path, what):
+    body, unit, words = BAD[what]
+    stage = TEXT.write(tmp_path / "bad.usda", body, units=f"metersPerUnit = {unit}")
+    error = factory("scene", "import", stage, "--cache", tmp_path / "cache", expect=1).stderr
+    assert words in error
+    assert "Traceback" not in error
+    assert sorted(tmp_path.rglob("*")) == [stage]
