@@ -64,6 +64,7 @@ class _Shown:
     """Categories that are never called after a colour."""
 
     def triangles(self) -> Floats:
+        """Returns (T, 3, 3) all triangles, world metres."""
         return np.concatenate([part.triangles for part in self.parts])
 
 

@@ -72,6 +72,7 @@ class _Strip(NamedTuple):
     at: float
 
     def box(self, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> Mesh:
+        """A block that spans metres along the wall, across it from its middle, and of height."""
         low, high = self._corners(along, across, z)
         return block(low, high)
 
@@ -98,6 +99,7 @@ class _Strip(NamedTuple):
         return quad([(a, c, height) if self.is_along_x else (c, a, height) for a, height in corners])
 
     def zone(self, along: tuple[float, float], across: tuple[float, float]) -> Rectangle:
+        """The floor that spans metres along the wall and across it from its middle."""
         a0, a1 = along
         c0, c1 = self.at + across[0], self.at + across[1]
         return Rectangle(a0, c0, a1, c1) if self.is_along_x else Rectangle(c0, a0, c1, a1)

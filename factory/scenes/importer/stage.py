@@ -61,6 +61,7 @@ class _Walk:
     transforms: Any = field(default_factory=lambda: UsdGeom.XformCache(_LATEST_START))
 
     def matrix(self, prim: Any) -> Matrix:
+        """Returns (4, 4) prim -> stage, column vectors."""
         return matrix_of(self.transforms.GetLocalToWorldTransform(prim))
 
 
