@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from sqlalchemy.engine import Connection
+from sqlalchemy.exc import DatabaseError
 
-from coordinator.ledger.engine import open_reader
+from coordinator.ledger.engine import open_reader, shown_url
+from schemas.errors import WorldError
 
 __all__ = ["Connection", "look_into"]
 
@@ -17,11 +19,15 @@ def look_into(url: str) -> Iterator[Connection]:
     """Opens the ledger at a URL for reading.
 
     Raises:
-        WorldError: there is no ledger.
+        WorldError: there is no ledger, or what is read in the block cannot be read.
     """
     engine = open_reader(url)
     try:
         with engine.connect() as connection:
             yield connection
+    except DatabaseError as error:
+        raise WorldError(
+            f"the ledger {shown_url(url)} cannot be read: {error.orig}; `factory repair` rebuilds it from the episodes"
+        ) from error
     finally:
         engine.dispose()

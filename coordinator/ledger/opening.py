@@ -104,7 +104,7 @@ def read_info(connection: Connection) -> LedgerInfo:
         UsageError: it is of a newer format, or no ledger.
     """
     if not holds_run(connection):
-        raise UsageError(f"{connection.engine.url} holds no ledger; start a run with `factory run`")
+        raise UsageError("the database holds no ledger yet: begin a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
     found = int(facts["format"])
     if found > LEDGER_FORMAT:
