@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from schemas.errors import UsageError
 
-__all__ = ["require_loopback", "require_tls_endpoints"]
+__all__ = ["require_endpoints", "require_loopback", "require_tls_endpoints"]
 
 
 def require_loopback(endpoints: Sequence[str]) -> None:
@@ -23,6 +23,16 @@ def require_loopback(endpoints: Sequence[str]) -> None:
                 f"{endpoint} could be reached from other machines: without --tls only loopback is listened on. Make "
                 "certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
             )
+
+
+def require_endpoints(endpoints: Sequence[str], *, with_tls: bool) -> None:
+    """Makes sure that endpoints to connect to are of the form tcp/HOST:PORT, with certificates tls/HOST:PORT.
+
+    Raises:
+        UsageError: an endpoint is malformed, or does not go with the certificates.
+    """
+    for endpoint in endpoints:
+        _host_of(endpoint, "tls" if with_tls else "tcp")
 
 
 def require_tls_endpoints(endpoints: Sequence[str]) -> None:

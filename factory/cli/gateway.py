@@ -13,7 +13,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.wire.tls import Guard, read_credentials
 from factory.cli.http import http_options, status_pages
 from factory.cli.options import tls_option, verbose_option
-from factory.listen import require_loopback, require_tls_endpoints
+from factory.listen import require_endpoints, require_loopback, require_tls_endpoints
 from factory.logs import configure_logs
 from schemas.errors import TransientError, UsageError
 from schemas.identity import require_host_name
@@ -93,10 +93,11 @@ def _door(
     tls: Path | None, name: str | None, connect: tuple[str, ...], listen: tuple[str, ...]
 ) -> tuple[Guard | None, str, tuple[str, ...]]:
     """Returns who is let in, under which name the core knows this gateway, and where it listens."""
+    require_endpoints(connect, with_tls=tls is not None)
     if tls is None:
         require_loopback(listen)
         return None, require_host_name(name or tidy_host(socket.gethostname())), listen or _LISTEN
-    require_tls_endpoints((*connect, *listen))
+    require_tls_endpoints(listen)
     certified = read_credentials(tls)[1]
     if name not in (None, certified):
         raise UsageError(f"the certificate in {tls} is of {certified!r}, not of {name!r}: leave out --name")

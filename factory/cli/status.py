@@ -17,6 +17,7 @@ from factory.cli.options import ledger_option, tls_option
 from factory.cli.output import json_option, print_json, say_duration, stdout
 from factory.cli.places import SITE
 from factory.ledger import progress_of
+from factory.listen import require_endpoints
 from factory.site import Site
 from schemas.errors import UsageError
 from schemas.wire import Progress
@@ -50,6 +51,7 @@ def _source(site: Site | None, connect: str | None, ledger: str | None, tls: Pat
     if connect is not None:
         from coordinator.wire.ask import ask_progress
 
+        require_endpoints((connect,), with_tls=tls is not None)
         if tls is None:
             return lambda: ask_progress((connect,))
         files, name = read_credentials(tls)

@@ -10,7 +10,7 @@ import click
 
 from coordinator.wire.tls import read_credentials
 from factory.cli.options import renderer_option, tls_option, verbose_option
-from factory.listen import require_tls_endpoints
+from factory.listen import require_endpoints
 from factory.logs import configure_logs
 from schemas.terms import RendererKind
 from workers.settings import WorkerSettings
@@ -58,8 +58,8 @@ def command(
     configure_logs(verbose)
     connect = tuple(part.strip() for given in connect for part in given.split(","))
     more: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
+    require_endpoints(connect, with_tls=tls is not None)
     if tls is not None:
-        require_tls_endpoints(connect)
         more["tls"], more["host"] = read_credentials(tls)
     settings = WorkerSettings(
         connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),

@@ -13,7 +13,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from coordinator.wire.tls import Guard, read_credentials
 from factory.keys import admit, found, list_hosts, revoke
-from factory.listen import require_loopback, require_tls_endpoints
+from factory.listen import require_endpoints, require_loopback, require_tls_endpoints
 from schemas.errors import UsageError
 from schemas.identity import Role, parse_admitted, spell_admitted, tls_files
 from tests.builders.keys import make_authority
@@ -154,6 +154,12 @@ def test_endpoints_and_tls_go_together_or_are_refused():
         require_loopback(["tcp/0.0.0.0:7447"])
     with pytest.raises(UsageError, match="--tls"):
         require_loopback(["tls/127.0.0.1:7447"])
+    require_endpoints(["tcp/10.0.0.1:7447"], with_tls=False)  # through a tunnel of the user's, perhaps
+    require_endpoints(["tls/10.0.0.1:7447"], with_tls=True)
+    with pytest.raises(UsageError, match="--tls"):
+        require_endpoints(["tls/10.0.0.1:7447"], with_tls=False)
+    with pytest.raises(UsageError, match="no endpoint"):
+        require_endpoints(["nonsense"], with_tls=False)
     with pytest.raises(UsageError, match="write tls/127"):
         require_tls_endpoints(["tcp/127.0.0.1:7447"])
     for bad in ("udp/127.0.0.1:7447", "tls/127.0.0.1", "tls/:1", "tls/h:99999"):
