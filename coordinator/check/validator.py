@@ -38,7 +38,7 @@ class Limits(Model):
     memory_bytes: Annotated[int, Field(ge=256 << 20)] = 1536 << 20
     """Address space (RLIMIT_AS)."""
     cpu_s: Annotated[int, Field(ge=1)] = 120
-    """CPU time a bundle; 1000 frames take about 10 s."""
+    """CPU time a bundle; 1000 frames take 4 to 7 s."""
     wall_s: Annotated[float, Field(gt=0)] = 300.0
     """Wall time a bundle."""
 
