@@ -85,7 +85,7 @@ def next_state(state: State, event: Event) -> State:
         return TRANSITIONS[state, event]
     except KeyError:
         fitting = ", ".join(sources(event))
-        raise IllegalMove(f"a {state} job cannot be {event}; only from: {fitting}") from None
+        raise IllegalMove(f"a job that is {state} cannot be {event}; only from: {fitting}") from None
 
 
 def sources(event: Event) -> tuple[State, ...]:

@@ -271,7 +271,7 @@ def test_retry_gives_fresh_budgets_and_attempts_go_on(desk):
     assert reply.changed == (1,)
     assert reply.refused == {
         9: "the plan has no episode of that number",
-        2: "a pending job cannot be retried; only from: failed, cancelled",
+        2: "a job that is pending cannot be retried; only from: failed, cancelled",
     }
     _, row = desk.rows(1)
     assert (row.state, row.attempt, row.misses, row.reason) == ("pending", 5, 0, "")

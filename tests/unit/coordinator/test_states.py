@@ -30,7 +30,7 @@ def test_every_event_has_a_source_and_leads_to_one_state(event):
 
 @pytest.mark.parametrize(("state", "event"), sorted(set(itertools.product(State, Event)) - set(TRANSITIONS)))
 def test_an_unlisted_pair_raises_naming_both(state, event):
-    with pytest.raises(IllegalMove, match=f"a {state} job cannot be {event}"):
+    with pytest.raises(IllegalMove, match=f"a job that is {state} cannot be {event}"):
         next_state(state, event)
 
 
