@@ -92,6 +92,7 @@ def _drive_and_seal(
     sid: str,
     on_step: Callable[[int], None],
 ) -> Outcome:
+    """Drives from where the robot stands and completes the bundle, or says why the world refused."""
     start = world.pose()
     writer = BundleWriter(out, stage.lap)
     stage.renderer.load(place.scene, job.camera)

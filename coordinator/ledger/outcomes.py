@@ -148,6 +148,7 @@ def is_owned(connection: Connection, index: int) -> bool:
 
 
 def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Receipt, now: datetime) -> bool:
+    """Moves the job to its end and records attempt and episode; returns whether the move was still possible."""
     announced = {"index": summary.index, "announced": summary.file_sha256}
     row = how.make(connection, {**job, **announced}, now)
     if row is None:
@@ -179,6 +180,7 @@ def _was_reported(connection: Connection, report: Fail) -> bool:
 def _miss(
     connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, successor: Successor
 ) -> bool:
+    """The world said no: the next attempt at this draw, else the next draw, else the episode is given up."""
     is_last = row.misses + 1 >= budget.attempts_per_draw
     has_successor = is_last and row.draw + 1 < budget.draws
     values = {
@@ -195,6 +197,7 @@ def _miss(
 
 
 def _hurt(connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget) -> bool:
+    """A worker suffered: the same attempt again after a pause, or quarantine when that has happened too often."""
     crashes = row.crashes + 1
     is_last = crashes >= budget.crashes
     why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
@@ -216,6 +219,7 @@ def _settle(
     *,
     settles: bool,
 ) -> bool:
+    """Makes the move and appends the attempt with its reason; returns whether the lease was still in force."""
     detail = f"{report.reason}: {report.detail}"
     lease = lease_parameters(report.lease)
     if how.make(connection, {**lease, **values}, now, by=report.sid, detail=detail) is None:

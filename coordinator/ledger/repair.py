@@ -126,6 +126,7 @@ def _recall_episode(
 
 
 def _insert_attempts(connection: Connection, index: int, told: Iterable[FailedAttempt]) -> None:
+    """Appends the failed attempts of an episode; those at draws that the plan does not have any more are left out."""
     ids = {row.draw: row.id for row in connection.execute(select(jobs.c.draw, jobs.c.id).where(jobs.c.idx == index))}
     seen: Counter[int] = Counter()
     for row in told:

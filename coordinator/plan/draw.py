@@ -126,6 +126,7 @@ def _expand_scene(
     first_index: int,
     templates: Counter[str],
 ) -> Iterator[PlannedJob]:
+    """Yields draw 0 of a scene's episodes, the cells in random order; `templates` counts over all scenes."""
     quota = cells(plan, scene)
     slots = [cell for cell, count in quota.items() for _ in range(count)]
     pools = {cell: pool(plan, scene, entry, *cell) for cell in quota}

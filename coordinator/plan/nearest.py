@@ -52,6 +52,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
 
 
 def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | None:
+    """The scene with those categories, tiers and splits that leave no cell empty; `None` when nothing is left."""
     part = _with_categories(plan, scene, {target.category for target in entry.info.targets})
     if part is None or all(pool(plan, part, entry, *cell) for cell in cells(plan, part)):
         return part
