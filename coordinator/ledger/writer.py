@@ -1,4 +1,4 @@
-"""The one writer of the ledger: a thread that runs queued work in group commits and answers after COMMIT.
+"""The one writer of the ledger: a thread that runs queued work in group commits; another answers after COMMIT.
 
 Knows nothing of jobs or of zenoh. Work must be a function of the connection alone, for it may be run twice.
 """
@@ -37,7 +37,7 @@ class _Request(Generic[T]):
         self.future: Future[T] = Future()
 
     def resolve(self, outcome: T | Exception) -> None:
-        """Hands over the result or the error; the callbacks of the future run here, in the writer's thread."""
+        """Hands over the result or the error; the callbacks of the future run here, in the answering thread."""
         if isinstance(outcome, Exception):
             self.future.set_exception(outcome)
         else:
@@ -52,18 +52,23 @@ class Writer(Closing):
         self._queue: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
         self._closed = False
         self._closing = threading.Lock()
-        self._thread = threading.Thread(target=self._run, name="ledger-writer")
-        self._thread.start()
+        self._answers: queue.SimpleQueue[tuple[_Request[Any], Any] | None] = queue.SimpleQueue()
+        self._threads = (
+            threading.Thread(target=self._run, name="ledger-writer"),
+            threading.Thread(target=self._answer, name="ledger-answers"),
+        )
+        for thread in self._threads:
+            thread.start()
 
     @property
     def is_alive(self) -> bool:
-        """Whether its thread runs."""
-        return self._thread.is_alive()
+        """Whether its threads run."""
+        return all(thread.is_alive() for thread in self._threads)
 
     @property
     def backlog(self) -> int:
-        """Requests that wait."""
-        return self._queue.qsize()
+        """Requests that wait for their turn or for their answer."""
+        return self._queue.qsize() + self._answers.qsize()
 
     def submit(self, work: Callable[[Connection], T]) -> Future[T]:
         """Queues work for the next commit.
@@ -88,21 +93,31 @@ class Writer(Closing):
         return self.submit(work).result()
 
     def close(self) -> None:
-        """Commits what is queued, folds the log into the database and ends the thread."""
+        """Commits and answers what is queued, folds the log into the database and ends the threads."""
         with self._closing:
             if not self._closed:
                 self._closed = True
                 self._queue.put(None)
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
 
     def _run(self) -> None:
-        with self._engine.connect() as connection:
-            is_open = True
-            while is_open:
-                batch, is_open = self._next_batch()
-                if batch:
-                    self._commit(connection, batch)
-            checkpoint_log(connection)
+        try:
+            with self._engine.connect() as connection:
+                is_open = True
+                while is_open:
+                    batch, is_open = self._next_batch()
+                    if batch:
+                        self._commit(connection, batch)
+                checkpoint_log(connection)
+        finally:
+            self._answers.put(None)
+
+    def _answer(self) -> None:
+        """Hands over outcomes in the order of their commits, while the next commit is under way."""
+        while (answer := self._answers.get()) is not None:
+            request, outcome = answer
+            request.resolve(outcome)
 
     def _next_batch(self) -> tuple[list[_Request[Any]], bool]:
         """Waits for work and takes all there is, up to a group; the flag says whether more may follow."""
@@ -123,8 +138,8 @@ class Writer(Closing):
             outcomes = _run_together(connection, batch)
         except Exception:  # noqa: BLE001 - some request is poisoned: find out which one
             outcomes = _run_apart(connection, batch)
-        for request, outcome in zip(batch, outcomes, strict=True):
-            request.resolve(outcome)
+        for answer in zip(batch, outcomes, strict=True):
+            self._answers.put(answer)
 
 
 def _run_together(connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:

@@ -1,6 +1,6 @@
 """The front desk: takes what came through the door, has it parsed and done, and answers after COMMIT.
 
-Never blocks: it runs in zenoh's threads on the way in and in the writer's thread on the way out.
+Never blocks: it runs in zenoh's threads on the way in and in the writer's answering thread on the way out.
 """
 
 from __future__ import annotations

@@ -71,6 +71,26 @@ def test_an_answer_comes_after_its_commit(engine):
     assert found == ["a"]
 
 
+def test_a_slow_answer_does_not_hold_up_the_next_commit(engine):
+    answering, gate, ran = threading.Event(), threading.Event(), threading.Event()
+
+    def answer(_: object) -> None:
+        answering.set()
+        gate.wait(60)
+
+    with Writer(engine) as writer:
+        held = held_back(writer)
+        writer.submit(put("a")).add_done_callback(answer)
+        held.set()
+        assert answering.wait(60)
+        later = writer.submit(lambda connection: ran.set() or put("b")(connection))
+        assert ran.wait(60)
+        assert not later.done(), "answers are given in the order of the commits"
+        gate.set()
+        assert later.result(60) == "b"
+    assert keys(engine) == ["a", "b"]
+
+
 def test_many_threads_share_one_writer(engine):
     with Writer(engine) as writer:
         threads = [
