@@ -17,11 +17,11 @@ import structlog
 
 from schemas.errors import WorldError
 from schemas.terms import FailReason
+from workers.one_core import one_core
 from workers.order import Order, Report, read_report, to_line
 
 __all__ = ["Death", "Simulation"]
 
-_ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _CHATTER_BYTES = 1 << 20
 _TAIL_BYTES = 2000
 _REAP_S = 2.0
@@ -75,7 +75,7 @@ class Simulation:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._stderr,
-                env={**os.environ, **_ONE_CORE},
+                env=one_core(os.environ),
                 start_new_session=True,  # Ctrl-C is for the supervisor, which gives leases back
             )
         except OSError as error:

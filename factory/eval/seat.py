@@ -19,11 +19,11 @@ from typing import IO, NamedTuple
 from factory.eval.message import Order, Report, ReportKind, Setup, read_report, to_line
 from factory.eval.policy import PolicyFault
 from factory.eval.sheet import Busy, Sheet, State
+from workers.one_core import one_core
 
 __all__ = ["CHILD", "Ended", "Seat"]
 
 CHILD = (sys.executable, "-m", "factory.eval.child")
-_ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _SIMULATION_S = 120.0
 _GRACE_S = 5.0
 """What a policy that keeps its own time limit is given beyond it."""
@@ -116,7 +116,7 @@ class Seat:
             stdout=subprocess.PIPE,
             stderr=self._stderr,
             pass_fds=(self._sheet.descriptor,),
-            env={**os.environ, **_ONE_CORE},
+            env=one_core(os.environ),
             start_new_session=True,  # Ctrl-C is for the caller
         )
         self._reports = queue.Queue()

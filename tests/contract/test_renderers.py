@@ -107,6 +107,18 @@ def test_nothing_is_nothing(renderer: Renderer) -> None:
     assert not any(array.any() for array in (frame.rgb, frame.depth, frame.ids))
 
 
+def test_nothing_keeps_nothing_of_the_frame_before(renderer: Renderer) -> None:
+    renderer.load(furnished_room(), CAMERA)
+    renderer.render(ORIGIN)
+    frame = look(renderer, Box((2.0, 0.5, -0.5), (2.5, 1.5, 0.5), RED))
+    void = frame.depth == 0
+    assert 0.5 < void.mean() < 1
+    assert not frame.rgb[void].any()
+    assert not frame.ids[void].any()
+    assert frame.rgb[~void].any(axis=1).all()
+    assert frame.ids[~void].all()
+
+
 def test_what_lies_beyond_the_clip_range_is_nothing(renderer: Renderer) -> None:
     frame = look(renderer, wall(30.5), Box((29.0, -1, 0), (29.5, 1, 1), BLUE))
     assert set(np.unique(frame.ids)) == {0, 2}

@@ -34,6 +34,9 @@ _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "lib
 """libEGL hands out every function of OpenGL by itself; asking for no libGL spares the user a package."""
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base", "u4"), ("unused", "u4")])
 """OpenGL's DrawArraysIndirectCommand; moderngl strides over five words, whether indexed or not."""
+_ALL_TARGETS: Any = ((True,) * 4,) * 3
+_DEPTH_ONLY: Any = ((False,) * 4, (True,) * 4, (False,) * 4)
+"""Masks of colour, depth and ids; moderngl's types know only that of one target."""
 _TOP_ROW_FIRST = np.diag((1.0, -1.0, 1.0, 1.0))
 """Mirrors the image, so that its top row comes first in memory, where OpenGL has the bottom row."""
 
@@ -105,8 +108,7 @@ class GlRenderer:
         scene = self._loaded()
         clip, parts = self._look(scene, pose)
         with self._context:
-            self._target.use()
-            self._target.clear()  # zero bits in all three targets, the integer one included
+            self._begin()
             self._plain.set_view(clip)
             self._textured.set_view(clip)
             scene.draw(parts)
@@ -114,7 +116,7 @@ class GlRenderer:
             self._lap("render")
             rgb = np.empty((self._size, self._size, 3), np.uint8)
             self._rgb.read_into(rgb)
-            relief = self._read_relief()
+            relief = self._read_relief(rgb)
         self._lap("read-back")
         return Frame(rgb, relief.depth, relief.ids)
 
@@ -127,8 +129,7 @@ class GlRenderer:
         scene = self._loaded()
         clip, parts = self._look(scene, pose)
         with self._context:
-            self._target.use()
-            self._target.clear()  # the colour stays as undefined as `BARE` leaves it
+            self._begin()
             self._bare.set_view(clip)
             scene.draw_bare(parts)
             self._context.finish()
@@ -148,12 +149,25 @@ class GlRenderer:
         clip = _TOP_ROW_FIRST @ projection_matrix(self._camera) @ view_matrix(optical)
         return clip, scene.parts_to_draw(clip, optical, self._camera)
 
-    def _read_relief(self) -> Relief:
+    def _begin(self) -> None:
+        """Takes the targets and clears what tells where nothing is: colour and ids are blanked there after reading."""
+        self._target.use()
+        self._target.color_mask = _DEPTH_ONLY
+        self._target.clear()
+        self._target.color_mask = _ALL_TARGETS
+
+    def _read_relief(self, *beside: NDArray[np.uint8]) -> Relief:
+        """Reads depth and ids; blanks the ids, and what was read beside them, where nothing is."""
         shape = (self._size, self._size)
         depth, ids = np.empty(shape, np.float32), np.empty(shape, np.uint16)
         self._depth.read_into(depth)
         np.minimum(depth, self._camera.far_m, out=depth)  # the far plane cuts to half a millimetre
         self._ids.read_into(ids)
+        if not depth.all():
+            void = depth == 0
+            ids[void] = 0
+            for image in beside:
+                image[void] = 0
         return Relief(depth, ids)
 
     def _prepare(self, scene: CompiledScene) -> _GpuScene:
