@@ -1,9 +1,10 @@
-"""Every format once: exports a dataset, prints a table of sizes, times and memory, and calls the judges that are here.
+"""Every format once: exports a dataset; prints a table of sizes, times and memory, and one of what judges read back.
 
-    python tests/judges/formats.py DATASET OUT [JUDGE=PYTHON ...]
+    python tests/judges/formats.py DATASET OUT [ENVIRONMENT=PYTHON ...] [visualnav=CHECKOUT]
 
-OUT must not exist. JUDGE is `lerobot`, `lerobot-v2.1` or `habitat`, PYTHON that of its environment. Run with the own
-environment of the project; `make test-formats` does all of it. Ends with exit code 1 when a judge was not content.
+OUT must not exist. ENVIRONMENT is `readers`, `lerobot`, `lerobot-v2.1` or `habitat`, PYTHON its interpreter; CHECKOUT
+is of robodhruv/visualnav-transformer, whose loader is asked where it is given. Run with the own environment of the
+project; `make test-formats` does all of it. Ends with exit code 1 when a judge was not content.
 """
 
 from __future__ import annotations
@@ -29,12 +30,30 @@ RUNS: dict[str, tuple[str, ...]] = {
     "vlnce": ("vlnce",),
 }
 """Folder -> format and its options."""
-JUDGES: dict[str, tuple[str, ...]] = {
-    "lerobot": ("lerobot_judge.py", "paper", "lerobot", "lerobot-all", "lerobot-v2.1"),
-    "lerobot-v2.1": ("lerobot_v21_judge.py", "paper", "lerobot-v2.1", "lerobot-v2.1-slow"),
-    "habitat": ("habitat_judge.py", "paper", "vlnce"),
+
+
+class Judge(NamedTuple):
+    """A script beside this one."""
+
+    environment: str
+    shown: tuple[str, ...]
+    """Its arguments: `dataset`, or folders of OUT."""
+
+
+JUDGES: dict[str, Judge] = {
+    "paper": Judge("readers", ("dataset", "paper")),
+    "datasets": Judge("readers", ("dataset", "paper", "lerobot", "webdataset")),
+    "video": Judge("readers", ("lerobot", "lerobot-all", "lerobot-v2.1", "lerobot-v2.1-slow")),
+    "lerobot": Judge("lerobot", ("paper", "lerobot", "lerobot-all", "lerobot-v2.1")),
+    "lerobot_v21": Judge("lerobot-v2.1", ("paper", "lerobot-v2.1", "lerobot-v2.1-slow")),
+    "webdataset": Judge("readers", ("paper", "webdataset")),
+    "mcap": Judge("readers", ("paper", "mcap")),
+    "gnm": Judge("lerobot", ("paper", "gnm")),
+    "habitat": Judge("habitat", ("paper", "vlnce")),
+    "rlds": Judge("readers", ("dataset", "paper", "rlds")),
+    "rerun": Judge("readers", ("dataset", "paper", "mcap", "lerobot", "lerobot-v2.1")),
 }
-"""Judge -> its file, and the folders it is shown."""
+"""Name of the script without `_judge.py` -> where it runs and what it is shown."""
 
 
 class Measured(NamedTuple):
@@ -47,32 +66,35 @@ class Measured(NamedTuple):
     """Of the largest process."""
 
 
-def main(dataset: Path, out: Path, pythons: dict[str, str]) -> int:
+def main(dataset: Path, out: Path, places: dict[str, str]) -> int:
     out.mkdir(parents=True)
     say("| export | frames | MB | kB a frame | CPU ms a frame | frames/s of one core | largest process, MiB |")
     say("|---|---|---|---|---|---|---|")
     for folder, words in RUNS.items():
         say(row(" ".join(words), export(dataset, out / folder, words)))
-    verdicts = [is_content(name, pythons.get(name), out) for name in JUDGES]
-    return 0 if all(verdicts) else 1
+    say("\n| export | opened with | read back |\n|---|---|---|")
+    unhappy = [name for name in JUDGES if not is_content(name, dataset, out, places)]
+    say(f"\nNOT CONTENT: {', '.join(unhappy)}" if unhappy else f"\n{len(JUDGES)} judges content")
+    return 1 if unhappy else 0
 
 
-def is_content(name: str, python: str | None, out: Path) -> bool:
-    if python is None:
-        say(f"judge {name} was not asked: give {name}=PYTHON, that of its environment")
-        return True
-    script, *folders = JUDGES[name]
-    command = [
-        python,
-        "-W",
-        "ignore",
-        str(Path(__file__).with_name(script)),
-        *(str(out / folder) for folder in folders),
-    ]
+def is_content(name: str, dataset: Path, out: Path, places: dict[str, str]) -> bool:
+    """Lets a judge print its rows; what else it or its libraries say goes to stderr."""
+    judge = JUDGES[name]
+    if judge.environment not in places:
+        sys.stderr.write(f"judge {name} cannot be asked: give {judge.environment}=PYTHON, that of its environment\n")
+        return False
+    shown = [str(dataset if folder == "dataset" else out / folder) for folder in judge.shown]
+    if name == "gnm" and places.get("visualnav"):
+        shown.append(places["visualnav"])
+    command = [places[judge.environment], "-W", "ignore", str(Path(__file__).with_name(f"{name}_judge.py")), *shown]
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(out / ".huggingface")}
-    is_fine = subprocess.run(command, env=environment, check=False).returncode == 0
-    say(f"judge {name}: {'content' if is_fine else 'NOT CONTENT'}")
-    return is_fine
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            (sys.stdout if line.startswith("| ") else sys.stderr).write(line)
+            sys.stdout.flush()
+    return process.returncode == 0
 
 
 def export(dataset: Path, out: Path, words: tuple[str, ...]) -> Measured:

@@ -22,6 +22,7 @@ import numpy as np
 import trimesh
 from omegaconf import DictConfig
 from paper_tree import Paper
+from verdict import named, say
 
 
 def stand_in(module: str, **names: Any) -> None:
@@ -41,11 +42,6 @@ FLOOR_M = 0.1
 """How far a start may lie above or below the lowest point of what is under it."""
 
 
-def say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
-
-
 def main() -> None:
     paper, export = Paper(Path(sys.argv[1])), Path(sys.argv[2])
     scenes: dict[str, list[Any]] = {}
@@ -57,11 +53,13 @@ def main() -> None:
             judge_paths(paper, episode, paths)
             scenes.setdefault(episode.scene_id, []).append(episode)
         judge_choice(export, folder.name, data)
-        say(f"{export.name}: Habitat's loader opened {len(data.episodes)} episodes of {folder.name}")
+        say(
+            export, named("habitat-lab"), f"{len(data.episodes)} episodes of {folder.name} with starts, goals and paths"
+        )
     names = {episode.info["minivla_episode_id"] for found in scenes.values() for episode in found}
     assert names == {path.name for path in paper.episodes.iterdir()}
     for path, episodes in scenes.items():
-        say(f"{export.name}: {judge_scene(Path(path), episodes)}")
+        say(export, named("trimesh"), judge_scene(Path(path), episodes))
 
 
 def load(export: Path, split: str, scenes: tuple[str, ...] = ("*",)) -> VLNDatasetV1:
@@ -138,7 +136,7 @@ def judge_scene(path: Path, episodes: list[Any]) -> str:
             assert low[0] < point[0] < high[0], point
             assert low[2] < point[2] < high[2], point
         assert abs(episode.start_position[1] - low[1]) < FLOOR_M, f"start at {episode.start_position}, floor {low[1]}"
-    return f"trimesh opened {path.name}: {triangles} triangles, {len(textured)} textures, {len(episodes)} starts on it"
+    return f"{path.name}: {triangles} triangles, {len(textured)} textures, {len(episodes)} starts on it"
 
 
 if __name__ == "__main__":

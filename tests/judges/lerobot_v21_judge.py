@@ -18,83 +18,42 @@ from typing import Any
 import av
 import numpy as np
 import pandas as pd
-import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from paper_tree import Paper, mean_commands, psnr
+from lerobot_frames import RECORDED_HZ, Listed, judge_batches, judge_frames
+from paper_tree import Paper, mean_commands
+from verdict import named, say
 
-RGB = "observation.images.front"
-LEAST_PSNR_DB = 30.0
-RECORDED_HZ = 60
 DEFAULT_COLUMN = {"state": "observation.state", "action": "action"}
 NEEDED_STATISTICS = {"min", "max", "mean", "std", "q01", "q99"}
 
 
-def say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
-
-
 def main() -> None:
-    paper = Paper(Path(sys.argv[1]))
+    paper, reader = Paper(Path(sys.argv[1])), named("lerobot")
     for export in map(Path, sys.argv[2:]):
-        say(f"{export.name}: {judge_lerobot(paper, export)}")
-        say(f"{export.name}: {judge_batches(export)}")
-        say(f"{export.name}: {judge_statistics(export)}")
-        say(f"{export.name}: {judge_gr00t(paper, export)}")
+        say(export, f"{reader}, pyav", judge_lerobot(paper, export))
+        say(export, reader, judge_parts(export))
+        say(export, reader, judge_statistics(export))
+        say(export, "GR00T's way of reading", judge_gr00t(paper, export))
 
 
 def judge_lerobot(paper: Paper, export: Path) -> str:
-    """Compares every episode's rows, and frames at its beginning, middle and end, with the paper's tree."""
     data = LeRobotDataset("judge/nav", root=export, video_backend="pyav")
-    stride = RECORDED_HZ // data.fps
-    about = lines_of(export / "meta/episodes.jsonl")
-    assert data.num_episodes == len(about)
-    assert len(data) == data.meta.total_frames == sum(line["length"] for line in about)
-    worst, compared, start = np.inf, 0, 0
-    for line in about:
-        name, length = line["episode_id"], line["length"]
-        instruction = paper.meta(name)["job"]["instruction"]
-        actions, poses = paper.array(name, "actions_continuous"), paper.array(name, "poses")
-        assert length == len(range(0, len(actions), stride))
-        rows = data.hf_dataset.select(range(start, start + length))
-        assert np.array_equal(np.stack(list(rows["pose"])), poses[::stride])
-        assert np.allclose(np.stack(list(rows["action"])), mean_commands(actions, stride), atol=1e-6)
-        for frame in sorted({0, 1, length // 2, length - 2, length - 1}):
-            item = data[start + frame]
-            assert item["task"] == instruction
-            assert (int(item["episode_index"]), int(item["frame_index"])) == (line["episode_index"], frame)
-            shown = np.rint(item[RGB].numpy().transpose(1, 2, 0) * 255.0)
-            worst = min(worst, psnr(shown, paper.rgb(name, frame * stride)))
-            compared += 1
-        start += length
-    assert worst >= LEAST_PSNR_DB, f"{worst:.1f} dB"
-    return f"LeRobot: {len(data)} frames, {compared} compared, RGB at least {worst:.1f} dB"
+    listed = [
+        Listed(line["episode_id"], line["episode_index"], line["length"], line["split"], line["tasks"])
+        for line in lines_of(export / "meta/episodes.jsonl")
+    ]
+    assert data.num_episodes == len(listed)
+    return judge_frames(paper, data, listed)
 
 
-def judge_batches(export: Path) -> str:
-    """Chunks of actions as openpi asks for them, a part by episodes, and a shuffled loader with worker processes."""
-    fps = json.loads((export / "meta/info.json").read_text())["fps"]
-    deltas = {RGB: [-1 / fps, 0.0], "action": [n / fps for n in range(8)]}
-    data = LeRobotDataset("judge/nav", root=export, delta_timestamps=deltas, video_backend="pyav")
-    first = data.meta.episodes[0]["length"]
-    last = data[first - 1]
-    assert last["action_is_pad"].tolist() == [False] + [True] * 7
-    assert last[RGB].shape == (2, 3, 640, 640)
-    loader = torch.utils.data.DataLoader(
-        data, batch_size=8, shuffle=True, num_workers=2, generator=torch.Generator().manual_seed(0)
-    )
-    seen = set()
-    for number, batch in enumerate(loader):
-        assert batch["action"].shape[1:] == (8, 2)
-        assert batch[RGB].shape[1:] == (2, 3, 640, 640)
-        seen |= set(batch["episode_index"].tolist())
-        if number == 7:
-            break
-    assert len(seen) > 1
+def judge_parts(export: Path) -> str:
+    """Chunks of actions as openpi asks for them, shuffled batches, and one episode alone."""
+    first = lines_of(export / "meta/episodes.jsonl")[0]
+    _, said = judge_batches(export, first["length"])
     part = LeRobotDataset("judge/nav", root=export, episodes=[0], video_backend="pyav")
-    assert len(part) == first
-    assert part[first - 1]["task"] == data.meta.episodes[0]["tasks"][0]
-    return f"LeRobot: chunks, one episode alone, {number + 1} shuffled batches"
+    assert len(part) == first["length"]
+    assert part[first["length"] - 1]["task"] == first["tasks"][0]
+    return f"{said}, one episode alone"
 
 
 def judge_statistics(export: Path) -> str:
@@ -105,7 +64,7 @@ def judge_statistics(export: Path) -> str:
     for key, found in added.items():
         for name in ("min", "max", "mean", "std"):
             np.testing.assert_allclose(found[name], told[key][name], rtol=1e-5, atol=1e-6, err_msg=f"{key} {name}")
-    return f"LeRobot: statistics of {len(added)} features added up"
+    return f"statistics of {len(added)} features added up"
 
 
 def judge_gr00t(paper: Paper, export: Path) -> str:
@@ -130,7 +89,7 @@ def judge_gr00t(paper: Paper, export: Path) -> str:
             times = times_of(export / info["video_path"].format(**place, video_key=key))
             nearest = [int(np.abs(times - wanted).argmin()) for wanted in table["timestamp"]]
             assert nearest == list(range(len(table))), f"{key}: frames at {times}"
-    return f"GR00T: {sum(len(modality[kind]) for kind in modality)} names of modality.json in every episode"
+    return f"{sum(len(modality[kind]) for kind in modality)} names of modality.json in every episode"
 
 
 def judge_gr00t_statistics(export: Path, modality: dict[str, Any]) -> None:

@@ -1,17 +1,16 @@
-"""Judges an MCAP export with other people's readers; exits 1 and says what differs.
+"""The MCAP readers of others decode an export: what the paper's tree holds, in Foxglove's published schemas.
 
-Run in an environment with `mcap-protobuf-support`, `foxglove-schemas-protobuf`, `rerun-sdk` and this project:
+Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
 
-    python tests/judges/mcap_judge.py DATASET EXPORT
+    python tests/judges/mcap_judge.py PAPER EXPORT
+
+PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to mcap`.
 """
-
-from __future__ import annotations
 
 import importlib
 import io
-import subprocess
 import sys
-import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -19,36 +18,50 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from paper_tree import Paper
 from PIL import Image
+from verdict import named, say
 
-from factory.dataset import Dataset
-from factory.episode import Episode
-from factory.export.mcap_protobuf import descriptor_set
-from factory.export.mcap_schemas import MESSAGES
+PUBLISHED = "foxglove."
+EACH_STEP = ("/camera/rgb", "/camera/depth", "/camera/ids", "/tf", "/odom", "/action", "/camera/calibration")
+ONCE = ("/instruction", "/map", "/target", "/path/driven")
 
 
-def main(dataset: Path, export: Path) -> None:
-    judge_schemas()
+def main() -> None:
+    paper, export = Paper(Path(sys.argv[1])), Path(sys.argv[2])
     files = sorted((export / "episodes").glob("*.mcap"))
-    data = Dataset(dataset)
-    assert [file.stem for file in files] == data.metadata["episode_id"].to_pylist()
-    frames = 0
-    for file in files:
-        frames += judge_file(file, data[file.stem])
-    judge_rerun(files[0])
-    print(f"mcap: {len(files)} files, {frames} frames equal to the dataset; schemas as published; Rerun converts them")  # noqa: T201
+    assert [file.stem for file in files] == sorted(path.name for path in paper.episodes.iterdir())
+    schemas = judge_schemas(files[0])
+    say(export, named("foxglove-schemas-protobuf"), f"{schemas} schemas equal to the published ones")
+    messages = sum((judge_file(paper, file) for file in files), Counter[str]())
+    said = f"{messages.total()} messages, {messages['/camera/rgb']} frames equal to the paper's tree"
+    say(export, named("mcap", "mcap-protobuf-support"), f"{len(files)} files, {said}")
 
 
-def judge_schemas() -> None:
-    """Compares every message of ours with the published class, field by field."""
-    for name in (name for name in MESSAGES if name.startswith("foxglove.")):
+def judge_schemas(path: Path) -> int:
+    """Compares the descriptors in a file with the published classes, field by field; returns how many there are."""
+    with path.open("rb") as file:
+        schemas = list(make_reader(file).get_summary().schemas.values())
+    published = [schema for schema in schemas if schema.name.startswith(PUBLISHED)]
+    assert published
+    for schema in published:
         pool = descriptor_pool.DescriptorPool()
-        for file in descriptor_pb2.FileDescriptorSet.FromString(descriptor_set(name)).file:
-            pool.Add(file)
-        leaf = name.removeprefix("foxglove.")
+        for one in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+            pool.Add(one)
+        leaf = schema.name.removeprefix(PUBLISHED)
         module = importlib.import_module(f"foxglove_schemas_protobuf.{leaf}_pb2")
-        ours, theirs = pool.FindMessageTypeByName(name), getattr(module, leaf).DESCRIPTOR
-        assert fields(ours) == fields(theirs), f"{name}: {fields(ours)}, published {fields(theirs)}"
+        ours, theirs = pool.FindMessageTypeByName(schema.name), getattr(module, leaf).DESCRIPTOR
+        judge_message(ours, theirs, set())
+    return len(published)
+
+
+def judge_message(ours: Any, theirs: Any, done: set[str]) -> None:
+    """Compares two descriptors, and those of the messages inside."""
+    assert fields(ours) == fields(theirs), f"{ours.full_name}: {fields(ours)}, published {fields(theirs)}"
+    done.add(ours.full_name)
+    for field in ours.fields:
+        if field.message_type is not None and field.message_type.full_name not in done:
+            judge_message(field.message_type, theirs.fields_by_name[field.name].message_type, done)
 
 
 def fields(message: Any) -> list[tuple[Any, ...]]:
@@ -65,59 +78,47 @@ def fields(message: Any) -> list[tuple[Any, ...]]:
     ]
 
 
-def judge_file(path: Path, episode: Episode) -> int:
-    """Compares every decoded message of a file with the episode."""
-    hz = episode.meta.job.task.control_hz
-    seen: dict[str, int] = {}
-    with path.open("rb") as file, episode:
-        for schema, channel, message, decoded in make_reader(
-            file, decoder_factories=[DecoderFactory()]
-        ).iter_decoded_messages():
-            t = round(message.log_time * hz / 1e9)
-            seen[channel.topic] = seen.get(channel.topic, 0) + 1
-            compare(schema.name, channel.topic, decoded, episode, t)
-    steps = len(episode)
-    for topic in ("/camera/rgb", "/camera/depth", "/camera/ids", "/tf", "/odom", "/action", "/camera/calibration"):
-        assert seen[topic] == steps, f"{path}: {topic} has {seen[topic]} messages, expected {steps}"
-    for topic in ("/instruction", "/map", "/target", "/path/driven"):
-        assert seen[topic] == 1, f"{path}: {topic} {seen.get(topic)}"
-    return steps
+def judge_file(paper: Paper, path: Path) -> Counter[str]:
+    """Compares every decoded message of a file with the episode; returns the messages by topic."""
+    name, seen = path.stem, Counter[str]()
+    hz = paper.meta(name)["job"]["task"]["control_hz"]
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            seen[channel.topic] += 1
+            judge_decoded(paper, name, schema.name, channel.topic, decoded, round(message.log_time * hz / 1e9))
+    steps = len(paper.array(name, "poses"))
+    expected = {**dict.fromkeys(EACH_STEP, steps), **dict.fromkeys(ONCE, 1)}
+    assert {topic: seen[topic] for topic in expected} == expected, f"{path}: {dict(seen)}, expected {expected}"
+    return seen
 
 
-def compare(schema: str, topic: str, decoded: Any, episode: Episode, t: int) -> None:
+def judge_decoded(paper: Paper, name: str, schema: str, topic: str, decoded: Any, t: int) -> None:
+    """Compares what can be compared of one message."""
     if topic == "/camera/rgb":
         assert schema == "foxglove.CompressedImage"
-        np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(decoded.data))), episode.rgb(t))
+        np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(decoded.data))), paper.rgb(name, t))
     elif topic == "/camera/depth":
         assert (decoded.encoding, decoded.step) == ("32FC1", 2560)
-        image = np.frombuffer(decoded.data, "<f4").reshape(decoded.height, decoded.width)
-        np.testing.assert_array_equal(image, episode.depth(t))
+        np.testing.assert_array_equal(pixels(decoded, "<f4"), paper.depth(name, t))
     elif topic == "/camera/ids":
-        image = np.frombuffer(decoded.data, "<u2").reshape(decoded.height, decoded.width)
-        np.testing.assert_array_equal(image, episode.ids(t))
+        assert (decoded.encoding, decoded.step) == ("16UC1", 1280)
+        np.testing.assert_array_equal(pixels(decoded, "<u2"), paper.ids(name, t))
     elif topic == "/odom":
         place, turn = decoded.pose.position, decoded.pose.orientation
         row = (place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z)
-        np.testing.assert_array_equal(np.array(row, np.float32), episode.poses[t])
+        np.testing.assert_array_equal(np.array(row, np.float32), paper.array(name, "poses")[t])
     elif topic == "/action":
-        np.testing.assert_array_equal(np.array((decoded.v_mps, decoded.w_rps), np.float32), episode.actions[t])
-        assert (decoded.v_token, decoded.w_token) == tuple(episode.tokens[t])
+        told = np.array((decoded.v_mps, decoded.w_rps), np.float32)
+        np.testing.assert_array_equal(told, paper.array(name, "actions_continuous")[t])
+        assert [decoded.v_token, decoded.w_token] == paper.array(name, "actions_tokens")[t].tolist()
     elif topic == "/instruction":
-        assert decoded.message == episode.instruction
+        assert decoded.message == paper.meta(name)["job"]["instruction"]
 
 
-def judge_rerun(path: Path) -> None:
-    """Lets Rerun load a file with its own reader."""
-    with tempfile.TemporaryDirectory() as place:
-        target = Path(place) / "x.rrd"
-        command = [str(Path(sys.executable).with_name("rerun")), "mcap", "convert", str(path), "-o", str(target)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-        assert done.returncode == 0, done.stderr
-        shown = [str(Path(sys.executable).with_name("rerun")), "rrd", "print", "-v", str(target)]
-        text = subprocess.run(shown, capture_output=True, text=True, timeout=300, check=False).stdout
-        for entity in ("/camera/rgb", "/camera/depth", "/tf", "/odom"):
-            assert entity in text, f"Rerun does not show {entity} of {path}"
+def pixels(image: Any, kind: str) -> np.ndarray:
+    return np.frombuffer(image.data, kind).reshape(image.height, image.width)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main()

@@ -1,43 +1,64 @@
-"""Judges the RLDS builder with TFDS: reads back what it built and compares every step; exits 1 and says what differs.
+"""TFDS builds the RLDS recipe and reads it back: every step is that of the paper's tree.
 
-Run in an environment with `tensorflow`, `tensorflow-datasets` and this project, with the variables the builder had:
+Runs where `tensorflow`, `tensorflow-datasets` and this project are (the builder needs it; the judge imports nothing of
+ours), and ends with exit code 1 at the first thing that is not right.
 
-    MINIVLA_FPS=10 python tests/judges/rlds_judge.py DATASET BUILT
+    python tests/judges/rlds_judge.py DATASET PAPER BUILT
+
+PAPER: DATASET as `factory export --to paper`. BUILT: a folder that does not exist, for the built dataset.
 """
 
-from __future__ import annotations
-
 import os
+import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tensorflow_datasets as tfds
+from paper_tree import Paper, mean_commands
+from verdict import named, say
 
-from factory.dataset import Dataset
-from factory.export.rlds import rlds_steps
+RECIPE = Path(__file__).parents[2] / "docs/formats/rlds/build.py"
+RECORDED_HZ, FPS, IMAGE_PX = 60, 10, 640
 
 
-def main(dataset: Path, built: Path) -> None:
-    data = Dataset(dataset)
-    fps = int(os.environ["MINIVLA_FPS"]) if "MINIVLA_FPS" in os.environ else None
-    builder = tfds.builder_from_directory(next(built.glob("minivla_nav/*")))
-    episodes = steps = 0
+def main() -> None:
+    dataset, tree, built = map(Path, sys.argv[1:])
+    paper = Paper(tree)
+    told = {"MINIVLA_DATASET": str(dataset.resolve()), "MINIVLA_FPS": str(FPS), "MINIVLA_IMAGE_PX": str(IMAGE_PX)}
+    subprocess.run([sys.executable, str(RECIPE), str(built)], env={**os.environ, **told}, check=True)
+    builder = tfds.builder_from_directory(built / "minivla_nav/1.0.0")
+    seen: dict[str, int] = {}
     for split in builder.info.splits:
-        for found in builder.as_dataset(split=split):
-            episode = data[found["episode_metadata"]["episode_id"].numpy().decode()]
-            assert episode.summary.split == split
-            expected = list(rlds_steps(episode, fps, int(os.environ.get("MINIVLA_IMAGE_PX", "256"))))
-            for ours, theirs in zip(expected, tfds.as_numpy(found["steps"]), strict=True):
-                for name, value in ours["observation"].items():
-                    np.testing.assert_array_equal(theirs["observation"][name], value)
-                for name in ("action", "action_tokens", "reward", "discount", "is_first", "is_last", "is_terminal"):
-                    np.testing.assert_array_equal(theirs[name], ours[name])
-                assert theirs["language_instruction"].decode() == ours["language_instruction"]
-            episodes, steps = episodes + 1, steps + len(expected)
-    assert episodes == len(data), f"{episodes} episodes, expected {len(data)}"
-    print(f"rlds: {episodes} episodes, {steps} steps in {len(builder.info.splits)} splits equal to the dataset")  # noqa: T201
+        for episode in builder.as_dataset(split=split):
+            name = episode["episode_metadata"]["episode_id"].numpy().decode()
+            seen[name] = judge_episode(paper, name, split, list(tfds.as_numpy(episode["steps"])))
+    assert seen.keys() == {path.name for path in paper.episodes.iterdir()}
+    said = (
+        f"{sum(seen.values())} steps of {len(seen)} episodes in {len(builder.info.splits)} splits, built and read back"
+    )
+    say(built, named("tensorflow-datasets", "tensorflow"), f"{said}, equal to the paper's tree")
+
+
+def judge_episode(paper: Paper, name: str, split: str, steps: list[dict[str, Any]]) -> int:
+    """Compares every step of an episode; returns how many there are."""
+    job, stride = paper.meta(name)["job"], RECORDED_HZ // FPS
+    assert split == job["split"]
+    actions = mean_commands(paper.array(name, "actions_continuous"), stride)
+    assert len(steps) == len(actions)
+    for number, (step, action) in enumerate(zip(steps, actions, strict=True)):
+        seen, t, is_last = step["observation"], number * stride, number == len(steps) - 1
+        np.testing.assert_array_equal(seen["image"], paper.rgb(name, t))
+        np.testing.assert_array_equal(seen["depth"][:, :, 0], paper.depth(name, t))
+        way = np.hypot(*(paper.array(name, "poses")[t, :2] - paper.array(name, "poses")[0, :2]))
+        np.testing.assert_allclose(np.hypot(*seen["state"][:2]), way, atol=1e-4)
+        np.testing.assert_allclose(step["action"], action, atol=1e-6)
+        assert (step["is_first"], step["is_last"], step["is_terminal"]) == (number == 0, is_last, is_last)
+        assert (step["reward"], step["discount"]) == (float(is_last), 1.0)
+        assert step["language_instruction"].decode() == job["instruction"]
+    return len(steps)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main()

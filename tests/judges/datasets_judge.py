@@ -1,0 +1,77 @@
+"""`datasets.load_dataset` opens, by their cards alone, a dataset and the exports that it can read.
+
+Imports nothing of ours, and ends with exit code 1 at the first thing that is not right.
+
+    python tests/judges/datasets_judge.py DATASET PAPER LEROBOT WEBDATASET
+
+PAPER, LEROBOT, WEBDATASET: the same episodes as `factory export --to` those formats.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import datasets
+import numpy as np
+from paper_tree import Paper
+from verdict import named, say
+
+
+def main() -> None:
+    dataset, tree, lerobot, shards = map(Path, sys.argv[1:])
+    paper = Paper(tree)
+    with tempfile.TemporaryDirectory() as cache:
+        for place, judge in (
+            (dataset, judge_rows),
+            (tree, judge_rows),
+            (lerobot, judge_lerobot),
+            (shards, judge_shards),
+        ):
+            say(place, named("datasets"), judge(paper, place, cache))
+
+
+def judge_rows(paper: Paper, place: Path, cache: str) -> str:
+    """A row an episode, with its instruction."""
+    table = datasets.load_dataset(str(place), split="train", cache_dir=cache)
+    told = {row["episode_id"]: (row["instruction"], row["split"], row["num_steps"]) for row in table}
+    assert told == {path.name: facts(paper, path.name) for path in paper.episodes.iterdir()}
+    return f"{len(table)} rows, {len(table.column_names)} columns"
+
+
+def facts(paper: Paper, name: str) -> tuple[str, str, int]:
+    job: dict[str, Any] = paper.meta(name)["job"]
+    return job["instruction"], job["split"], len(paper.array(name, "poses"))
+
+
+def judge_lerobot(paper: Paper, place: Path, cache: str) -> str:
+    """Both configurations that the card names, the frames in the order of the episodes."""
+    episodes = datasets.load_dataset(str(place), "episodes", split="train", cache_dir=cache)
+    frames = datasets.load_dataset(str(place), "frames", split="train", cache_dir=cache).with_format("numpy")
+    poses = np.concatenate([paper.array(name, "poses") for name in episodes["episode_id"]])
+    np.testing.assert_array_equal(np.stack(list(frames["pose"])), poses)
+    return f"frames: {len(frames)} rows with the poses of the paper's tree; episodes: {len(episodes)}"
+
+
+def judge_shards(paper: Paper, place: Path, cache: str) -> str:
+    """Every split is a configuration that streams; whole samples of its first episode, the names of all."""
+    splits = sorted({shard["split"] for shard in json.loads((place / "shards.json").read_text())["shards"]})
+    samples = 0
+    for split in splits:
+        stream = datasets.load_dataset(str(place), split, streaming=True, split="train", cache_dir=cache)
+        for number, sample in enumerate(stream.with_format("numpy")):
+            samples += 1
+            name, t = str(sample["json"]["episode_id"]), int(sample["json"]["step"])
+            assert paper.meta(name)["job"]["split"] == split
+            if number < 2:
+                np.testing.assert_array_equal(np.asarray(sample["rgb.png"]), paper.rgb(name, t))
+                np.testing.assert_array_equal(sample["depth.npy.gz"], paper.depth(name, t))
+                np.testing.assert_array_equal(sample["seg.npy.gz"], paper.ids(name, t))
+    expected = sum(len(paper.array(path.name, "poses")) for path in paper.episodes.iterdir())
+    assert samples == expected, f"{samples} samples, expected {expected}"
+    return f"{samples} samples streamed from {len(splits)} configurations"
+
+
+if __name__ == "__main__":
+    main()
