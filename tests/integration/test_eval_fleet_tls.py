@@ -16,6 +16,7 @@ import zenoh
 from coordinator.gateway.service import Gateway
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.wire.ask import ask_progress
 from coordinator.wire.tls import Guard
 from coordinator.wire.zenoh_config import client_config
 from factory.dataset import Dataset
@@ -69,6 +70,14 @@ def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> lis
         return [(row.end, row.num_steps) for row in store.results("stop")]
 
 
+def is_answered(hub: Coordinator, pki: Path) -> bool:
+    try:
+        ask_progress(hub.endpoints, "desk", files_of(pki, "desk"))
+    except TransientError:
+        return False
+    return True
+
+
 def test_the_workers_of_a_collection_behind_tls_drive_an_evaluation_and_go_back(drives, hub, pki, tmp_path):
     with working(hub.endpoints[0], pki, tmp_path):
         until(lambda: hub.progress().jobs["archived"] > 0, 120)
@@ -89,8 +98,7 @@ def test_workers_behind_a_gateway_are_lent_too(drives, hub, pki, tmp_path):
 
 def test_an_evaluation_that_is_not_admitted_says_where_to_look(drives, hub, pki, tmp_path):
     revoke(pki, "desk")
-    until(lambda: "desk" not in Guard(pki / "hub").admitted(), 60)
-    time.sleep(1.0)  # several looks of the coordinator at its list
+    until(lambda: not is_answered(hub, pki), 120)
     with pytest.raises(TransientError, match=r"does not admit 'desk' \(its hosts\.txt\)"):
         evaluates(drives, hub, pki, tmp_path)
 
