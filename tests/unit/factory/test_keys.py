@@ -54,6 +54,17 @@ def test_a_certificate_names_its_host_and_can_do_one_thing(pki):
         certificate.verify_directly_issued_by(read(pki / "ca.pem"))
 
 
+def test_an_evaluator_can_only_connect_and_lets_nobody_in(tmp_path):
+    folder = make_authority(tmp_path / "pki", evaluators=("desk",))
+    usage = read(tls_files(folder / "desk").certificate).extensions.get_extension_for_class(x509.ExtendedKeyUsage)
+    assert list(usage.value) == [ExtendedKeyUsageOID.CLIENT_AUTH]
+    assert Guard(folder / "hub").admitted() == {"desk": Role.EVALUATOR}
+    desk = Guard(folder / "desk", listens=False)
+    assert (desk.name, desk.admitted()) == ("desk", {})
+    with pytest.raises(UsageError, match=r"hosts\.txt cannot be read"):
+        Guard(folder / "desk")
+
+
 def test_a_coordinator_is_known_under_its_addresses(pki):
     admit(pki, "hub-2", Role.COORDINATOR, ("10.0.0.1", "hub.example.org"), 1, NOW)
     names = read(tls_files(pki / "hub-2").certificate).extensions.get_extension_for_class(x509.SubjectAlternativeName)
