@@ -19,7 +19,7 @@ from workers.stage import Stage
 __all__ = ["bench_memory"]
 
 _WHOLE_EVERY = 41
-"""One in so many episodes is driven to its end, the first at once; a prime, so that all scenes get a turn."""
+"""One in so many episodes is driven to its end, after one of every scene; a prime, so that all scenes get a turn."""
 _STEPS = 5
 """Of all others."""
 _TENTH = 10
@@ -41,7 +41,8 @@ def bench_memory(
     machine, start_mib = describe_machine(), resident_mib()
     held, frames, done = [], 0, 0
     for number in range(episodes):
-        job = jobs[number % len(jobs)] if number % _WHOLE_EVERY == 0 else _short(jobs[number % len(jobs)])
+        is_whole = number < len(catalog) or number % _WHOLE_EVERY == 0
+        job = jobs[number % len(jobs)] if is_whole else _short(jobs[number % len(jobs)])
         entry = catalog[job.scene]
         stage.load(entry.path, entry.sha256)
         with TemporaryFile() as file:
