@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from factory.export.base import Exporter
-from schemas.errors import UsageError, WorldError
+from schemas.errors import UsageError
 
 __all__ = ["EXPORTERS", "AnyExporter", "find_exporter", "require_packages"]
 
@@ -49,10 +49,10 @@ def require_packages(exporter: AnyExporter) -> None:
     """Makes sure that a format's packages are installed.
 
     Raises:
-        WorldError: one is not; the message names the extra to install.
+        UsageError: one is not; the message names the extra to install.
     """
     for module, extra in exporter.requires:
         if importlib.util.find_spec(module) is None:
-            raise WorldError(
+            raise UsageError(
                 f"format {exporter.name} needs the package {module}: pip install 'minivla-factory[{extra}]'"
             )

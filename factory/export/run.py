@@ -110,8 +110,8 @@ def run_export(
         What was done; episodes that are damaged or missing stand in `skipped`.
 
     Raises:
-        UsageError: the options fit neither format nor dataset, or nothing is asked for.
-        WorldError: no dataset, a package is missing, the directory holds something else, the disk is full, or not one
+        UsageError: the options fit neither format nor dataset, a package is missing, or nothing is asked for.
+        WorldError: no dataset, the directory holds something else, the disk is full, or not one
             episode could be read.
     """
     begun = time.monotonic()

@@ -252,7 +252,7 @@ def test_missing_package_is_named_with_its_extra(
     required = find_exporter(name).requires
     for module, extra in required:
         monkeypatch.setitem(sys.modules, module, None)
-        with pytest.raises(WorldError, match=rf"needs the package {module}: pip install 'minivla-factory\[{extra}\]'"):
+        with pytest.raises(UsageError, match=rf"needs the package {module}: pip install 'minivla-factory\[{extra}\]'"):
             run_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
 
