@@ -13,6 +13,7 @@ setup: $(READY)
 $(READY): requirements.txt pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "Python 3.11 is needed (PyBullet has no wheels for later ones); install python3.11 and python3.11-venv, or call make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
+	@echo "installing the locked packages: some minutes"
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	sh deploy/ensure_egl.sh $(VENV)/bin/python
@@ -39,17 +40,19 @@ bench: $(READY)
 chaos: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30
 
-# every format with sizes and times, and what reads it: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1) and
-# Habitat's (Python 3.11), each in an environment of its own, 13 GB in all
-test-formats: $(READY) $(JUDGE)/.ready $(JUDGE)-v2.1/.ready $(JUDGE)-habitat/.ready
+# every format with sizes and times, and what reads it: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1),
+# Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in environments of their own, 17 GB in
+# all; with VISUALNAV=CHECKOUT of robodhruv/visualnav-transformer the loader of ViNT and NoMaD as well
+test-formats: $(READY) $(JUDGE)/.ready $(JUDGE)-v2.1/.ready $(JUDGE)-habitat/.ready $(JUDGE)-readers/.ready
 	rm -rf build/formats
 	$(VENV)/bin/factory run demo --episodes 8 --out build/formats/data
 	$(VENV)/bin/python tests/judges/formats.py build/formats/data build/formats/out lerobot=$(JUDGE)/bin/python \
-	    lerobot-v2.1=$(JUDGE)-v2.1/bin/python habitat=$(JUDGE)-habitat/bin/python
+	    lerobot-v2.1=$(JUDGE)-v2.1/bin/python habitat=$(JUDGE)-habitat/bin/python \
+	    readers=$(JUDGE)-readers/bin/python visualnav=$(VISUALNAV)
 
 $(JUDGE)/.ready:
 	python3.12 -m venv $(JUDGE)
-	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1"
+	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb
 	touch $(JUDGE)/.ready
 
 # torchvision of that time asks PyAV for what later versions do not know
@@ -64,6 +67,15 @@ $(JUDGE)-habitat/.ready:
 	$(JUDGE)-habitat/bin/python -m pip install --quiet "setuptools<66" wheel
 	$(JUDGE)-habitat/bin/python -m pip install --quiet --no-build-isolation "habitat-lab==0.3.320260507" trimesh
 	touch $(JUDGE)-habitat/.ready
+
+# with the project itself beside them, which the RLDS builder and `factory view` are part of
+$(JUDGE)-readers/.ready: requirements.txt
+	$(PYTHON) -m venv $(JUDGE)-readers
+	$(JUDGE)-readers/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
+	$(JUDGE)-readers/bin/python -m pip install --quiet tensorflow==2.21.0 tensorflow-datasets==4.9.10 importlib_resources rerun-sdk==0.41.0 \
+	    mcap-protobuf-support foxglove-schemas-protobuf
+	$(JUDGE)-readers/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	touch $(JUDGE)-readers/.ready
 
 # training, recipes and their tests, in an environment of their own: PyTorch is large
 test-train: $(TRAIN)/.ready
@@ -81,4 +93,4 @@ scenes-check: $(READY)
 	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
 clean:
-	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(TRAIN) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) build .mypy_cache .ruff_cache .pytest_cache .hypothesis

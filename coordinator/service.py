@@ -41,7 +41,6 @@ from coordinator.wire.protocol import Terms
 from coordinator.wire.router import Router
 from coordinator.wire.tls import Guard
 from schemas.closing import Closing
-from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.wire import Progress
 
@@ -284,6 +283,6 @@ class Coordinator(Closing):
                     write_checkpoint(
                         self._archive, connection, self._terms.plan, self._terms.catalog, self._clock(), self._gate
                     )
-            except WorldError:
+            except Exception:
                 self._changed.set()  # they are still owed
                 raise

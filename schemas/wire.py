@@ -50,6 +50,7 @@ MAX_ATTACHMENT_BYTES = 1 << 30
 SessionId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,79}$")]
 Token = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 RouterId = Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
+"""Zenoh's id of a session that others connect to, of a gateway for one."""
 
 
 class Lease(Model):

@@ -153,9 +153,13 @@ def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
 
 
 def _copy(archive: Archive, one: _Wanted, path: Path) -> str:
-    with archive.stage(one.index) as staged, path.open("rb") as file:
-        while staged.size <= one.size and (block := file.read(_COPY_BYTES)):
-            staged.write(block)
+    with archive.stage(one.index) as staged:
+        try:
+            with path.open("rb") as file:
+                while staged.size <= one.size and (block := file.read(_COPY_BYTES)):
+                    staged.write(block)
+        except OSError as error:  # of the source: what the archive cannot take is a WorldError
+            return f"{path} cannot be read: {error.strerror}"
         if staged.sha256 != one.sha256:
             return f"{path} has SHA-256 {staged.sha256}, the ledger says {one.sha256}"
         archive.publish(staged, one.index)

@@ -13,7 +13,7 @@ from coordinator.summary import EpisodeSummary
 from schemas.base import Model, Sha256
 from schemas.job import Job
 from schemas.scene import Target
-from schemas.wire import Lease
+from schemas.wire import Lease, RouterId
 
 __all__ = [
     "MAX_FILES",
@@ -32,10 +32,6 @@ __all__ = [
 
 MAX_FILES, MAX_ORDERS = 1000, 64
 Index = Annotated[int, Field(ge=1)]
-
-
-RouterId = Annotated[str, Field(pattern=r"^[0-9a-f]{1,32}$")]
-"""Zenoh's id of a gateway's session: what workers connected to it name in `via`."""
 
 
 class Join(Model):

@@ -69,7 +69,7 @@ def command() -> None:
 @command.command("rollout")
 @_scene_option
 @click.option("--plan", "plan_name", default="paper", show_default=True, help="A built-in name or a TOML file.")
-@click.option("--episodes", type=click.IntRange(1), default=3, show_default=True, help="Jobs of each scene.")
+@click.option("--episodes", type=click.IntRange(1), default=8, show_default=True, help="Jobs of each scene.")
 @_repeats_option
 @click.option("--against", type=click.Choice(["plain"]), help="Also run the plain PyBullet pipeline.")
 @click.option("--frames", type=click.IntRange(2), default=_PLAIN_FRAMES, show_default=True, help="Of the plain one.")

@@ -279,7 +279,7 @@ def _upload_textures(context: moderngl.Context, textures: NDArray[np.uint8]) -> 
     """
     layers = textures[:, ::-1] if len(textures) else np.full((1, 1, 1, 3), 255, np.uint8)
     count, height, width, _ = layers.shape
-    array = context.texture_array((width, height, count), 3, np.ascontiguousarray(layers).tobytes())
+    array = context.texture_array((width, height, count), 3, np.ascontiguousarray(layers))
     array.build_mipmaps()
     array.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
     return array
@@ -291,7 +291,7 @@ def _upload_light(context: moderngl.Context, light_map: NDArray[np.uint8]) -> mo
     texels = np.full((rows, columns, 4), 255, np.uint8)
     if light_map.size:
         texels[:, :, :3] = light_map
-    texture = context.texture((columns, rows), 4, texels.tobytes())
+    texture = context.texture((columns, rows), 4, texels)
     texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
     texture.repeat_x = texture.repeat_y = False
     return texture
