@@ -24,6 +24,9 @@ _CENTRAL = struct.Struct("<I6H3I5H2I")
 _END = struct.Struct("<I4H2IH")
 """The end: mark, disks, entries on this disk and in all, size and offset of the directory, length of the comment."""
 _LOCAL_MARK, _CENTRAL_MARK, _END_MARK = 0x04034B50, 0x02014B50, 0x06054B50
+_LOCATOR_64, _LOCATOR_64_BYTES = b"PK\x06\x07", 20
+"""What stands before the end where the 64-bit records of a zip are to be believed instead."""
+_MOST_NAME_BYTES = 255
 _VERSION, _MADE_BY_UNIX, _STORED, _UTF8 = 20, 3 << 8 | 20, 0, 0x800
 _EPOCH = (0, 1 << 5 | 1)
 """1980-01-01, 0:00, as DOS has it: the least that a zip can say."""
@@ -104,6 +107,7 @@ class ContainerReader:
         self._limits = limits
         self._file = file
         size = file.seek(0, 2)
+        _bound_directory(file, limits, size)
         try:
             members = zipfile.ZipFile(file).infolist()
         except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError, EOFError) as error:
@@ -150,6 +154,22 @@ class ContainerReader:
     def size(self, name: str) -> int:
         """Returns the size of a member in bytes without reading it."""
         return self._info[name].file_size
+
+
+def _bound_directory(file: BinaryIO, limits: Limits, size: int) -> None:
+    """Refuses what `zipfile`, which reads the whole directory at once, could take much memory for."""
+    file.seek(max(0, size - _END.size - _LOCATOR_64_BYTES))
+    tail = file.read()
+    before, end = tail[: -_END.size], tail[-_END.size :]
+    if len(end) < _END.size:
+        raise InvalidBundle("not a container", [f"{size} bytes that are no readable zip"])
+    mark, _, _, _, count, directory_bytes, start, comment_bytes = _END.unpack(end)
+    if mark != _END_MARK or comment_bytes or start + directory_bytes + _END.size != size or before[:4] == _LOCATOR_64:
+        raise InvalidBundle("not a container", [f"{size} bytes that are no readable zip: they do not end as one"])
+    if count > limits.members:
+        raise InvalidBundle("container refused", [f"more than {limits.members} members"])
+    if directory_bytes > count * (_CENTRAL.size + _MOST_NAME_BYTES):
+        raise InvalidBundle("container refused", [f"a directory of {directory_bytes} bytes for {count} members"])
 
 
 def _findings(members: Iterable[zipfile.ZipInfo], limits: Limits, file_bytes: int) -> Iterable[str]:

@@ -70,6 +70,23 @@ def test_too_many_members_are_refused() -> None:
     assert "more than 8 members" in refused(pack({str(n): b"" for n in range(9)}))
 
 
+def test_a_long_directory_is_refused_before_it_is_read() -> None:
+    data = bytearray(pack({f"{n:0200d}": b"" for n in range(8)}))
+    struct.pack_into("<2H", data, len(data) - 14, 1, 1)  # entries on this disk and in all
+    assert "a directory of 1968 bytes for 1 members" in refused(data)
+
+
+def test_records_of_64_bits_and_comments_are_refused() -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as out:
+        for n in range(1 << 16):  # more than the short records can count
+            out.writestr(str(n), b"")
+    assert "do not end as one" in refused(buffer.getvalue())
+    with zipfile.ZipFile(buffer := io.BytesIO(), "w") as out:
+        out.comment = b"hello"
+    assert "do not end as one" in refused(buffer.getvalue())
+
+
 def test_member_that_stands_twice_is_refused() -> None:
     data = pack({"a": b"1", "b": b"2"})
     assert "'a' stands twice" in refused(data.replace(b"b", b"a"))
