@@ -107,21 +107,35 @@ class Store:
         return folder
 
     def _agree(self, manifest: Manifest) -> None:
-        path = self.root / _MANIFEST
-        if not path.exists():
+        if not (self.root / _MANIFEST).exists():
             if any(self.root.iterdir()):
                 raise UsageError(f"{self.root} is not empty and holds no evaluation; give another -o")
-            write_specs(self._specs, self.root / _SPECS)
-            _write(path, manifest)
+            self._begin(manifest)
             return
         found = read_manifest(self.root)
         different = [
-            f"{name} {getattr(found, name)!r}, now {getattr(manifest, name)!r}"
+            f"{name} {_short(getattr(found, name))}, now {_short(getattr(manifest, name))}"
             for name in Manifest.model_fields
             if name != "format" and getattr(found, name) != getattr(manifest, name)
         ]
-        if different:
+        if different and self._has_results():
             raise UsageError(f"{self.root} holds another evaluation ({'; '.join(different)}); give another -o")
+        if different:
+            self._begin(manifest)
+
+    def _has_results(self) -> bool:
+        """Whether anything was driven here, or given to others to drive."""
+        others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES}
+        return bool(others) or any((self.root / _POLICIES).glob(f"*/{_LOG}"))
+
+    def _begin(self, manifest: Manifest) -> None:
+        write_specs(self._specs, self.root / _SPECS)
+        _write(self.root / _MANIFEST, manifest)
+
+
+def _short(value: object) -> str:
+    """Returns how an entry of a manifest is told; of a digest, what tells it from others."""
+    return f"{value[:12]}..." if isinstance(value, str) and len(value) == 64 else repr(value)
 
 
 def read_manifest(root: Path) -> Manifest:

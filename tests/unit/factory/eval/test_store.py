@@ -58,8 +58,27 @@ def test_a_damaged_row_is_named(tmp_path: Path) -> None:
 
 
 def test_a_directory_of_another_question_is_refused(tmp_path: Path) -> None:
-    store_in(tmp_path)
+    with store_in(tmp_path) as store:
+        store.add(result_of(1))
     with pytest.raises(UsageError, match=r"another evaluation .*with_pose False, now True"):
+        store_in(tmp_path, MANIFEST.model_copy(update={"with_pose": True}))
+    with pytest.raises(UsageError, match=r"specs_digest [0-9a-f]{12}\.\.\., now 000000000000\.\.\."):
+        store_in(tmp_path, MANIFEST.model_copy(update={"specs_digest": "0" * 64}))
+
+
+def test_a_directory_where_nothing_was_driven_yet_takes_another_question(tmp_path: Path) -> None:
+    asked = MANIFEST.model_copy(update={"with_pose": True})
+    store_in(tmp_path)
+    with store_in(tmp_path, asked) as store:
+        store.add(result_of(1))
+    with pytest.raises(UsageError, match="another evaluation"):
+        store_in(tmp_path)
+
+
+def test_a_directory_whose_jobs_were_given_to_others_keeps_its_question(tmp_path: Path) -> None:
+    store_in(tmp_path)
+    (tmp_path / "ledger.db").touch()
+    with pytest.raises(UsageError, match="another evaluation"):
         store_in(tmp_path, MANIFEST.model_copy(update={"with_pose": True}))
 
 
