@@ -89,7 +89,8 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     except Tf.ErrorException as error:
         reason = say_refusal(str(error))
         raise WorldError(f"{path.name} is no readable USD stage ({reason}); check it with usdchecker") from error
-    notes += [say_complaint(diagnostic.commentary) for diagnostic in listener.TakeUncoalescedDiagnostics()]
+    complaints = (say_complaint(diagnostic.commentary) for diagnostic in listener.TakeUncoalescedDiagnostics())
+    notes += sorted(complaints)  # USD's threads complain in any order
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
         raise WorldError(
