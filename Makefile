@@ -1,12 +1,12 @@
-# The whole interface of a checkout: make setup | run | test | check | bench | chaos | scenes-check |
-# test-formats | test-train. Everything lives in .venv.
+# The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long |
+# scenes-check | test-formats | test-train. Everything lives in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 JUDGE  := .venv-judge
 TRAIN  := .venv-train
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos scenes-check test-formats test-train clean
+.PHONY: setup run test check bench chaos chaos-long scenes-check test-formats test-train clean
 
 setup: $(READY)
 
@@ -31,7 +31,7 @@ check: $(READY)
 	$(VENV)/bin/mypy
 
 # where the time of a frame goes in every scene, beside the plain PyBullet pipeline; then the coordinator with a million
-# jobs and the reader, held against their targets: ten minutes of an otherwise idle machine
+# jobs and the reader, held against their targets: fifteen minutes of an otherwise idle machine
 bench: $(READY)
 	$(VENV)/bin/factory bench rollout --against plain
 	$(VENV)/bin/python -m tests.benchmarks.figures coordinator read
@@ -39,6 +39,11 @@ bench: $(READY)
 # half an hour of kills, freezes, lost replies and full disks; every dataset must equal that of a calm run
 chaos: $(READY)
 	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30
+
+# ten thousand faults that somebody felt: an hour of both cores; goes on where it was stopped
+chaos-long: $(READY)
+	mkdir -p build
+	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --tally build/chaos.json
 
 # every format with sizes and times, and what reads it: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1),
 # Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in environments of their own, 17 GB in
