@@ -5,6 +5,7 @@ Draws come from the attempt's generator only; the grid part is pure.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Tier
+from workers.foresight import foresee
 from workers.grid import straight_end
 from workers.plan import geodesic_field, pose_table
 from workers.pose import Pose
@@ -26,10 +28,16 @@ _CLOSEST_FAR_M = 1.5
 """Least distance to the target's centroid of the planner's far starts, metres."""
 _BEARINGS = 384
 """Bearings that are tried at a distance before it is given up."""
+_FORESEEN = 32
+"""Starts of a straight driver whose drive is foreseen before the first of them is taken as it is."""
+_FORESEEN_MARGIN_M = 0.10
+"""Free space around the footprint along a foreseen drive; with less, drives scrape along what they pass."""
 
 Bools = NDArray[np.bool_]
 Poses = NDArray[np.float64]
 """(N, 3) x, y in metres and yaw in radians, world frame."""
+Start = tuple[float, float, float]
+"""x, y in metres and yaw in radians of base_link, world frame."""
 
 __all__ = ["draw_poses", "is_spawn_firm"]
 
@@ -40,7 +48,8 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
     Near and mid: a uniform distance, then bearings at that distance until one fits, facing the target within the
     heading noise; another distance only when none of `_BEARINGS` fits. What is blocked thus costs bearings and not
     distances, whose distribution stays the paper's. Far: a surveyed floor point and a uniform heading. Experts that
-    drive straight get starts whose straight line to the success circle is free; the planner gets any start on the
+    drive straight get starts whose straight line to the success circle is free, and among these rather one from which
+    the turn towards the target and the way to it are foreseen to touch nothing; the planner gets any start on the
     connected floor and, far, one whose way is not too long.
 
     Args:
@@ -72,19 +81,27 @@ def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
     return math.hypot(after.x - pose.x, after.y - pose.y) <= spawn.max_displacement_m
 
 
-def _draw_on_grid(
-    job: Job, target: Target, place: LoadedScene, rng: np.random.Generator
-) -> tuple[float, float, float] | None:
+def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Start | None:
+    fitting = _draw_fitting(job, target, place, rng)
+    first = next(fitting, None)
+    if first is None or job.expert is ExpertName.PLANNER:
+        return first
+    some = itertools.chain((first,), itertools.islice(fitting, _FORESEEN - 1))
+    return next((start for start in some if _is_drive_free(job, target, place, start)), first)
+
+
+def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Start]:
+    """Yields starts that may begin an episode: near and mid those at the first distance that has any."""
     surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
-        return None
+        return
     for _ in range(job.spawn.grid_draws):
         poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
         fits = np.flatnonzero(_can_start(job, target, place, poses))
-        if len(fits):
-            x, y, yaw = poses[fits[0]]
-            return float(x), float(y), float(yaw)
-    return None
+        for x, y, yaw in poses[fits]:
+            yield float(x), float(y), float(yaw)
+        if surveyed is None and len(fits):
+            return
 
 
 def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
@@ -142,3 +159,9 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
 def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
     ends = straight_end(starts, target.centroid_m[:2], ARRIVAL_RADIUS_M)
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
+
+
+def _is_drive_free(job: Job, target: Target, place: LoadedScene, start: Start) -> bool:
+    x, y = target.centroid_m[:2]
+    drive = foresee(start, (x, y), job)
+    return bool(place.grid.are_poses_free(drive[:, 0], drive[:, 1], drive[:, 2], _FORESEEN_MARGIN_M).all())

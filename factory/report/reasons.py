@@ -165,7 +165,8 @@ def say_success(material: Material, row: AttemptRow) -> str:
         return f"{text} The planner drives around what the paper's controller stalls at."
     return (
         f"{text} Starts are drawn until the straight line to the success circle is free by "
-        f"{spawn.approach_clearance_m:.2f} m; the paper draws blindly and discards failures."
+        f"{spawn.approach_clearance_m:.2f} m, rather where the way is wider; the paper draws blindly and "
+        "discards failures."
     )
 
 

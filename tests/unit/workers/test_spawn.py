@@ -13,6 +13,7 @@ from schemas.job import Job
 from schemas.terms import ExpertName, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
+from workers.foresight import foresee
 from workers.pose import Pose
 from workers.spawn import draw_poses
 from workers.stage import LoadedScene, prepare_scene
@@ -79,3 +80,42 @@ def test_the_same_attempt_starts_at_the_same_pose() -> None:
     place = lane_room(8.5)
     assert first_start(place, crate_job(place, 3)) == first_start(place, crate_job(place, 3))
     assert first_start(place, crate_job(place, 3)) != first_start(place, crate_job(place, 4))
+
+
+def pillared_room() -> LoadedScene:
+    """An open room whose crate is ringed by pillars a metre and a half apart: some ways between them are tight."""
+    angles = 2 * np.pi * np.arange(10) / 10
+    spots = [(2.4 * math.cos(angle), 2.4 * math.sin(angle)) for angle in angles]
+    pillars = [Box((x - 0.15, y - 0.15, 0.0), (x + 0.15, y + 0.15, 2.0)) for x, y in spots]
+    return prepare_scene(build_scene((*room_walls((-9.0, -9.0), (9.0, 9.0)), CRATE, *pillars)))
+
+
+def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
+    x, y, yaw = foresee(start, (0.0, 0.0), job).T
+    return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
+
+
+def test_straight_drivers_start_where_the_way_is_foreseen_to_be_free() -> None:
+    place = pillared_room()
+    job = crate_job(place)
+    ring = 2 * np.pi * np.arange(720) / 720
+    points = 5.0 * np.stack([np.cos(ring), np.sin(ring)], axis=1)
+    lines = place.grid.are_lines_free(points, 0.97 * points / 5.0, job.spawn.approach_clearance_m)
+    off = job.spawn.heading_noise_rad
+    drives = [is_drive_free(place, job, (x, y, math.atan2(-y, -x) + off)) for x, y in points[lines]]
+    assert 0 < sum(drives) < len(drives)  # so that there is something to choose
+    for attempt in range(1, 60):
+        tried = crate_job(place, attempt)
+        start = first_start(place, tried)
+        assert start is not None
+        assert is_drive_free(place, tried, (start.x, start.y, start.yaw))
+
+
+def test_where_no_way_is_wide_a_tight_one_is_taken() -> None:
+    walls = (Box((1.2, -1.0, 0.0), (8.0, -0.45, 2.0)), Box((1.2, 0.45, 0.0), (8.0, 1.0, 2.0)))
+    place = prepare_scene(build_scene((*room_walls((-1.0, -1.0), (8.5, 1.0)), CRATE, *walls)))
+    jobs = [crate_job(place, attempt) for attempt in range(1, 20)]
+    starts = [first_start(place, job) for job in jobs]
+    found = [(start.x, start.y, start.yaw) for start in starts if start is not None]
+    assert len(found) == len(jobs)
+    assert not all(is_drive_free(place, job, start) for job, start in zip(jobs, found, strict=True))
