@@ -46,7 +46,7 @@ from workers.stage import Stage
 
 __all__ = ["command"]
 
-_PLAIN_FRAMES = 12
+_PLAIN_FRAMES = 24
 _SAMPLE_PLAN = "demo"
 _MEMORY_JOBS = 25
 """Different jobs of each scene; they are run in turn."""

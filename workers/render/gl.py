@@ -164,10 +164,10 @@ class GlRenderer:
         np.minimum(depth, self._camera.far_m, out=depth)  # the far plane cuts to half a millimetre
         self._ids.read_into(ids)
         if not depth.all():
-            void = depth == 0
-            ids[void] = 0
-            for image in beside:
-                image[void] = 0
+            void = np.flatnonzero(depth == 0)
+            images: tuple[NDArray[Any], ...] = (ids, *beside)
+            for image in images:
+                image.reshape(self._size * self._size, -1)[void] = 0
         return Relief(depth, ids)
 
     def _prepare(self, scene: CompiledScene) -> _GpuScene:
