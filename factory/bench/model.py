@@ -98,6 +98,8 @@ class SceneRollout(Model):
     """Frames per second of wall clock."""
     cpu: Spread
     """Frames per second of CPU time."""
+    by_job: Spread
+    """Frames per wall-clock second of single episodes of one repeat: how much hangs on what the robot looks at."""
     stages: tuple[StageCost, ...]
     delivery: tuple[StageCost, ...]
     """What the coordinator spends on a bundle, `validate` and `archive`; not in the figures above."""

@@ -29,12 +29,12 @@ __all__ = ["run_plain"]
 
 
 def run_plain(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
-    """Makes frames at poses spread over an episode, one physics step before each, and returns the pace.
+    """Makes frames at poses spread over those given, one physics step before each, and returns the pace.
 
     Args:
         scene: the place.
         job: gives robot and camera.
-        poses: of the episode.
+        poses: of one or more episodes, in order.
         frames: how many to make, after one that warms up.
     """
     chosen = [poses[round(k)] for k in np.linspace(0, len(poses) - 1, frames)]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coordinator.plan.catalog import SceneEntry
 from factory.bench.deliver import time_delivery
@@ -41,6 +42,8 @@ class _Run:
     wall_s: float
     cpu_s: float
     stages: StageTimes
+    poses: NDArray[np.float32]
+    """(frames, 7) of the episode."""
 
 
 def bench_rollout(
@@ -54,7 +57,8 @@ def bench_rollout(
         stage: opened with `watch` as its lap.
         watch: keeps the time of the stages.
         repeats: how often all jobs are timed.
-        plain_frames: frames that the plain pipeline makes for comparison; 0 leaves it out.
+        plain_frames: frames that the plain pipeline makes for comparison, at poses spread over all episodes; 0 leaves
+            it out.
         tell: told after every attempt, the first of all included.
 
     Raises:
@@ -63,25 +67,24 @@ def bench_rollout(
     forget_peak()
     stage.load(entry.path, entry.sha256)
     with tempfile.TemporaryFile() as file:
-        poses, sizes = _warm_up(jobs, stage, file)
+        sizes = _warm_up(jobs, stage, file)
         delivery = time_delivery(file, repeats)
         tell()
         start_mib = resident_mib()
         rounds = [[_timed(job, stage, watch, file, tell) for job in jobs] for _ in range(repeats)]
         memory = measure_memory(start_mib)
-    return _summarise(rounds, delivery, sizes, memory, jobs, entry, stage, poses, plain_frames)
+    return _summarise(rounds, delivery, sizes, memory, jobs, entry, stage, plain_frames)
 
 
-def _warm_up(jobs: Sequence[Job], stage: Stage, file: BinaryIO) -> tuple[list[Pose], dict[str, float]]:
-    """Runs jobs until one succeeds; returns its poses and the kB a frame of its members."""
+def _warm_up(jobs: Sequence[Job], stage: Stage, file: BinaryIO) -> dict[str, float]:
+    """Runs jobs until one succeeds; returns the kB a frame of its members."""
     details = []
     for job in jobs:
         _rewind(file)
         outcome = run_attempt(job, stage, file, "bench", _ignore)
         if isinstance(outcome, Success):
             bundle = BundleReader(file)
-            poses = [Pose(*row) for row in bundle.arrays.poses.astype(np.float64).tolist()]
-            return poses, {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
+            return {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
         details.append(outcome.detail)
     raise WorldError(
         f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so there is nothing to time: {details[0]}"
@@ -95,8 +98,10 @@ def _timed(job: Job, stage: Stage, watch: Watch, file: BinaryIO, tell: Listener)
     outcome = run_attempt(job, stage, file, "bench", _ignore)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     tell()
-    frames = outcome.meta.rollout.num_steps if isinstance(outcome, Success) else 0
-    return _Run(frames, wall, cpu, watch.take())
+    stages = watch.take()
+    if isinstance(outcome, Success):
+        return _Run(outcome.meta.rollout.num_steps, wall, cpu, stages, BundleReader(file).arrays.poses)
+    return _Run(0, wall, cpu, stages, np.empty((0, 7), np.float32))
 
 
 def _rewind(file: BinaryIO) -> None:
@@ -116,7 +121,6 @@ def _summarise(
     jobs: Sequence[Job],
     entry: SceneEntry,
     stage: Stage,
-    poses: Sequence[Pose],
     plain_frames: int,
 ) -> SceneRollout:
     won = [[run for run in runs if run.frames] for runs in rounds]
@@ -124,12 +128,15 @@ def _summarise(
     wall = Spread.of([frames / sum(run.wall_s for run in runs) for runs in won])
     cpu = Spread.of([frames / sum(run.cpu_s for run in runs) for runs in won])
     spent = sum(run.wall_s for runs in rounds for run in runs)
+    rows = np.concatenate([run.poses for run in won[0]]).astype(np.float64)
+    poses = [Pose(*row) for row in rows.tolist()]
     plain = run_plain(stage.loaded(entry.sha256).scene, jobs[0], poses, plain_frames) if plain_frames else None
     return SceneRollout(
         frames_per_s_per_core=wall.median,
         frames_per_cpu_s=cpu.median,
         wall=wall,
         cpu=cpu,
+        by_job=Spread.of([run.frames / run.wall_s for run in won[0]]),
         stages=stage_costs([(frames, _add(run.stages for run in runs)) for runs in won]),
         delivery=delivery,
         episodes=len(won[0]),

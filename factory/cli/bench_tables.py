@@ -28,6 +28,7 @@ def show_rollout(report: RolloutBench) -> None:
         "spread",
         "frames/CPU s",
         "spread",
+        "by episode",
         "episodes",
         "frames",
         "failed",
@@ -37,7 +38,7 @@ def show_rollout(report: RolloutBench) -> None:
     rows = [
         (
             *(name, _round(found.wall.median), _range(found.wall), _round(found.cpu.median), _range(found.cpu)),
-            *(found.episodes, found.frames, found.failed_attempts),
+            *(_range(found.by_job), found.episodes, found.frames, found.failed_attempts),
             *(None if found.plain is None else round(found.plain.frames_per_s, 2), found.ratio),
         )
         for name, found in report.scenes.items()

@@ -64,6 +64,7 @@ def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -
     assert len(told) == 3
     assert (found.episodes, found.failed_attempts, found.wall.runs) == (1, 0, 2)
     assert found.frames_per_s_per_core == found.wall.median
+    assert found.by_job.runs == 1
     # the stages are all of the loop: nothing between them is lost
     whole_ms = 1000 / found.frames_per_cpu_s
     assert sum(cost.cpu_ms.median for cost in found.stages) == pytest.approx(whole_ms, rel=0.1)
