@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from coordinator.plan.file import load_plan
@@ -31,9 +31,10 @@ from factory.bench.sample import make_sample
 from factory.bench.watch import Watch
 from factory.bench.work import first_attempts, narrow
 from factory.catalog import open_catalog
+from factory.cli.bars import Bars
 from factory.cli.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
 from factory.cli.options import renderer_option
-from factory.cli.output import json_option, print_json, stderr
+from factory.cli.output import json_option, print_json
 from factory.cli.places import PLACE
 from factory.dataset import Dataset
 from factory.logs import configure_logs
@@ -210,7 +211,7 @@ def _nowhere() -> Iterator[Path]:
 def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
     """Shows a bar and gives the function that moves it on by one."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=stderr, refresh_per_second=1) as bar:
+    with Bars(*columns, refresh_per_second=1) as bar:
         task = bar.add_task(f"bench {name}", total=total)
         yield lambda: bar.advance(task)
 

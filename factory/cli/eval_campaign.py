@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from factory.cli.bars import Bars
 from factory.cli.eval_options import splits_of
-from factory.cli.output import stderr
 from factory.dataset import Dataset
 from factory.eval.ablation import ABLATIONS
 from factory.eval.campaign import Campaign
@@ -90,7 +90,7 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
 @contextmanager
 def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
     """Shows a bar a policy; yields what is told their progress."""
-    with Progress(*_columns(), TextColumn("{task.fields[note]}"), console=stderr) as bar:
+    with Bars(*_columns(), TextColumn("{task.fields[note]}")) as bar:
         tasks = {name: bar.add_task(name, total=None, note="") for name in campaign.policies}
 
         def tell(pace: Pace) -> None:
@@ -118,7 +118,7 @@ def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
 
 @contextmanager
 def _one_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    with Progress(*_columns(), console=stderr, transient=True) as bar:
+    with Bars(*_columns(), transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, of: bar.update(task, completed=done, total=of)
 

@@ -6,12 +6,12 @@ from collections import Counter
 from pathlib import Path
 
 import click
-from rich.progress import Progress
 
 from coordinator.archive.place import Place
+from factory.cli.bars import Bars
 from factory.cli.eval_options import SplitList, splits_of
 from factory.cli.options import place_argument
-from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.cli.output import json_option, print_json, print_table
 from factory.dataset import Dataset
 from factory.eval.from_dataset import specs_of_dataset
 from factory.eval.spec import SpecSet
@@ -45,7 +45,7 @@ def command(
     configure_logs()
     dataset = Dataset(root)
     chosen = splits_of(dataset, splits)
-    with Progress(console=stderr, transient=True) as bar:
+    with Bars(transient=True) as bar:
         task = bar.add_task("reading starts", total=None)
 
         def tell(done: int, of: int) -> None:

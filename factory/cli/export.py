@@ -10,9 +10,9 @@ from typing import Any
 import click
 from pydantic import ValidationError
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
 
 from coordinator.archive.place import Place
+from factory.cli.bars import Bars
 from factory.cli.export_options import format_options
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, say_duration, stderr
@@ -135,12 +135,12 @@ def _megabytes(size: int) -> str:
     return f"{size / 1e9:.2f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
 
 
-class _ExportBar(Bar):
+class _ExportBar(Bars):
     """One line: episodes done, frames a second of this call, what it does now."""
 
     def __init__(self, name: str) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        super().__init__(*columns, TextColumn("{task.fields[remark]}"), console=stderr, transient=True)
+        super().__init__(*columns, TextColumn("{task.fields[remark]}"), transient=True)
         self._task = self.add_task(name, total=None, remark="")
 
     def tell(self, progress: Progress) -> None:

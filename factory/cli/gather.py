@@ -6,11 +6,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import click
-from rich.progress import Progress
 
 from coordinator.gateway.gather import GatherReport, gather
+from factory.cli.bars import Bars
 from factory.cli.options import ledger_option
-from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.cli.output import json_option, print_json, print_table
 from factory.logs import configure_logs
 from factory.patient import examine
 from factory.settings import scene_cache
@@ -35,7 +35,7 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
     With all of them DIR is the whole dataset; with some, run it again for the others. Exit 1 when some are missing.
     """
     configure_logs()
-    with Progress(console=stderr, transient=True) as bar:
+    with Bars(transient=True) as bar:
         task = bar.add_task("gathering", total=None)
         patient = examine(
             root, root, None, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)

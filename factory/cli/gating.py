@@ -10,11 +10,12 @@ from collections.abc import Callable
 from typing import Any, Literal, TypeVar
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.dataset.meta import GateOutcome
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.file import shrink
+from factory.cli.bars import Bars
 from factory.cli.output import print_table, stderr
 from factory.gate import GateReport, Pilot, judge, run_pilot
 from factory.stats.model import Share
@@ -89,7 +90,7 @@ def try_scene(
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     pilot = Pilot.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
     name = plan.scenes[0].name
-    with Progress(*columns, console=stderr) as bar:
+    with Bars(*columns) as bar:
         task = bar.add_task(f"gate {name}", total=len(pilot.jobs))
         trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
     return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)

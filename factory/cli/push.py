@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
 
+from factory.cli.bars import Bars
 from factory.cli.options import dataset_argument
-from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.cli.output import json_option, print_json, print_table
 from factory.export.manifest import MANIFEST_FILE
 from factory.push import PushPlan, plan_push, push
 from factory.push.files import batches_of, require_repository
@@ -39,7 +40,7 @@ def command(root: Path, repository: str, private: bool, endpoint: str | None, dr
         return
     click.echo(f"uploading {len(plan.files)} files, {_say_bytes(plan.total_bytes)}, to {repository}", err=True)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=stderr) as progress:
+    with Bars(*columns) as progress:
         task = progress.add_task(repository, total=plan.total_bytes)
         result = push(plan, repository, endpoint, private, lambda _, size: progress.advance(task, size))
     if as_json:

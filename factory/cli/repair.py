@@ -5,14 +5,14 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 import click
-from rich.progress import Progress
 
 from coordinator.check.validator import Validator
 from coordinator.plan.file import load_plan
 from coordinator.repair.mend import repair
 from coordinator.repair.report import RepairReport
+from factory.cli.bars import Bars
 from factory.cli.options import ledger_option, site_argument
-from factory.cli.output import json_option, print_json, print_table, stderr
+from factory.cli.output import json_option, print_json, print_table
 from factory.logs import configure_logs
 from factory.patient import examine
 from factory.settings import scene_cache
@@ -45,7 +45,7 @@ def command(
     """
     configure_logs()
     plan = load_plan(plan_name) if plan_name is not None else None
-    with Progress(console=stderr, transient=True) as bar, Validator() as validator:
+    with Bars(transient=True) as bar, Validator() as validator:
         task = bar.add_task("examining", total=None)
         patient = examine(
             site.place, site.home, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)

@@ -6,12 +6,12 @@ from dataclasses import asdict
 from typing import cast
 
 import click
-from rich.progress import Progress
 
 from coordinator.archive.place import Place
+from factory.cli.bars import Bars
 from factory.cli.episodes import episode_path
 from factory.cli.options import place_argument, renderer_option
-from factory.cli.output import json_option, print_json, stderr
+from factory.cli.output import json_option, print_json
 from factory.logs import configure_logs
 from factory.replay import Replay, replay_episode
 from schemas.terms import RendererKind
@@ -28,7 +28,7 @@ def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
     """Simulate EPISODE (`ep_000001` or a number) of the dataset again; exit 1 when the content differs."""
     configure_logs()
     path = episode_path(root, episode)
-    with Progress(console=stderr, transient=True) as bar:
+    with Bars(transient=True) as bar:
         task = bar.add_task(f"replaying {path.stem}", total=None)
         outcome = replay_episode(
             root,

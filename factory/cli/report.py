@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
+from factory.cli.bars import Bars
 from factory.cli.options import place_argument
-from factory.cli.output import json_option, print_json, stderr
+from factory.cli.output import json_option, print_json
 from factory.logs import configure_logs
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def _make(root: Place, out: Path, force: bool) -> Summary:
     from factory.report import make_report  # matplotlib takes half a second and may be missing
 
     columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=stderr) as bar:
+    with Bars(*columns) as bar:
         tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}
         return make_report(
             root, out, force, lambda what, done, total: bar.update(tasks[what], completed=done, total=total)

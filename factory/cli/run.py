@@ -8,14 +8,14 @@ from typing import Any, cast
 
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
 
 from coordinator.plan.file import load_plan
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
+from factory.cli.bars import Bars
 from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.options import out_option, plan_argument, renderer_option, shrink_options, shrunk_plan, verbose_option
-from factory.cli.output import json_option, print_json, say_duration, stderr
+from factory.cli.output import json_option, print_json, say_duration
 from factory.cli.summary import print_summary, summarise
 from factory.ledger import plan_of
 from factory.logs import configure_logs
@@ -85,7 +85,7 @@ def _choose_plan(name: str | None, home: Path, changes: dict[str, Any]) -> Plan:
     return shrunk_plan(wanted, changes)
 
 
-class _RunBar(Bar):
+class _RunBar(Bars):
     """One line: what is done, how fast, what is left."""
 
     def __init__(self, plan: Plan) -> None:
@@ -95,7 +95,6 @@ class _RunBar(Bar):
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("{task.fields[remark]}"),
-            console=stderr,
         )
         self._task = self.add_task(plan.name, total=plan.episodes, remark="")
 

@@ -6,13 +6,13 @@ from fractions import Fraction
 from pathlib import Path
 
 import click
-from rich.progress import Progress
 
 from coordinator.archive.place import Place
 from factory.catalog import find_package
+from factory.cli.bars import Bars
 from factory.cli.episodes import episode_path
 from factory.cli.options import place_argument
-from factory.cli.output import json_option, print_json, stderr
+from factory.cli.output import json_option, print_json
 from factory.contact_sheet import draw_contact_sheet
 from factory.film import draw_film, film_rate, write_gif, write_mp4
 from schemas.bundle import BundleReader
@@ -82,7 +82,7 @@ def _save_film(target: Path, bundle: BundleReader, scene: CompiledScene) -> Frac
     hz = bundle.meta.job.task.control_hz
     stride, rate = film_rate(hz, _GIF_FPS) if is_gif else film_rate(hz)
     write = write_gif if is_gif else write_mp4
-    with Progress(console=stderr, transient=True) as bar:
+    with Bars(transient=True) as bar:
         pictures = bar.track(draw_film(bundle, scene, stride), total=-(-(bundle.length - 1) // stride) + 1)
         write(target, pictures, rate)
     return rate

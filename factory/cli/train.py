@@ -8,10 +8,11 @@ from typing import Any, Self
 
 import click
 from pydantic import ValidationError
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
-from factory.cli.output import json_option, print_json, print_table, say_duration, stderr
+from factory.cli.bars import Bars
+from factory.cli.output import json_option, print_json, print_table, say_duration
 from factory.cli.places import PLACE
 from factory.dataset import Dataset
 from factory.logs import configure_logs
@@ -132,13 +133,12 @@ class _TrainBar:
 
     def __init__(self, epochs: int) -> None:
         self._epochs = epochs
-        self._bar = Progress(
+        self._bar = Bars(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("{task.fields[note]}"),
-            console=stderr,
         )
         self._decoding: Any = None
         self._task: Any = None

@@ -6,11 +6,11 @@ import os
 from typing import Any
 
 import click
-from rich.progress import Progress
 
 from coordinator.archive.place import Place
+from factory.cli.bars import Bars
 from factory.cli.options import place_argument
-from factory.cli.output import json_option, print_json, stderr
+from factory.cli.output import json_option, print_json
 from factory.logs import configure_logs
 from factory.verify import Report, verify
 
@@ -24,7 +24,7 @@ __all__ = ["command"]
 def command(root: Place, deep: bool, as_json: bool) -> int:
     """Check a dataset against its tables, and with --deep against itself; exit 1 on damage."""
     configure_logs()
-    with Progress(console=stderr, transient=True) as bar:
+    with Bars(transient=True) as bar:
         task = bar.add_task("verifying", total=None)
         processes = os.cpu_count() or 1 if deep else 1
         report = verify(root, deep, lambda done, total: bar.update(task, completed=done, total=total), processes)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-from rich.progress import Progress
 
 from coordinator.archive.place import Place
 from factory.catalog import find_package
+from factory.cli.bars import Bars
 from factory.cli.episodes import episode_index
 from factory.cli.options import place_argument
-from factory.cli.output import json_option, print_json, stderr
+from factory.cli.output import json_option, print_json
 from factory.dataset import Dataset
 from factory.view import view_episode
 from schemas.errors import UsageError
@@ -42,7 +42,7 @@ def command(root: Place, episode: str, save: Path | None, stride: int, as_json: 
     with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
         scene = decode_scene(package)
     frames = range(0, len(chosen), stride)
-    with chosen, Progress(console=stderr) as progress:
+    with chosen, Bars() as progress:
         task = progress.add_task("frames", total=len(frames))
         view_episode(chosen, scene, save, stride, lambda _: progress.advance(task))
     if as_json:
