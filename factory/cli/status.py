@@ -19,11 +19,14 @@ from factory.cli.places import SITE
 from factory.ledger import progress_of
 from factory.listen import require_endpoints
 from factory.site import Site
-from schemas.errors import UsageError
+from schemas.errors import TransientError, UsageError
 from schemas.wire import Progress
 
-__all__ = ["command"]
+__all__ = ["command", "draw_progress", "watch_progress"]
 
+_PAUSE_S = 1.0
+_PATIENCE_S = 60.0
+"""Silence of a coordinator that is watched, seconds: a restart takes a few."""
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 
 
@@ -42,7 +45,7 @@ def command(
     if as_json:
         print_json(source().model_dump(mode="json"))
     elif watch:
-        _watch(source)
+        watch_progress(source)
     else:
         stdout.print(draw_progress(source()))
 
@@ -61,13 +64,30 @@ def _source(site: Site | None, connect: str | None, ledger: str | None, tls: Pat
     return lambda: progress_of(site, ledger)
 
 
-def _watch(source: Callable[[], Progress]) -> None:
+def watch_progress(source: Callable[[], Progress], pause_s: float = _PAUSE_S, patience_s: float = _PATIENCE_S) -> None:
+    """Shows where a run stands until it is finished, through a restart of its coordinator.
+
+    Args:
+        source: tells where it stands; a `TransientError` means that nobody answered.
+        pause_s: between two questions, seconds.
+        patience_s: silence after which the error is passed on, seconds.
+    """
     progress = source()
+    heard = time.monotonic()
     with Live(draw_progress(progress), console=stdout, auto_refresh=False) as live:
         while not progress.finished:
-            time.sleep(1.0)
-            progress = source()
-            live.update(draw_progress(progress), refresh=True)
+            time.sleep(pause_s)
+            try:
+                progress = source()
+            except TransientError:
+                silence_s = time.monotonic() - heard
+                if silence_s > patience_s:
+                    raise
+                remark = Text(f"no answer for {say_duration(silence_s)}; asking again", style="yellow")
+                live.update(Group(draw_progress(progress), remark), refresh=True)
+            else:
+                heard = time.monotonic()
+                live.update(draw_progress(progress), refresh=True)
 
 
 def draw_progress(progress: Progress) -> Group:
@@ -101,6 +121,7 @@ def _workers(progress: Progress) -> Table:
     for column in ("slots", "leased", "archived", "state"):
         table.add_column(column, justify="right")
     for worker in progress.workers:
-        state = "alive" if worker.alive else f"silent since {worker.last_beat:%H:%M:%S}"
+        gone = "left" if progress.finished else f"silent since {worker.last_beat:%H:%M:%S}"
+        state = "alive" if worker.alive else gone
         table.add_row(worker.sid, str(worker.slots), str(worker.leased), str(worker.archived), state)
     return table
