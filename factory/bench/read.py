@@ -41,7 +41,7 @@ def bench_read(dataset: Dataset, frames: int, repeats: int, workers: int) -> Rea
     _round(visits, Episode.frame)
     start_mib = resident_mib()
     whole = [_round(visits, Episode.frame) for _ in range(repeats)]
-    loader = [_load(dataset, workers) for _ in range(repeats)] if importlib.util.find_spec("torch") else None
+    loader = [_load(dataset, workers, frames) for _ in range(repeats)] if importlib.util.find_spec("torch") else None
     return ReadBench(
         machine=machine,
         episodes=len(dataset),
@@ -81,14 +81,15 @@ def _open(dataset: Dataset, position: int) -> float:
     return time.perf_counter() - begun
 
 
-def _load(dataset: Dataset, workers: int) -> float:
+def _load(dataset: Dataset, workers: int, frames: int) -> float:
     import torch
 
-    frames = FrameDataset(dataset, with_ids=True)
+    source = FrameDataset(dataset, with_ids=True)
+    drawn = torch.utils.data.RandomSampler(source, num_samples=min(len(source), frames + _BATCH))
     # the client of an object store does not survive a fork
     context = None if not workers or isinstance(dataset.root, Path) else "spawn"
     loader: Any = torch.utils.data.DataLoader(
-        frames, _BATCH, shuffle=True, num_workers=workers, multiprocessing_context=context
+        source, _BATCH, sampler=drawn, num_workers=workers, multiprocessing_context=context
     )
     seen, begun = 0, 0.0
     for batch in loader:
