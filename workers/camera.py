@@ -19,6 +19,10 @@ __all__ = ["OpticalPose", "intrinsics", "optical_pose", "projection_matrix", "vi
 Matrix = NDArray[np.float64]
 
 
+_OPTICAL_AXES, _OPTICAL_SIGNS = [1, 2, 0], np.array((-1.0, -1.0, 1.0))
+"""Right, down and forward, as columns of a rotation of base_link, whose axes are forward, left and up."""
+
+
 @dataclass(frozen=True, slots=True)
 class OpticalPose:
     """Pose of the optical frame (x right, y down, z forward) in the world frame."""
@@ -32,9 +36,8 @@ class OpticalPose:
 def optical_pose(pose: Pose, camera: CameraConfig) -> OpticalPose:
     """Returns the pose of the optical frame for a base_link pose; the camera looks along base_link's x."""
     base = _rotation(pose)
-    eye = np.array((pose.x, pose.y, pose.z)) + base @ np.array((camera.x_m, camera.y_m, camera.z_m))
-    forward, left, up = base.T
-    return OpticalPose(eye, np.column_stack((-left, -up, forward)))
+    eye = base @ (camera.x_m, camera.y_m, camera.z_m) + (pose.x, pose.y, pose.z)
+    return OpticalPose(eye, base[:, _OPTICAL_AXES] * _OPTICAL_SIGNS)
 
 
 def view_matrix(optical: OpticalPose) -> Matrix:

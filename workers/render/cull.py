@@ -1,10 +1,11 @@
-"""Which parts of a scene the camera can see at all, nearest first.
+"""Which parts of a scene the camera can see at all, nearest far corner first.
 
 Pure geometry on bounding boxes; it never draws, and what one part hides of another is left to the depth test.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.scene import CompiledScene
 
-__all__ = ["PartBounds", "visible_parts"]
+__all__ = ["PartBounds", "reach_of_planes", "visible_parts"]
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,26 @@ class PartBounds:
             centre[part], half[part] = (low + high) / 2, (high - low) / 2
         return cls(centre, half)
 
+    @functools.cached_property
+    def facts(self) -> NDArray[np.float64]:
+        """(7, P) centre, half extents and 1: what a plane is multiplied with to tell how far each box reaches."""
+        return np.ascontiguousarray(np.column_stack((self.centre, self.half, np.ones(len(self.centre)))).T)
+
+
+def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns (N, 7) rows that, times `PartBounds.facts`, give the height of each box's highest corner above a plane.
+
+    Args:
+        normals: (N, 3) of the planes n x + offset = 0, of any length.
+        offsets: (N,)
+    """
+    return np.column_stack((normals, np.abs(normals), offsets))
+
 
 def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Returns the indices of the parts whose box reaches into the view, nearest box first.
+    """Returns the indices of the parts whose box reaches into the view; the one whose far corner is nearest first.
+
+    By that order a floor comes after what stands on it, and is drawn where it is seen.
 
     Args:
         bounds: of the parts.
@@ -47,8 +65,7 @@ def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np
     """
     w = clip[3]
     planes = np.concatenate((w + clip[:3], w - clip[:3]))  # left, bottom, near, right, top, far; inside is positive
-    normals, offsets = planes[:, :3], planes[:, 3]
-    reach = bounds.centre @ normals.T + bounds.half @ np.abs(normals).T + offsets
-    seen = np.flatnonzero((reach >= 0).all(axis=1))
-    gap = np.maximum(np.abs(bounds.centre[seen] - eye) - bounds.half[seen], 0.0)
-    return seen[np.argsort(np.einsum("ij,ij->i", gap, gap), kind="stable")]
+    reach = reach_of_planes(planes[:, :3], planes[:, 3]) @ bounds.facts
+    seen = np.flatnonzero(reach.min(axis=0) >= 0)
+    far = np.abs(bounds.centre[seen] - eye) + bounds.half[seen]
+    return seen[np.argsort(np.einsum("ij,ij->i", far, far), kind="stable")]

@@ -16,17 +16,16 @@ from numpy.typing import NDArray
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.camera import OpticalPose
-from workers.render.cull import PartBounds
+from workers.render.cull import PartBounds, reach_of_planes
 
 __all__ = ["Screens"]
 
 F64 = NDArray[np.float64]
 
-_LEAST_AREA_M2 = 2.0
-"""Rectangles smaller than this hide too little to be asked."""
+_LEAST_AREA_M2 = 0.5
+"""Rectangles smaller than this hide too little to be asked. Boxes in a rack are larger, and hide the next rack's."""
 _MOST_ASKED = 16
 """Rectangles asked a frame: those that fill most of the view."""
-_NEXT = [1, 2, 3, 0]
 _SAME_M = 1e-4
 """Corners closer than this are one."""
 _MARGIN_M = 0.005
@@ -53,6 +52,17 @@ class Screens:
     def _centres(self) -> F64:
         """(S, 3) metres."""
         return np.asarray(self.corners.mean(axis=1))
+
+    @functools.cached_property
+    def _radii(self) -> F64:
+        """(S,) from the centre to the farthest corner, metres."""
+        return np.asarray(np.linalg.norm(self.corners - self._centres[:, None], axis=2).max(axis=1, initial=0.0))
+
+    @functools.cached_property
+    def _edges(self) -> tuple[F64, F64]:
+        """(S, 4, 3) each: the cross product of an edge's end with its start, and the edge itself."""
+        ends = np.roll(self.corners, -1, axis=1)
+        return np.cross(ends, self.corners), ends - self.corners
 
     @classmethod
     def of(cls, scene: CompiledScene) -> Self:
@@ -83,35 +93,39 @@ class Screens:
             camera: gives near plane and field of view.
         """
         planes, offsets = self._shadows(optical, camera)
-        low = bounds.centre[parts] @ planes.T + offsets - bounds.half[parts] @ np.abs(planes).T
-        within: NDArray[np.bool_] = (low > _MARGIN_M).reshape(len(parts), len(planes) // 5, 5)
-        return np.asarray(np.any(within.all(axis=2), axis=1))
+        high = reach_of_planes(-planes, -offsets) @ bounds.facts[:, parts]  # over the planes turned round
+        within = high.reshape(5, len(planes) // 5, len(parts)).max(axis=0) < -_MARGIN_M
+        return np.asarray(within.any(axis=0))
 
     def _shadows(self, optical: OpticalPose, camera: CameraConfig) -> tuple[F64, F64]:
-        """Returns the planes of the shadows, five a rectangle: (5 R, 3) normals to the inside and (5 R,) offsets.
+        """Returns the planes of the shadows, the first of every rectangle first: (5 R, 3) normals to the inside and
+        (5 R,) offsets.
 
-        A shadow is what lies behind the rectangle and between the four planes through the eye and its edges.
+        A shadow is what lies behind the rectangle and between the four planes through the eye and its edges. The plane
+        through the eye e and an edge from p to q has the normal (q - e) x (p - e) = q x p + e x (q - p).
         """
         chosen = self._choose(optical, camera)
-        spokes = self.corners[chosen] - optical.eye
-        sides = np.cross(spokes[:, _NEXT], spokes)
+        x, y, z = optical.eye.tolist()
+        times_eye = np.array(((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0)))  # v @ it is the cross product of e and v
+        moments, edges = self._edges
+        sides = moments[chosen] + edges[chosen] @ times_eye
         sides /= np.sqrt(np.einsum("rpk,rpk->rp", sides, sides))[:, :, None]
         planes = np.concatenate((sides, -self.normals[chosen, None]), axis=1)
         offsets = -(planes @ optical.eye)
         offsets[:, 4] = self._heights[chosen]
-        return planes.reshape(-1, 3), offsets.ravel()
+        return planes.transpose(1, 0, 2).reshape(-1, 3), offsets.T.ravel()
 
     def _choose(self, optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
-        """Returns the rectangles that face the eye, are not cut by the near plane, and look largest."""
-        ahead = ((self.corners - optical.eye) @ optical.rotation[:, 2]).max(axis=1)
+        """Returns the rectangles that face the eye, are not behind it or cut by the near plane, and look largest."""
         height = self.normals @ optical.eye - self._heights
         away = self._centres - optical.eye
-        gap = np.sqrt(np.einsum("sk,sk->s", away, away))
+        square = np.einsum("sk,sk->s", away, away)
         nearest = camera.near_m * math.sqrt(1 + 2 * math.tan(math.radians(camera.fov_deg) / 2) ** 2)
-        can_hide = (height > nearest + _MARGIN_M) & (ahead > 0)
-        size = np.where(can_hide, self.areas * height / gap**3, 0.0)
-        order: NDArray[np.intp] = np.argsort(-size, kind="stable")[:_MOST_ASKED]
-        return order[: int(np.count_nonzero(size[order]))]
+        can_hide = (height > nearest + _MARGIN_M) & (away @ optical.rotation[:, 2] > -self._radii)
+        size = self.areas * height / (square * np.sqrt(square)) * can_hide
+        if len(size) > _MOST_ASKED:
+            size[np.argpartition(size, -_MOST_ASKED)[:-_MOST_ASKED]] = 0.0
+        return np.flatnonzero(size)
 
 
 def _rectangles(first: NDArray[np.float64], second: NDArray[np.float64]) -> F64:

@@ -76,9 +76,19 @@ class _Strip(NamedTuple):
         low, high = self._corners(along, across, z)
         return block(low, high)
 
+    def leaf(self, along: tuple[float, float], side: float, z: tuple[float, float]) -> Mesh:
+        """The half towards lower (side -1) or higher (+1) coordinates, without the face that the other half hides."""
+        return self._backless(along, side, (0.0, WALL_THICKNESS_M / 2), z)
+
     def applied(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> Mesh:
         """A bar on the face towards lower (side -1) or higher (+1) coordinates, without its back."""
-        near, far = sorted((side * WALL_THICKNESS_M / 2, side * (WALL_THICKNESS_M / 2 + proud)))
+        return self._backless(along, side, (WALL_THICKNESS_M / 2, WALL_THICKNESS_M / 2 + proud), z)
+
+    def _backless(
+        self, along: tuple[float, float], side: float, out: tuple[float, float], z: tuple[float, float]
+    ) -> Mesh:
+        """A block from `out[0]` to `out[1]` metres off the middle, without the face towards the middle."""
+        near, far = sorted((side * out[0], side * out[1]))
         front = ("SN" if self.is_along_x else "WE")[side > 0]
         return open_block(*self._corners(along, (near, far), z), front + ("EWBT" if self.is_along_x else "SNBT"))
 
@@ -151,12 +161,11 @@ def _solid(
     trims: Trims,
 ) -> list[Piece]:
     """One unbroken stretch: two half-thick leaves and what runs along them."""
-    half = WALL_THICKNESS_M / 2
     if along[1] - along[0] < 1e-3:
         return []
     pieces = [
-        Piece(faces[0], strip.box(along, (-half, 0.0), z)),
-        Piece(faces[1], strip.box(along, (0.0, half), z)),
+        Piece(faces[0], strip.leaf(along, -1.0, z)),
+        Piece(faces[1], strip.leaf(along, 1.0, z)),
     ]
     for trim, side in zip(trims, (-1.0, 1.0), strict=True):
         if trim is not None:

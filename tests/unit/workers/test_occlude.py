@@ -52,7 +52,7 @@ def test_a_wall_hides_nothing_from_behind_and_nothing_when_the_near_plane_cuts_i
 
 
 def test_a_small_wall_is_not_asked() -> None:
-    scene = build_scene([Box((2.0, -0.6, 0.0), (2.2, 0.6, 1.2)), Box((3.0, -0.1, 0.2), (3.1, 0.1, 0.4))])
+    scene = build_scene([Box((2.0, -0.3, 0.0), (2.2, 0.3, 0.6)), Box((3.0, -0.1, 0.2), (3.1, 0.1, 0.4))])
     assert hidden_in(scene) == set()
 
 

@@ -1,0 +1,200 @@
+"""A scene on the device, and the programs that draw it: what the OpenGL renderer keeps of each place.
+
+Draws the parts that it is told to; which those are, targets and reading back are the renderer's.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import CameraConfig
+from schemas.scene import CompiledScene
+from workers.camera import OpticalPose
+from workers.render.cull import PartBounds, visible_parts
+from workers.render.occlude import Screens
+from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
+
+__all__ = ["GpuScene", "Lens", "Programs"]
+
+_TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
+_DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])
+"""OpenGL's DrawElementsIndirectCommand."""
+_BANDS = 3
+"""In each of so many bands of distance, plain parts are drawn first: what they hide needs no texture looked up. With
+fewer bands far plain parts are drawn over, with more the programs change too often."""
+
+
+class Lens(NamedTuple):
+    """What the programs are told of a look."""
+
+    clip_from_world: bytes
+    """(4, 4) float32, by columns."""
+    far_m: float
+    """Depth ends here: the far plane itself cuts to half a millimetre."""
+
+
+class _Program:
+    """A compiled pair of shaders."""
+
+    def __init__(self, context: moderngl.Context, pair: ShaderPair) -> None:
+        self._context = context
+        self._pair = pair
+        self._program: Any = context.program(vertex_shader=pair.vertex, fragment_shader=pair.fragment)
+        if "light" in self._program:
+            self._program["light"] = _LIGHT_UNIT
+
+    def look_through(self, lens: Lens) -> None:
+        self._program["clip_from_world"].write(lens.clip_from_world)
+        self._program["far_m"] = lens.far_m
+
+    def reading(self, mesh: _Mesh) -> moderngl.VertexArray:
+        content = [(mesh.vertices, self._pair.layout, *self._pair.fields)]
+        return self._context.vertex_array(self._program, content, mesh.corners, index_element_size=4)
+
+
+class _Mesh(NamedTuple):
+    """The vertices of a scene, each once, and which of them the triangles' corners are."""
+
+    vertices: moderngl.Buffer
+    corners: moderngl.Buffer
+
+    @classmethod
+    def of(cls, context: moderngl.Context, scene: CompiledScene) -> _Mesh:
+        every = _interleave(scene)
+        _, firsts, found = np.unique(every.view(f"V{VERTEX.itemsize}"), return_index=True, return_inverse=True)
+        order = np.argsort(firsts)  # in the order of their parts, so that a part's vertices lie together
+        rank = np.empty(len(order), np.uint32)
+        rank[order] = np.arange(len(order))
+        vertices, corners = every[firsts[order]], rank[found]
+        return cls(
+            context.buffer(vertices.tobytes() or bytes(VERTEX.itemsize)), context.buffer(corners.tobytes() or bytes(4))
+        )
+
+
+class Programs:
+    """All that draw, each compiled when the first scene needs it."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._made: dict[ShaderPair, _Program] = {}
+
+    def of(self, pair: ShaderPair) -> _Program:
+        """Returns the program of these shaders."""
+        if pair not in self._made:
+            self._made[pair] = _Program(self._context, pair)
+        return self._made[pair]
+
+
+class GpuScene:
+    """Vertices, textures and light map of a scene; and what tells which of its parts are in view."""
+
+    def __init__(self, context: moderngl.Context, programs: Programs, scene: CompiledScene) -> None:
+        """Uploads a scene.
+
+        Args:
+            context: the device, current.
+            programs: of the same context.
+            scene: the place.
+        """
+        self._is_textured = scene.part_texture >= 0
+        self._bounds, self._screens = PartBounds.of(scene), Screens.of(scene)
+        self._draws = np.zeros(len(scene.part_first), _DRAW)
+        self._draws["count"], self._draws["first"] = scene.part_count, scene.part_first
+        self._draws["instances"] = 1
+        self._commands = context.buffer(reserve=max(1, self._draws.nbytes), dynamic=True)
+        self._mesh = _Mesh.of(context, scene)
+        pairs = (PLAIN, TEXTURED) if _has_flat_colours(scene) else (PLAIN.blended(), TEXTURED.blended())
+        self._coloured = [programs.of(pair) for pair in pairs]
+        self._bare = programs.of(BARE)
+        self._plain, self._textured = (program.reading(self._mesh) for program in self._coloured)
+        self._uncoloured = self._bare.reading(self._mesh)
+        self._textures = _upload_textures(context, scene.textures)
+        self._light = _upload_light(context, scene.light_map)
+
+    def parts_to_draw(self, clip: NDArray[np.float64], optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
+        """Returns the parts that reach into the view and do not stand behind a wall, nearest first."""
+        parts = visible_parts(self._bounds, clip, optical.eye)
+        return parts[~self._screens.hidden(self._bounds, parts, optical, camera)]
+
+    def draw(self, parts: NDArray[np.intp], lens: Lens) -> None:
+        """Draws parts in the order given, but in each band of distance the plain ones first."""
+        for program in self._coloured:
+            program.look_through(lens)
+        self._light.use(_LIGHT_UNIT)
+        self._textures.use(_TEXTURE_UNIT)
+        first = 0
+        for run, count in enumerate(self._lay_down(parts)):
+            if count:
+                (self._plain, self._textured)[run % 2].render_indirect(self._commands, count=count, first=first)
+            first += count
+
+    def draw_bare(self, parts: NDArray[np.intp], lens: Lens) -> None:
+        """Draws depth and ids of parts, in the order of `draw`."""
+        self._bare.look_through(lens)
+        count = sum(self._lay_down(parts))
+        if count:
+            self._uncoloured.render_indirect(self._commands, count=count)
+
+    def _lay_down(self, parts: NDArray[np.intp]) -> list[int]:
+        """Writes what is to be drawn; returns how many parts are plain and textured in each band, alternately."""
+        count = len(parts)
+        if not count:
+            return []
+        run = np.arange(count) * _BANDS // count * 2 + self._is_textured[parts]
+        self._commands.write(self._draws[parts[np.argsort(run, kind="stable")]].tobytes())
+        return [int(each) for each in np.bincount(run)]
+
+    def close(self) -> None:
+        """Frees the device memory."""
+        arrays = (self._plain, self._textured, self._uncoloured)
+        for held in (*arrays, *self._mesh, self._commands, self._textures, self._light):
+            held.release()
+
+
+def _has_flat_colours(scene: CompiledScene) -> bool:
+    corners = scene.colours.reshape(-1, 3, 3)
+    return bool((corners == corners[:, :1]).all())
+
+
+def _interleave(scene: CompiledScene) -> NDArray[np.void]:
+    """Returns the vertices as the shader reads them; what belongs to a part is repeated for each of its vertices."""
+    vertices = np.zeros(len(scene.positions), VERTEX)
+    vertices["position"], vertices["uv"] = scene.positions, scene.uvs
+    vertices["colour"][:, :3] = scene.colours
+    if len(scene.light_uvs):
+        vertices["light_uv"] = scene.light_uvs
+    for first, count, instance, layer in zip(
+        scene.part_first, scene.part_count, scene.part_instance, scene.part_texture, strict=True
+    ):
+        run = slice(first, first + count)
+        vertices["instance"][run], vertices["layer"][run] = instance, layer
+    return vertices
+
+
+def _upload_textures(context: moderngl.Context, textures: NDArray[np.uint8]) -> moderngl.TextureArray:
+    """Uploads the layers upside down, because v = 0 is the bottom row, and makes their mipmaps.
+
+    The nearest mipmap alone is sampled: mixing two of them looks the same here and costs as much as the light map.
+    """
+    layers = textures[:, ::-1] if len(textures) else np.full((1, 1, 1, 3), 255, np.uint8)
+    count, height, width, _ = layers.shape
+    array = context.texture_array((width, height, count), 3, np.ascontiguousarray(layers))
+    array.build_mipmaps()
+    array.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
+    return array
+
+
+def _upload_light(context: moderngl.Context, light_map: NDArray[np.uint8]) -> moderngl.Texture:
+    """Uploads the light map, with a fourth channel that llvmpipe is faster with; without one, all is fully lit."""
+    rows, columns = light_map.shape[:2] if light_map.size else (1, 1)
+    texels = np.full((rows, columns, 4), 255, np.uint8)
+    if light_map.size:
+        texels[:, :, :3] = light_map
+    texture = context.texture((columns, rows), 4, texels)
+    texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
