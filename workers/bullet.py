@@ -30,6 +30,7 @@ __all__ = [
     "Placement",
     "bullet_version",
     "mesh_lists",
+    "recycle",
 ]
 
 MESH_TRIANGLES = 40_000
@@ -85,7 +86,10 @@ class Placement(NamedTuple):
 
 
 class MeshLists(NamedTuple):
-    """A piece of a mesh as the plain lists PyBullet reads fastest; within the limits of one shape."""
+    """A piece of a mesh as the plain lists PyBullet reads fastest; within the limits of one shape.
+
+    PyBullet never lets go of a list it was given, so `recycle` what is no longer needed.
+    """
 
     vertices: list[list[float]]
     indices: list[int]
@@ -117,8 +121,37 @@ def mesh_lists(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> t
     pieces = []
     for first in range(0, len(triangles), MESH_TRIANGLES):
         used, local = np.unique(triangles[first : first + MESH_TRIANGLES], return_inverse=True)
-        pieces.append(MeshLists(vertices[used].tolist(), local.ravel().tolist()))
+        pieces.append(MeshLists(_as_lists(vertices[used]), local.ravel().tolist()))
     return tuple(pieces)
+
+
+def recycle(pieces: tuple[MeshLists, ...]) -> None:
+    """Takes back the lists of a mesh that no world will be built from any more, and leaves it empty.
+
+    `createCollisionShape` and `createVisualShape` keep a reference to every list for good: 5 MB for each load of a
+    warehouse. So the next mesh is written into the same lists.
+    """
+    for piece in pieces:
+        _take_back(piece.vertices)
+        piece.indices.clear()
+
+
+_spare: list[list[float]] = []
+"""Vertices of meshes that are no longer needed."""
+
+
+def _take_back(lists: list[list[float]]) -> None:
+    _spare.extend(lists)
+    lists.clear()
+
+
+def _as_lists(points: NDArray[np.float32]) -> list[list[float]]:
+    lists: list[list[float]] = points.tolist()
+    for row in range(min(len(lists), len(_spare))):
+        spare = _spare.pop()
+        spare[:] = lists[row]
+        lists[row] = spare
+    return lists
 
 
 class BulletClient:
@@ -269,15 +302,20 @@ class BulletClient:
         Returns:
             The body id, which the camera image shows.
         """
+        lists = [_as_lists(each) for each in (positions, _corner_normals(positions), uvs)]
+        indices = list(range(len(positions)))
         shape = _p.createVisualShape(
             _p.GEOM_MESH,
-            vertices=positions.tolist(),
-            indices=list(range(len(positions))),
-            normals=_corner_normals(positions).tolist(),
-            uvs=uvs.tolist(),
+            vertices=lists[0],
+            indices=indices,
+            normals=lists[1],
+            uvs=lists[2],
             rgbaColor=(*rgb, 1.0),
             physicsClientId=self._id,
         )
+        indices.clear()
+        for each in lists:
+            _take_back(each)
         return self._add_static(0.0, visual=shape)
 
     def load_texture(self, path: Path) -> int:

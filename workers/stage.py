@@ -26,7 +26,7 @@ from workers.world import ColliderMesh
 
 __all__ = ["LoadedScene", "Stage", "prepare_scene"]
 
-_KEPT_SCENES = 4
+_KEPT_SCENES = 2
 
 
 @dataclass(frozen=True)

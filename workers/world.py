@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+import weakref
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
@@ -14,7 +15,7 @@ from typing import Self
 
 from schemas.config import RobotConfig
 from schemas.scene import CompiledScene
-from workers.bullet import BulletClient, MeshLists, Placement, mesh_lists
+from workers.bullet import BulletClient, MeshLists, Placement, mesh_lists, recycle
 from workers.pose import Pose
 from workers.robot import BASE_LINK, CASTERS, LEFT_WHEEL, RIGHT_WHEEL, robot_urdf
 
@@ -44,7 +45,9 @@ class ColliderMesh:
     @classmethod
     def from_scene(cls, scene: CompiledScene) -> Self:
         """Prepares the obstacles of a compiled scene."""
-        return cls(mesh_lists(scene.collider_vertices, scene.collider_triangles))
+        mesh = cls(mesh_lists(scene.collider_vertices, scene.collider_triangles))
+        weakref.finalize(mesh, recycle, mesh.pieces)
+        return mesh
 
 
 class World:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import math
 import struct
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from schemas.config import RobotConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene
 from tests.builders.scene import Box, box_room, build_scene, room_walls
-from workers.bullet import MESH_TRIANGLES, MeshLists, mesh_lists
+from workers.bullet import MESH_TRIANGLES, BulletClient, MeshLists, mesh_lists
 from workers.slew import Twist, slew
 from workers.world import ColliderMesh, World
 
@@ -197,6 +199,24 @@ def test_large_meshes_are_cut_into_pieces_that_hold_the_same_triangles() -> None
     corners = [np.array(piece.vertices)[piece.indices] for piece in pieces]
     assert [len(piece) // 3 for piece in corners] == [MESH_TRIANGLES, 7]
     assert np.array_equal(np.concatenate(corners), vertices[triangles.ravel()])
+
+
+def test_meshes_that_are_no_longer_needed_leave_nothing_behind() -> None:
+    """PyBullet keeps a reference to every list it was ever given."""
+    rng = np.random.default_rng(0)
+    vertices = rng.uniform(3, 4, (3000, 3)).astype(np.float32)
+    scene = replace(
+        box_room(),
+        collider_vertices=vertices,
+        collider_triangles=rng.integers(0, 3000, (3000, 3)).astype(np.int32),
+    )
+    counts = []
+    for _ in range(6):
+        with open_world(scene), BulletClient() as client:
+            client.add_visual(vertices, vertices[:, :2], (1.0, 1.0, 1.0))
+        gc.collect()
+        counts.append(sum(type(each) is list for each in gc.get_objects()))
+    assert counts[-1] - counts[2] < 300
 
 
 def test_a_refused_collider_is_told_with_its_size() -> None:
