@@ -60,7 +60,8 @@ class Episode:
     @property
     def meta(self) -> EpisodeMeta:
         """All that is recorded of the episode beside its arrays."""
-        return self._bundle().meta
+        with self._reading() as bundle:
+            return bundle.meta
 
     @property
     def actions(self) -> NDArray[np.float32]:
@@ -118,10 +119,7 @@ class Episode:
 
     def _bundle(self) -> BundleReader:
         if self._opened is None or self._opened.pid != os.getpid():  # a fork shares the file's position
-            self._opened = _Opened(self.path)
-            if self._opened.bundle.length != len(self):
-                found = f"{self._opened.bundle.length} steps, the metadata says {len(self)}"
-                raise ArchiveCorrupt(f"{self.path} has {found}: run `factory verify --deep`")
+            self._opened = _Opened(self.path, len(self))
         return self._opened.bundle
 
     @contextmanager
@@ -152,7 +150,7 @@ class Episode:
 class _Opened:
     """A bundle, its file and the process that opened it; the file is closed when this is forgotten."""
 
-    def __init__(self, path: Place) -> None:
+    def __init__(self, path: Place, steps: int) -> None:
         try:
             file: BinaryIO = path.open("rb")
         except FileNotFoundError as error:
@@ -162,10 +160,20 @@ class _Opened:
         self.close = weakref.finalize(self, file.close)
         self.pid = os.getpid()
         try:
-            self.bundle = BundleReader(file)
+            self.bundle = BundleReader(file, steps)
         except InvalidBundle as error:
+            refusal = _refusal(path, file, steps)
             self.close()
-            raise _corrupt(path, error) from error
+            raise refusal from error
+
+
+def _refusal(path: Place, file: BinaryIO, steps: int) -> ArchiveCorrupt:
+    """Says by the bundle's own metadata what is wrong with one that does not have the steps expected."""
+    try:
+        own = BundleReader(file)
+    except InvalidBundle as error:
+        return _corrupt(path, error)
+    return ArchiveCorrupt(f"{path} has {own.length} steps, the metadata says {steps}: run `factory verify --deep`")
 
 
 def _corrupt(path: Place, error: InvalidBundle) -> ArchiveCorrupt:
