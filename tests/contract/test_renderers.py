@@ -156,6 +156,19 @@ def test_textures_stand_upright_and_multiply_the_colour(renderer: Renderer) -> N
     assert frame.rgb[rows[-4], 320].tolist() == [0, 0, 0]
 
 
+@pytest.mark.gl
+def test_corners_of_different_colours_are_blended() -> None:
+    """OpenGL alone: TinyRenderer has one colour a mesh."""
+    scene = build_scene([Box((2.0, -2.0, -2.0), (2.1, 2.0, 3.0), RED)])
+    on_the_left = scene.positions[:, 1] > 0
+    with open_renderer("gl") as renderer:
+        renderer.load(replace(scene, colours=np.where(on_the_left[:, None], RED, BLUE).astype(np.uint8)), CAMERA)
+        red, _, blue = renderer.render(ORIGIN).rgb[320].astype(int).T
+    assert red[20] > red[320] > red[-20]
+    assert blue[20] < blue[320] < blue[-20]
+    assert abs(int(red[320]) - 115) < 20
+
+
 def test_baked_light_multiplies_the_colour(renderer: Renderer) -> None:
     scene = build_scene([wall(3.0)])
     light = np.full((2, 2, 3), (51, 102, 255), np.uint8)
