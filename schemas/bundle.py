@@ -134,6 +134,8 @@ class BundleReader:
         _keep_freed_memory()
         self._in = ContainerReader(file, _LIMITS)
         self.length = self.meta.rollout.num_steps if steps is None else steps
+        if self.length > MAX_FRAMES:  # before as many names are made
+            raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle holds at most {MAX_FRAMES}"])
         expected = member_names(self.length)
         if self._in.names != expected:
             raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))

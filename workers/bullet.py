@@ -20,21 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import WorldError
+from workers.mesh_lists import MeshLists, as_lists, take_back
 
 __all__ = [
-    "MESH_TRIANGLES",
     "BulletClient",
     "CameraImage",
     "Contact",
-    "MeshLists",
     "Placement",
     "bullet_version",
-    "mesh_lists",
-    "recycle",
 ]
-
-MESH_TRIANGLES = 40_000
-"""Most triangles a shape is given; Bullet refuses more than 131072 vertices or 524288 indices."""
 
 _UNLIT = {"shadow": 0, "lightAmbientCoeff": 1.0, "lightDiffuseCoeff": 0.0, "lightSpecularCoeff": 0.0}
 
@@ -85,16 +79,6 @@ class Placement(NamedTuple):
     orientation: Quaternion
 
 
-class MeshLists(NamedTuple):
-    """A piece of a mesh as the plain lists PyBullet reads fastest; within the limits of one shape.
-
-    PyBullet never lets go of a list it was given, so `recycle` what is no longer needed.
-    """
-
-    vertices: list[list[float]]
-    indices: list[int]
-
-
 class CameraImage(NamedTuple):
     """What the TinyRenderer saw; rows from the top."""
 
@@ -109,49 +93,6 @@ class CameraImage(NamedTuple):
 def bullet_version() -> str:
     """Returns the version of PyBullet's interface."""
     return version("pybullet")
-
-
-def mesh_lists(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> tuple[MeshLists, ...]:
-    """Cuts an indexed mesh into pieces that a shape can hold.
-
-    Args:
-        vertices: (M, 3) metres.
-        triangles: (K, 3) indices into `vertices`.
-    """
-    pieces = []
-    for first in range(0, len(triangles), MESH_TRIANGLES):
-        used, local = np.unique(triangles[first : first + MESH_TRIANGLES], return_inverse=True)
-        pieces.append(MeshLists(_as_lists(vertices[used]), local.ravel().tolist()))
-    return tuple(pieces)
-
-
-def recycle(pieces: tuple[MeshLists, ...]) -> None:
-    """Takes back the lists of a mesh that no world will be built from any more, and leaves it empty.
-
-    `createCollisionShape` and `createVisualShape` keep a reference to every list for good: 5 MB for each load of a
-    warehouse. So the next mesh is written into the same lists.
-    """
-    for piece in pieces:
-        _take_back(piece.vertices)
-        piece.indices.clear()
-
-
-_spare: list[list[float]] = []
-"""Vertices of meshes that are no longer needed."""
-
-
-def _take_back(lists: list[list[float]]) -> None:
-    _spare.extend(lists)
-    lists.clear()
-
-
-def _as_lists(points: NDArray[np.float32]) -> list[list[float]]:
-    lists: list[list[float]] = points.tolist()
-    for row in range(min(len(lists), len(_spare))):
-        spare = _spare.pop()
-        spare[:] = lists[row]
-        lists[row] = spare
-    return lists
 
 
 class BulletClient:
@@ -302,7 +243,7 @@ class BulletClient:
         Returns:
             The body id, which the camera image shows.
         """
-        lists = [_as_lists(each) for each in (positions, _corner_normals(positions), uvs)]
+        lists = [as_lists(each) for each in (positions, _corner_normals(positions), uvs)]
         indices = list(range(len(positions)))
         shape = _p.createVisualShape(
             _p.GEOM_MESH,
@@ -315,7 +256,7 @@ class BulletClient:
         )
         indices.clear()
         for each in lists:
-            _take_back(each)
+            take_back(each)
         return self._add_static(0.0, visual=shape)
 
     def load_texture(self, path: Path) -> int:

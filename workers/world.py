@@ -15,7 +15,8 @@ from typing import Self
 
 from schemas.config import RobotConfig
 from schemas.scene import CompiledScene
-from workers.bullet import BulletClient, MeshLists, Placement, mesh_lists, recycle
+from workers.bullet import BulletClient, Placement
+from workers.mesh_lists import MeshLists, mesh_lists, recycle
 from workers.pose import Pose
 from workers.robot import BASE_LINK, CASTERS, LEFT_WHEEL, RIGHT_WHEEL, robot_urdf
 

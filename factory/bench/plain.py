@@ -19,8 +19,8 @@ from factory.bench.watch import Watch
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import CompiledScene
-from workers.bullet import mesh_lists
 from workers.camera import optical_pose, projection_matrix, view_matrix
+from workers.mesh_lists import mesh_lists
 from workers.pose import Pose
 from workers.render.tiny import TinyScene
 from workers.world import ColliderMesh, World

@@ -20,8 +20,9 @@ from schemas.config import CameraConfig
 from schemas.errors import UsageError
 from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene
-from workers.bullet import MESH_TRIANGLES, BulletClient, CameraImage, bullet_version
+from workers.bullet import BulletClient, CameraImage, bullet_version
 from workers.camera import optical_pose, projection_matrix, view_matrix
+from workers.mesh_lists import MESH_TRIANGLES
 from workers.pose import Pose
 from workers.render import Frame, Relief
 from workers.render.shelf import SceneShelf

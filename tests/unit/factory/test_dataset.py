@@ -136,6 +136,13 @@ def test_damaged_frame_is_named_and_the_others_can_be_read(own: Path) -> None:
         episode.rgb(3)
 
 
+def test_a_table_that_claims_a_thousand_million_steps_costs_nothing(own: Path) -> None:
+    true = Dataset(own)[0]
+    false = Episode(true.path, true.summary.model_copy(update={"num_steps": 10**9}))
+    with pytest.raises(ArchiveCorrupt, match="has 12 steps, the metadata says 1000000000"):
+        false.rgb(0)
+
+
 def test_swapped_file_is_noticed(own: Path) -> None:
     (own / "episodes/ep_000001.zip").write_bytes(parts_for(steps=13).write())
     with pytest.raises(ArchiveCorrupt, match="has 13 steps, the metadata says 12"):
