@@ -129,10 +129,21 @@ def test_what_lies_beyond_the_clip_range_is_nothing(renderer: Renderer) -> None:
 
 def test_a_surface_that_the_far_plane_cuts_ends_on_this_side_of_it(renderer: Renderer) -> None:
     renderer.load(build_scene([wall(CAMERA.x_m + CAMERA.far_m)]), CAMERA)
-    for yaw_rad in (-2e-4, -1e-4, 1e-4, 2e-4):  # millimetres over the image: the depth buffer tells half of one apart
+    for yaw_rad in (-2e-4, -1e-4, 1e-4, 2e-4):  # millimetres over the image
         depth = renderer.render(Pose.planar(0.0, 0.0, yaw_rad)).depth
         assert 0.3 < np.count_nonzero(depth) / depth.size < 0.7
         assert DEPTH_FRAME.violations(depth) == []
+
+
+@pytest.mark.gl
+def test_depth_is_as_fine_far_away_as_a_float_is() -> None:
+    """OpenGL alone: TinyRenderer's depth buffer has 24 bits."""
+    far = CAMERA.x_m + 29.0
+    halves = (Box((far, -40, -40), (far + 1, 0, 40), RED), Box((far + 1e-4, 0, -40), (far + 1, 40, 40), BLUE))
+    with open_renderer("gl") as renderer:
+        depth = look(renderer, *halves).depth
+    assert depth[:, 330:] == pytest.approx(29.0, abs=1e-5)
+    assert depth[:, :310] == pytest.approx(29.0001, abs=1e-5)
 
 
 def test_a_surface_through_the_camera_plane_is_cut_cleanly(renderer: Renderer) -> None:

@@ -18,7 +18,7 @@ from workers.render.cull import PartBounds, visible_parts
 from workers.render.occlude import Screens
 from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
 
-__all__ = ["GpuScene", "Lens", "Programs"]
+__all__ = ["GpuScene", "Programs"]
 
 _TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])
@@ -26,15 +26,6 @@ _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_
 _BANDS = 3
 """In each of so many bands of distance, plain parts are drawn first: what they hide needs no texture looked up. With
 fewer bands far plain parts are drawn over, with more the programs change too often."""
-
-
-class Lens(NamedTuple):
-    """What the programs are told of a look."""
-
-    clip_from_world: bytes
-    """(4, 4) float32, by columns."""
-    far_m: float
-    """Depth ends here: the far plane itself cuts to half a millimetre."""
 
 
 class _Program:
@@ -47,9 +38,8 @@ class _Program:
         if "light" in self._program:
             self._program["light"] = _LIGHT_UNIT
 
-    def look_through(self, lens: Lens) -> None:
-        self._program["clip_from_world"].write(lens.clip_from_world)
-        self._program["far_m"] = lens.far_m
+    def look_through(self, clip_from_world: bytes) -> None:
+        self._program["clip_from_world"].write(clip_from_world)
 
     def reading(self, mesh: _Mesh) -> moderngl.VertexArray:
         content = [(mesh.vertices, self._pair.layout, *self._pair.fields)]
@@ -120,10 +110,15 @@ class GpuScene:
         parts = visible_parts(self._bounds, clip, optical.eye)
         return parts[~self._screens.hidden(self._bounds, parts, optical, camera)]
 
-    def draw(self, parts: NDArray[np.intp], lens: Lens) -> None:
-        """Draws parts in the order given, but in each band of distance the plain ones first."""
+    def draw(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
+        """Draws parts in the order given, but in each band of distance the plain ones first.
+
+        Args:
+            parts: indices.
+            clip_from_world: (4, 4) float32, by columns.
+        """
         for program in self._coloured:
-            program.look_through(lens)
+            program.look_through(clip_from_world)
         self._light.use(_LIGHT_UNIT)
         self._textures.use(_TEXTURE_UNIT)
         first = 0
@@ -132,9 +127,9 @@ class GpuScene:
                 (self._plain, self._textured)[run % 2].render_indirect(self._commands, count=count, first=first)
             first += count
 
-    def draw_bare(self, parts: NDArray[np.intp], lens: Lens) -> None:
+    def draw_bare(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
         """Draws depth and ids of parts, in the order of `draw`."""
-        self._bare.look_through(lens)
+        self._bare.look_through(clip_from_world)
         count = sum(self._lay_down(parts))
         if count:
             self._uncoloured.render_indirect(self._commands, count=count)

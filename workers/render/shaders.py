@@ -1,8 +1,7 @@
 """The shaders of the OpenGL renderer, and how a vertex lies in memory for them; text and numbers only.
 
 Colour has two pairs, because llvmpipe looks a texture up for every pixel of a shader that might need it, and looking up
-is half the cost of a frame; depth and ids alone have a third. Each ends at the far plane, which would cut depth to half
-a millimetre.
+is half the cost of a frame; depth and ids alone have a third. None writes depth: the depth buffer is the depth image.
 """
 
 from __future__ import annotations
@@ -57,18 +56,17 @@ void main() {
     """
 #version 330
 in vec2 frag_light; flat in vec3 frag_colour; flat in int frag_instance;
-uniform sampler2D light; uniform float far_m;
-layout(location = 0) out vec4 rgb; layout(location = 1) out float depth; layout(location = 2) out uint id;
+uniform sampler2D light;
+layout(location = 0) out vec4 rgb; layout(location = 1) out uint id;
 void main() {
     rgb = vec4(frag_colour * texture(light, frag_light).rgb, 1.0);
-    depth = min(1.0 / gl_FragCoord.w, far_m);
     id = uint(frag_instance);
 }
 """,
     "3f4 8x 2f4 4f1 1u2 2x",
     ("position", "light_uv", "colour", "instance"),
 )
-"""For parts of plain colour. Depth is clip w, the distance along the optical axis. One colour a triangle."""
+"""For parts of plain colour. One colour a triangle."""
 
 TEXTURED = ShaderPair(
     """
@@ -84,12 +82,11 @@ void main() {
     """
 #version 330
 in vec2 frag_uv; in vec2 frag_light; flat in vec3 frag_colour; flat in int frag_instance; flat in int frag_layer;
-uniform sampler2DArray layers; uniform sampler2D light; uniform float far_m;
-layout(location = 0) out vec4 rgb; layout(location = 1) out float depth; layout(location = 2) out uint id;
+uniform sampler2DArray layers; uniform sampler2D light;
+layout(location = 0) out vec4 rgb; layout(location = 1) out uint id;
 void main() {
     vec3 surface = frag_colour * texture(layers, vec3(frag_uv, float(frag_layer))).rgb;
     rgb = vec4(surface * texture(light, frag_light).rgb, 1.0);
-    depth = min(1.0 / gl_FragCoord.w, far_m);
     id = uint(frag_instance);
 }
 """,
@@ -112,10 +109,8 @@ void main() {
     """
 #version 330
 flat in int frag_instance;
-uniform float far_m;
-layout(location = 1) out float depth; layout(location = 2) out uint id;
+layout(location = 1) out uint id;
 void main() {
-    depth = min(1.0 / gl_FragCoord.w, far_m);
     id = uint(frag_instance);
 }
 """,
