@@ -55,8 +55,8 @@ def cabinet(variant: int, rng: Generator) -> list[Piece]:
             *(Piece(BLACK, m) for m in grips),
         ]
     boards = [block((x - 0.02, -0.16, 0.0), (x + 0.02, 0.16, 1.85)) for x in (-0.43, 0.43)]
-    boards.append(block((-0.43, 0.14, 0.0), (0.43, 0.16, 1.85)))
-    boards += [block((-0.43, -0.16, 0.05 + row * 0.355), (0.43, 0.15, 0.08 + row * 0.355)) for row in range(6)]
+    boards.append(block((-0.43, 0.14, 0.0), (0.43, 0.158, 1.848)))
+    boards += [block((-0.43, -0.158, 0.05 + row * 0.355), (0.43, 0.15, 0.08 + row * 0.355)) for row in range(6)]
     books = [_book_row(0.08 + row * 0.355, float(rng.uniform(0.05, 0.35))) for row in range(5)]
     return [*(Piece(OAK, mesh) for mesh in boards), *(Piece(SPINES, mesh) for mesh in books)]
 

@@ -118,7 +118,7 @@ def monitor(variant: int, _rng: Generator) -> list[Piece]:
     low, high = lift + 0.025, lift + height - 0.018
     left, right = -half + 0.016, half - 0.016
     screen = quad([(left, -0.0215, low), (right, -0.0215, low), (right, -0.0215, high), (left, -0.0215, high)])
-    neck = block((-0.03, 0.025, 0.01), (0.03, 0.05, lift + 0.15))
+    neck = block((-0.03, 0.025, 0.01), (0.03, 0.048, lift + 0.15))
     foot = standing_block((-0.12, -0.07, 0.0), (0.12, 0.10, 0.014))
     stand = STEEL if variant % 3 == 2 else case
     hump = pad((-half * 0.6, 0.02, lift + 0.06), (half * 0.6, 0.05, lift + height - 0.06), 0.012, is_loose=True)

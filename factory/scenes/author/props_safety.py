@@ -138,7 +138,7 @@ def _trestle(half: float, high: float) -> list[Piece]:
     """Two T-feet on castors for a mobile board."""
     pieces: list[Piece] = []
     for x in (-half, half):
-        pieces.append(Piece(STEEL, block((x - 0.02, -0.015, 0.06), (x + 0.02, 0.03, high))))
+        pieces.append(Piece(STEEL, block((x - 0.02, -0.015, 0.06), (x + 0.02, 0.03, high - 0.005))))
         pieces.append(Piece(STEEL, cushion((x - 0.025, -0.27, 0.05), (x + 0.025, 0.27, 0.09), 0.01)))
         for y in (-0.24, 0.24):
             pieces.append(Piece(BLACK, moved(cylinder(0.03, -0.015, 0.015, sides=8), (x, y, 0.03), pitch=1.5708)))

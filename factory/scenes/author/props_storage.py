@@ -157,7 +157,8 @@ def shelf(variant: int, rng: Generator) -> list[Piece]:
     step = (height - 0.16) / (decks - 1)
     for deck in range(decks):
         z = 0.12 + deck * step
-        pieces.append(Piece(plank, block((-half_x, -half_y, z - 0.03), (half_x, half_y, z))))
+        low, high = (-half_x + 0.003, -half_y + 0.003, z - 0.03), (half_x - 0.003, half_y - 0.003, z)
+        pieces.append(Piece(plank, block(low, high)))  # not flush with the posts: both would show, in specks
         if deck < decks - 1:
             pieces.extend(_shelf_goods(half_x - 0.06, half_y - 0.04, z, step - 0.06, kind, rng))
     for x in (-half_x + 0.025, half_x - 0.025):

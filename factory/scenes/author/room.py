@@ -208,7 +208,7 @@ def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list
     parts = [
         strip.box((left - 0.08, left + 0.002), (-half, half), (0.0, height + 0.08)),
         strip.box((right - 0.002, right + 0.08), (-half, half), (0.0, height + 0.08)),
-        strip.box((left, right), (-half, half), (height, height + 0.08)),
+        strip.box((left, right), (-half, half), (height - 0.002, height + 0.08)),
     ]
     return [Piece(DOOR_FRAME, part) for part in parts]
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
+from itertools import combinations
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ import pytest
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene, lay_out_scene
 from factory.scenes.author.catalogue import CATALOGUE, Workshop
 from factory.scenes.author.geometry import bounds, triangle_count
+from factory.scenes.author.materials import Piece
 from factory.scenes.author.placement import Plan
 from schemas.errors import UsageError
 from schemas.terms import BUILTIN_CATEGORIES
@@ -151,6 +155,41 @@ def test_every_model_stands_on_or_above_the_floor() -> None:
         for variant in range(entry.variants):
             low, _ = bounds([piece.mesh for piece in shop.model(name, variant).pieces])
             assert low[2] > -0.01, f"{name} variant {variant} reaches {low[2]:.3f} m"
+
+
+def test_no_two_materials_show_in_one_plane() -> None:
+    """Else both are seen, in specks; backs against a wall and undersides on the floor are not seen."""
+    shop, found = Workshop(0), []
+    for name, entry in CATALOGUE.items():
+        for variant in range(entry.variants):
+            faces = [face for piece in shop.model(name, variant).pieces for face in level_faces(piece)]
+            for first, second in combinations(faces, 2):
+                overlap = np.minimum(first.high, second.high) - np.maximum(first.low, second.low)
+                is_hidden = first.plane in {(1, 1, 0.0), (2, -1, 0.0)}
+                if first.plane == second.plane and first.material != second.material and not is_hidden:
+                    found += [(name, variant, first.plane)] if overlap.min() > 1e-3 and overlap.prod() > 1e-4 else []
+    assert found == []
+
+
+class LevelFace(NamedTuple):
+    """A face across one of the axes: axis, direction and place; its rectangle on the other two, metres."""
+
+    plane: tuple[int, int, float]
+    material: str
+    low: np.ndarray
+    high: np.ndarray
+
+
+def level_faces(piece: Piece) -> Iterator[LevelFace]:
+    ends = np.cumsum(piece.mesh.counts)
+    for start, end in zip(ends - piece.mesh.counts, ends, strict=True):
+        corners = piece.mesh.points[piece.mesh.indices[start:end]]
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        axis = int(np.abs(normal).argmax())
+        if abs(normal[axis]) > 0.9999 * np.linalg.norm(normal) > 0:
+            flat = np.delete(corners, axis, axis=1)
+            plane = (axis, int(np.sign(normal[axis])), round(float(corners[0, axis]), 4))
+            yield LevelFace(plane, piece.material.name, flat.min(axis=0), flat.max(axis=0))
 
 
 def test_unknown_scene_names_the_known_ones(tmp_path: Path) -> None:
