@@ -84,7 +84,8 @@ $(JUDGE)-readers/.ready: requirements.txt
 
 # training, recipes and their tests, in an environment of their own: PyTorch is large
 test-train: $(TRAIN)/.ready
-	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/integration/test_train.py tests/integration/test_recipes.py
+	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/test_dataset.py tests/integration/test_train.py \
+		tests/integration/test_recipes.py
 
 $(TRAIN)/.ready: requirements.txt
 	$(PYTHON) -m venv $(TRAIN)

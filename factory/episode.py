@@ -6,8 +6,9 @@ import os
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Lock
 from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple, Self
+from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,8 @@ class Frame(NamedTuple):
 class Episode:
     """An episode of T steps: T frames, T actions, T poses; frame t and pose t are from before action t.
 
-    Cheap to make and to pickle; the file is opened at the first access and again in every process that uses it.
+    Cheap to make and to pickle; the file is opened at the first access and again in every process that uses it. Threads
+    may share it.
 
     Raises:
         ArchiveCorrupt: at access, when the file is missing or damaged; the message names it.
@@ -46,6 +48,7 @@ class Episode:
         self.summary = summary
         """Its row of the metadata."""
         self._opened: _Opened | None = None
+        self._opening = Lock()
 
     @property
     def episode_id(self) -> str:
@@ -118,9 +121,10 @@ class Episode:
         return t % len(self)
 
     def _bundle(self) -> BundleReader:
-        if self._opened is None or self._opened.pid != os.getpid():  # a fork shares the file's position
-            self._opened = _Opened(self.path, len(self))
-        return self._opened.bundle
+        with self._opening:
+            if self._opened is None or self._opened.pid != os.getpid():  # a fork shares the file's position
+                self._opened = _Opened(self.path, len(self))
+            return self._opened.bundle
 
     @contextmanager
     def _reading(self) -> Iterator[BundleReader]:
@@ -143,8 +147,8 @@ class Episode:
     ) -> None:
         self.close()
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "summary": self.summary, "_opened": None}
+    def __reduce__(self) -> tuple[type[Self], tuple[Place, EpisodeSummary]]:
+        return type(self), (self.path, self.summary)
 
 
 class _Opened:

@@ -127,7 +127,7 @@ def batches(dataset, size, seed):
     """Yields frames of one length of prompt together, so that nothing needs filling up; without end."""
     rng = np.random.default_rng(seed)
     while True:
-        samples = [dataset[int(index)] for index in rng.integers(0, len(dataset), size)]
+        samples = dataset.__getitems__(rng.integers(0, len(dataset), size).tolist())
         by_prompt = {}
         for sample in samples:
             by_prompt.setdefault(prompt_of(sample["instruction"]), []).append(sample)

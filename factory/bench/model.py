@@ -259,5 +259,7 @@ class ReadBench(Model):
     """Opening an episode anew until its first array is there."""
     loader_workers: int
     loader_frames_per_s: Spread | None = None
-    """Shuffled torch DataLoader over all frames; `None` without torch."""
+    """Shuffled torch DataLoader over all frames, with worker processes; `None` without torch."""
+    threads_frames_per_s: Spread | None = None
+    """The same without worker processes: batches are decoded in threads on all cores."""
     memory: Memory

@@ -14,7 +14,7 @@ from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import ReadBench, Spread
 from factory.dataset import Dataset
 from factory.episode import Episode
-from factory.torch_dataset import FrameDataset
+from factory.torch_dataset import FrameDataset, collate
 
 __all__ = ["bench_read"]
 
@@ -41,7 +41,9 @@ def bench_read(dataset: Dataset, frames: int, repeats: int, workers: int) -> Rea
     _round(visits, Episode.frame)
     start_mib = resident_mib()
     whole = [_round(visits, Episode.frame) for _ in range(repeats)]
-    loader = [_load(dataset, workers, frames) for _ in range(repeats)] if importlib.util.find_spec("torch") else None
+    has_torch = importlib.util.find_spec("torch") is not None
+    loader = [_load(dataset, workers, frames) for _ in range(repeats)] if has_torch else None
+    threads = [_load(dataset, 0, frames) for _ in range(repeats)] if has_torch else None
     return ReadBench(
         machine=machine,
         episodes=len(dataset),
@@ -56,6 +58,7 @@ def bench_read(dataset: Dataset, frames: int, repeats: int, workers: int) -> Rea
         open_ms=Spread.of([1000 * _open(dataset, position) for position in sorted(episodes)]),
         loader_workers=workers,
         loader_frames_per_s=None if loader is None else Spread.of(loader),
+        threads_frames_per_s=None if threads is None else Spread.of(threads),
         memory=measure_memory(start_mib),
     )
 
@@ -89,7 +92,7 @@ def _load(dataset: Dataset, workers: int, frames: int) -> float:
     # the client of an object store does not survive a fork
     context = None if not workers or isinstance(dataset.root, Path) else "spawn"
     loader: Any = torch.utils.data.DataLoader(
-        source, _BATCH, sampler=drawn, num_workers=workers, multiprocessing_context=context
+        source, _BATCH, sampler=drawn, num_workers=workers, multiprocessing_context=context, collate_fn=collate
     )
     seen, begun = 0, 0.0
     for batch in loader:

@@ -143,8 +143,9 @@ def show_read(report: ReadBench) -> None:
         *((f"only {name}, frames/s", found.median, _range(found)) for name, found in report.by_image.items()),
         ("opening an episode, ms", report.open_ms.median, _range(report.open_ms)),
     ]
-    loader = report.loader_frames_per_s
-    if loader is not None:
+    loader, threads = report.loader_frames_per_s, report.threads_frames_per_s
+    if loader is not None and threads is not None:
+        rows.append(("shuffled torch loader, threads on all cores", threads.median, _range(threads)))
         rows.append((f"shuffled torch loader, {report.loader_workers} workers", loader.median, _range(loader)))
     title = f"{report.frames} random frames of {report.episodes} episodes, {report.repeats} runs"
     print_table(title, ("what", "median", "spread"), rows)

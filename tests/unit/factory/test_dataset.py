@@ -7,14 +7,16 @@ import multiprocessing
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import factory
+from factory import torch_dataset
 from factory.dataset import Dataset, Episode
-from factory.torch_dataset import FrameDataset
+from factory.torch_dataset import FrameDataset, collate
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from tests.builders.bundle import parts_for
 from tests.builders.dataset import make_dataset
@@ -220,6 +222,44 @@ def test_frame_dataset_with_a_stride_keeps_every_nth_frame(shared: Path) -> None
     samples = FrameDataset(Dataset(shared), stride=5)
     assert len(samples) == 9
     assert [samples[n]["step"] for n in range(4)] == [0, 5, 10, 0]
+
+
+def test_a_batch_decoded_in_threads_is_the_samples_one_by_one(shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch_dataset, "_OPEN_EPISODES", 1)  # three episodes are open while the batch is read
+    one, many = (FrameDataset(Dataset(shared), with_ids=True, threads=threads) for threads in (1, 4))
+    indices = [5, 30, 17, 5, 0, -1, 12]
+    batch = many.__getitems__(indices)
+    assert [(sample["episode_id"], sample["step"]) for sample in batch] == [
+        (one[n]["episode_id"], one[n]["step"]) for n in indices
+    ]
+    for number, index in enumerate(indices):
+        for name in ("rgb", "depth", "ids", "action", "tokens"):
+            assert np.array_equal(batch[number][name], one[index][name])  # type: ignore[literal-required]
+        assert np.shares_memory(batch[number]["rgb"], batch.images["rgb"])
+
+
+def test_collation_makes_what_torchs_own_makes(shared: Path) -> None:
+    torch = pytest.importorskip("torch")
+    batch = FrameDataset(Dataset(shared), with_ids=True).__getitems__([3, 20, 14])
+    ours, theirs = collate(batch), torch.utils.data.default_collate(list(batch))
+    assert ours.keys() == theirs.keys()
+    for name, wanted in theirs.items():
+        assert torch.equal(ours[name], wanted) if torch.is_tensor(wanted) else ours[name] == wanted
+    assert ours["rgb"].data_ptr() == batch.images["rgb"].ctypes.data
+
+
+def test_threads_may_share_an_episode(shared: Path) -> None:
+    """A file has one position: readers that move it under each other found damage where there is none."""
+    episode = Dataset(shared)[0]
+    wanted = [frame[0] for frame in parts_for().frames]
+    with ThreadPoolExecutor(8) as pool:
+        seen = list(pool.map(episode.rgb, [t for _ in range(20) for t in range(len(episode))]))
+    assert all(np.array_equal(image, wanted[n % len(episode)]) for n, image in enumerate(seen))
+
+
+def test_no_threads_are_refused(shared: Path) -> None:
+    with pytest.raises(ValueError, match="threads 0: at least 1"):
+        FrameDataset(Dataset(shared), threads=0)
 
 
 def test_frame_dataset_can_be_pickled_while_open(shared: Path) -> None:

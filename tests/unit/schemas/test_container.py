@@ -113,6 +113,18 @@ def test_bytes_are_those_of_the_standard_library(members: dict[str, bytes]) -> N
     assert {name: reader.read(name) for name in reader.names} == members
 
 
+def test_members_with_extra_fields_and_notes_are_read() -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as out:
+        for name in ("first", "z\u00fcrich"):
+            info = zipfile.ZipInfo(name)
+            info.extra, info.comment = struct.pack("<HH4s", 0x7075, 4, b"more"), b"a note"
+            out.writestr(info, name.encode())
+    reader = ContainerReader(buffer, LIMITS)
+    assert reader.names == ("first", "z\u00fcrich")
+    assert [reader.read(name) for name in reader.names] == [b"first", "z\u00fcrich".encode()]
+
+
 def test_forged_size_of_a_stored_member_is_refused() -> None:
     data = zipped()
     directory = data.index(b"PK\x01\x02")
