@@ -89,6 +89,13 @@ class Grid:
 
     def are_poses_free(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike, margin_m: float = 0.0) -> Bools:
         """Tells for arrays of base_link poses whether the footprint and `margin_m` around it are free."""
+        return self._least_clearance(x, y, yaw) >= DISC_RADIUS_M + margin_m
+
+    def room_at_poses(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
+        """Returns for base_link poses the free space around the footprint, metres; negative in an obstacle."""
+        return self._least_clearance(x, y, yaw) - DISC_RADIUS_M
+
+    def _least_clearance(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
         x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
         along = np.asarray(DISC_OFFSETS_M)
         discs = np.stack(
@@ -98,7 +105,7 @@ class Grid:
             ],
             axis=-1,
         )
-        return np.asarray((self.clearance_at(discs) >= DISC_RADIUS_M + margin_m).all(axis=-1))
+        return np.asarray(self.clearance_at(discs).min(axis=-1))
 
     def is_pose_free(self, x: float, y: float, yaw: float, margin_m: float = 0.0) -> bool:
         """Whether the footprint of a base_link pose and `margin_m` around it are free."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Tier
+from workers.appearance import Appearance
 from workers.foresight import foresee
 from workers.grid import straight_end
 from workers.plan import geodesic_field, pose_table
@@ -29,7 +30,7 @@ _CLOSEST_FAR_M = 1.5
 _BEARINGS = 384
 """Bearings that are tried at a distance before it is given up."""
 _FORESEEN = 32
-"""Starts of a straight driver whose drive is foreseen before the first of them is taken as it is."""
+"""Starts of a straight driver whose drive is foreseen before the one with the most room along its way is taken."""
 _FORESEEN_MARGIN_M = 0.10
 """Free space around the footprint along a foreseen drive; with less, drives scrape along what they pass."""
 
@@ -87,7 +88,15 @@ def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.G
     if first is None or job.expert is ExpertName.PLANNER:
         return first
     some = itertools.chain((first,), itertools.islice(fitting, _FORESEEN - 1))
-    return next((start for start in some if _is_drive_free(job, target, place, start)), first)
+    appearance = Appearance(place.scene, target.instance_id, job.camera)
+    best, most_m = first, -math.inf
+    for start in some:
+        room_m = _room_along_drive(job, target, place, start, appearance)
+        if room_m >= _FORESEEN_MARGIN_M:
+            return start
+        if room_m > most_m:
+            best, most_m = start, room_m
+    return best
 
 
 def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Start]:
@@ -161,7 +170,8 @@ def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[n
     return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
 
 
-def _is_drive_free(job: Job, target: Target, place: LoadedScene, start: Start) -> bool:
+def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
+    """Returns the least free space around the footprint along the foreseen drive, metres."""
     x, y = target.centroid_m[:2]
-    drive = foresee(start, (x, y), job)
-    return bool(place.grid.are_poses_free(drive[:, 0], drive[:, 1], drive[:, 2], _FORESEEN_MARGIN_M).all())
+    drive = foresee(start, (x, y), job, appearance)
+    return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())

@@ -1,0 +1,62 @@
+"""What is told of a target without drawing, against the mask that the renderer draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from schemas.config import CameraConfig
+from schemas.job import Job
+from tests.builders.bundle import job_for
+from tests.builders.scene import Box, build_scene
+from workers.appearance import Appearance
+from workers.foresight import foresee
+from workers.pose import Pose
+from workers.render import Renderer
+from workers.render.choose import open_renderer
+from workers.sight import see
+
+CAMERA = CameraConfig()
+TARGETS = {
+    "box": Box((2.0, -0.4, 0.0), (2.6, 0.3, 0.9), category="crate"),
+    "long one at an angle": Box((1.0, 1.2, 0.0), (5.0, 1.6, 2.0), category="rack"),
+    "one beyond both edges": Box((2.6, -3.0, 0.0), (2.9, 2.5, 1.5), category="rack"),
+    "high and far": Box((6.0, -2.5, 1.0), (6.4, 1.0, 3.0), category="shelf"),
+}
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Iterator[Renderer]:
+    with open_renderer("gl") as opened:
+        yield opened
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("yaw", [-0.5, 0.0, 0.3, 0.7])
+def test_the_middle_of_the_mask_is_told(renderer: Renderer, name: str, yaw: float) -> None:
+    scene = build_scene([TARGETS[name]])
+    renderer.load(scene, CAMERA)
+    relief = renderer.render_relief(Pose.planar(0.1, -0.05, yaw))
+    drawn = see(relief.ids, relief.depth, 1, min_pixels=1)
+    pixels, column = Appearance(scene, 1, CAMERA).look(0.1, -0.05, yaw)
+    assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
+    if drawn.pixels > 5000:  # not a sliver at the edge
+        assert column == pytest.approx((drawn.column - 320) / 320, abs=0.08)
+
+
+def test_what_lies_behind_is_not_in_view() -> None:
+    assert Appearance(build_scene([TARGETS["box"]]), 1, CAMERA).look(0.0, 0.0, math.pi) == (0.0, 0.0)
+    assert Appearance(build_scene([TARGETS["box"]]), 99, CAMERA).look(0.0, 0.0, 0.0) == (0.0, 0.0)
+
+
+def test_a_long_target_seen_at_an_angle_is_driven_at_by_its_near_end() -> None:
+    job: Job = job_for()
+    box = Box((3.0, -2.0, 0.0), (3.5, 2.0, 2.0), category="rack")
+    start, goal = (0.0, -3.0, math.atan2(3.0, 3.25)), (3.25, 0.0)
+    straight = foresee(start, goal, job)
+    drawn_to = foresee(start, goal, job, Appearance(build_scene([box]), 1, CAMERA))
+    assert straight[-1, 1] == pytest.approx(goal[1] - 3.0 / math.hypot(3.25, 3.0) * job.task.success_radius_m, abs=0.05)
+    assert drawn_to[-1, 1] < straight[-1, 1] - 0.1
