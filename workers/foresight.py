@@ -19,6 +19,8 @@ __all__ = ["foresee"]
 
 _HZ = 20
 """Poses a second; at full speed they lie one cell of the grid apart."""
+_LOOK_EVERY = 3
+"""Poses; a look costs more than all the rest."""
 
 
 def foresee(
@@ -36,13 +38,18 @@ def foresee(
     x, y, yaw = start
     twist = Twist(0.0, 0.0)
     poses = [start]
-    for _ in range(job.task.max_steps * _HZ // job.task.control_hz):
+    pixels = column = 0.0
+    for step in range(job.task.max_steps * _HZ // job.task.control_hz):
         distance = math.hypot(goal[0] - x, goal[1] - y)
         if distance <= job.task.success_radius_m:
             break
-        pixels, column = appearance.look(x, y, yaw) if appearance else (0.0, 0.0)
-        is_visible = appearance is not None and pixels >= gains.min_mask_px
-        error = -column if is_visible else math.remainder(math.atan2(goal[1] - y, goal[0] - x) - yaw, 2 * math.pi)
+        if appearance is not None and step % _LOOK_EVERY == 0:
+            pixels, column = appearance.look(x, y, yaw)
+        error = (
+            -column
+            if pixels >= gains.min_mask_px
+            else math.remainder(math.atan2(goal[1] - y, goal[0] - x) - yaw, 2 * math.pi)
+        )
         turn = min(max(gains.yaw_gain * error, -robot.max_yaw_rate_rps), robot.max_yaw_rate_rps)
         twist = slew(twist, Twist(min(gains.speed_gain * distance, robot.max_speed_mps), turn), robot, 1.0 / _HZ)
         yaw += twist.w_rps / _HZ

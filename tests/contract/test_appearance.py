@@ -44,7 +44,7 @@ def test_the_middle_of_the_mask_is_told(renderer: Renderer, name: str, yaw: floa
     pixels, column = Appearance(scene, 1, CAMERA).look(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
     if drawn.pixels > 5000:  # not a sliver at the edge
-        assert column == pytest.approx((drawn.column - 320) / 320, abs=0.08)
+        assert column == pytest.approx((drawn.column - 320) / 320, abs=0.12)
 
 
 def test_what_lies_behind_is_not_in_view() -> None:
