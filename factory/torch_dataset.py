@@ -12,7 +12,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import parent_process
-from typing import Any, TypedDict
+from typing import Any, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,10 +123,12 @@ class FrameDataset:
         return {**self.__dict__, "_open": OrderedDict()}
 
 
-def collate(samples: FrameBatch) -> dict[str, Any]:
-    """Returns what torch's default collation makes of a batch, without copying its images."""
+def collate(samples: Sequence[Sample]) -> dict[str, Any]:
+    """Returns what torch's default collation makes of a batch; the images of a `FrameBatch` are not copied for it."""
     import torch
 
+    if not isinstance(samples, FrameBatch):  # of several datasets joined by torch
+        return cast(dict[str, Any], torch.utils.data.default_collate(samples))
     rest = [{name: value for name, value in sample.items() if name not in samples.images} for sample in samples]
     images = {name: torch.from_numpy(batch) for name, batch in samples.images.items()}
     return {**images, **torch.utils.data.default_collate(rest)}

@@ -241,11 +241,12 @@ def test_a_batch_decoded_in_threads_is_the_samples_one_by_one(shared: Path, monk
 def test_collation_makes_what_torchs_own_makes(shared: Path) -> None:
     torch = pytest.importorskip("torch")
     batch = FrameDataset(Dataset(shared), with_ids=True).__getitems__([3, 20, 14])
-    ours, theirs = collate(batch), torch.utils.data.default_collate(list(batch))
-    assert ours.keys() == theirs.keys()
-    for name, wanted in theirs.items():
-        assert torch.equal(ours[name], wanted) if torch.is_tensor(wanted) else ours[name] == wanted
-    assert ours["rgb"].data_ptr() == batch.images["rgb"].ctypes.data
+    theirs = torch.utils.data.default_collate(list(batch))
+    for ours in (collate(batch), collate(list(batch))):
+        assert ours.keys() == theirs.keys()
+        for name, wanted in theirs.items():
+            assert torch.equal(ours[name], wanted) if torch.is_tensor(wanted) else ours[name] == wanted
+    assert collate(batch)["rgb"].data_ptr() == batch.images["rgb"].ctypes.data
 
 
 def test_threads_may_share_an_episode(shared: Path) -> None:
