@@ -77,14 +77,16 @@ def test_two_policies_are_compared_pair_by_pair(factory: FactoryCli, out: Path) 
 
 
 def test_ctrl_c_keeps_what_is_done(factory: FactoryCli, drives: Path, out: Path, tmp_path: Path) -> None:
-    words = ("--data", drives, "--specs", out.parent / "specs.json", "--policy", "stop", "--workers", 1)
+    slow = "tests.builders.policies:Dawdles"  # so that the second episode is still driven when the first is written
+    words = ("--data", drives, "--specs", out.parent / "specs.json", "--policy", slow, "--workers", 1)
     process = factory.start("eval", *words, "-o", tmp_path / "out")
-    log = tmp_path / "out" / "policies" / "stop" / "episodes.jsonl"
-    wait_for(lambda: log.exists() and log.stat().st_size > 0)
+    wait_for(lambda: any(log.stat().st_size for log in tmp_path.rglob("episodes.jsonl")))
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "run the same command to go on" in err
+    (log,) = tmp_path.rglob("episodes.jsonl")
+    assert log.read_bytes().count(b"\n") == 1
     assert log.read_bytes().endswith(b"\n")
 
 

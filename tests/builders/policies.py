@@ -34,6 +34,14 @@ class Hangs(_Quiet):
         return 0.5, 0.0
 
 
+class Dawdles(_Quiet):
+    """Stands still and takes its time over it: three seconds for 150 steps."""
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        time.sleep(0.02)
+        return 0.0, 0.0
+
+
 class Dies(_Quiet):
     """Takes its process along."""
 
