@@ -35,10 +35,10 @@ class Hangs(_Quiet):
 
 
 class Dawdles(_Quiet):
-    """Stands still and takes its time over it: three seconds for 150 steps."""
+    """Stands still and takes its time over it: three seconds for 60 steps."""
 
     def act(self, observation: dict[str, Any]) -> Any:
-        time.sleep(0.02)
+        time.sleep(0.05)
         return 0.0, 0.0
 
 
