@@ -5,10 +5,13 @@ The rollout writes them, the validator computes them again, evaluation compares 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from schemas import portable
 
 __all__ = ["TrackMeasure", "measure_track", "yaw_of"]
 
@@ -28,8 +31,7 @@ class TrackMeasure(NamedTuple):
 def yaw_of(poses: NDArray[np.float32]) -> NDArray[np.float64]:
     """Returns the (T,) headings in radians of (T, 7) poses x, y, z, qw, qx, qy, qz."""
     w, x, y, z = poses[:, 3:].astype(np.float64).T
-    yaw: NDArray[np.float64] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return yaw
+    return portable.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def measure_track(poses: NDArray[np.float32], centroid_m: tuple[float, float, float]) -> TrackMeasure:
@@ -42,6 +44,6 @@ def measure_track(poses: NDArray[np.float32], centroid_m: tuple[float, float, fl
         spawn_dist_m=float(to_goal[0]),
         trajectory_length_m=float(steps.sum()),
         final_ne_m=float(to_goal[-1]),
-        final_ne_3d_m=float(np.linalg.norm(track[-1] - np.asarray(centroid_m))),
+        final_ne_3d_m=math.dist(track[-1].tolist(), centroid_m),
         min_ne_m=float(to_goal.min()),
     )

@@ -65,12 +65,13 @@ class Appearance:
         facing = -np.einsum("ij,ij->i", ray, self._faces)
         edge = depth * self._half
         seen = (facing > 0) & (depth > camera.near_m) & (np.abs(right) < edge) & (np.abs(ray[:, 2]) < edge)
-        cover = facing[seen] / depth[seen] ** 3  # area on a plane 1 m before the eye
+        ahead = depth[seen]
+        cover = facing[seen] / (ahead * ahead * ahead)  # area on a plane 1 m before the eye
         total = float(cover.sum())
         if total == 0.0:
             return 0.0, 0.0
         pixels = total * (FRAME_SIZE_PX / 2 / self._half) ** 2
-        return pixels, float(cover @ (right[seen] / edge[seen])) / total
+        return pixels, float((cover * (right[seen] / edge[seen])).sum()) / total
 
 
 def _cut(triangles: Floats) -> Floats:

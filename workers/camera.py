@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
+from schemas.portable import product
 from workers.pose import Pose
 
 __all__ = ["OpticalPose", "intrinsics", "optical_pose", "projection_matrix", "view_matrix"]
@@ -36,7 +37,7 @@ class OpticalPose:
 def optical_pose(pose: Pose, camera: CameraConfig) -> OpticalPose:
     """Returns the pose of the optical frame for a base_link pose; the camera looks along base_link's x."""
     base = _rotation(pose)
-    eye = base @ (camera.x_m, camera.y_m, camera.z_m) + (pose.x, pose.y, pose.z)
+    eye = product(base, np.array(((camera.x_m,), (camera.y_m,), (camera.z_m,))))[:, 0] + (pose.x, pose.y, pose.z)
     return OpticalPose(eye, base[:, _OPTICAL_AXES] * _OPTICAL_SIGNS)
 
 
@@ -44,7 +45,7 @@ def view_matrix(optical: OpticalPose) -> Matrix:
     """Returns the (4, 4) matrix from the world to the eye frame of OpenGL (x right, y up, z backward), for columns."""
     view = np.eye(4)
     view[:3, :3] = optical.rotation.T * np.array([[1.0], [-1.0], [-1.0]])
-    view[:3, 3] = -(view[:3, :3] @ optical.eye)
+    view[:3, 3] = -product(view[:3, :3], optical.eye[:, None])[:, 0]
     return view
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, label
 
+from schemas import portable
 from schemas.scene import CompiledScene, Target
 
 __all__ = [
@@ -100,8 +101,8 @@ class Grid:
         along = np.asarray(DISC_OFFSETS_M)
         discs = np.stack(
             [
-                x[..., None] + along * np.cos(yaw)[..., None],
-                y[..., None] + along * np.sin(yaw)[..., None],
+                x[..., None] + along * portable.cos(yaw)[..., None],
+                y[..., None] + along * portable.sin(yaw)[..., None],
             ],
             axis=-1,
         )
@@ -202,4 +203,4 @@ def straight_end(spawn_xy: ArrayLike, centroid_xy: ArrayLike, radius_m: float) -
 def body_centre(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
     """Returns the body centre (..., 2) of base_link poses, world frame, metres."""
     x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
-    return np.stack([x + BODY_CENTRE_M * np.cos(yaw), y + BODY_CENTRE_M * np.sin(yaw)], axis=-1)
+    return np.stack([x + BODY_CENTRE_M * portable.cos(yaw), y + BODY_CENTRE_M * portable.sin(yaw)], axis=-1)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas import portable
 from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Tier
@@ -119,9 +120,9 @@ def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
     bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
     noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
     yaw = bearing + math.pi + noise
-    x = target.centroid_m[0] + distance * np.cos(bearing)
-    y = target.centroid_m[1] + distance * np.sin(bearing)
-    return np.stack([x, y, np.arctan2(np.sin(yaw), np.cos(yaw))], axis=1)
+    x = target.centroid_m[0] + distance * portable.cos(bearing)
+    y = target.centroid_m[1] + distance * portable.sin(bearing)
+    return np.stack([x, y, portable.arctan2(portable.sin(yaw), portable.cos(yaw))], axis=1)
 
 
 def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> Poses:

@@ -2,5 +2,5 @@
 
 __all__ = ["COMPILER_VERSION"]
 
-COMPILER_VERSION = 7
+COMPILER_VERSION = 8
 """Rises whenever the same stage compiles to other bytes."""

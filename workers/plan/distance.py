@@ -150,7 +150,7 @@ def _taut_length(grid: Grid, way: Floats, target: Target, radius_m: float) -> fl
         if straight is not None:
             return length + straight
         ahead = _farthest_in_line(grid, way, at)
-        length += float(np.linalg.norm(way[ahead] - way[at]))
+        length += math.dist(way[ahead], way[at])
         at = ahead
     return length
 
@@ -159,7 +159,7 @@ def _straight_m(grid: Grid, point: Floats, target: Target, radius_m: float) -> f
     """Length of the straight line from a point into the circle, 0 inside it; `None` where the floor is not free, or the
     line ends out of the target's sight."""
     centre = np.asarray(target.centroid_m[:2])
-    gap = float(np.linalg.norm(point - centre)) - radius_m
+    gap = math.dist(point, centre) - radius_m
     if gap <= 0:
         return 0.0
     entry = point + (centre - point) * (gap / (gap + radius_m))
@@ -179,6 +179,6 @@ def _farthest_in_line(grid: Grid, way: Floats, at: int) -> int:
 
 
 def _is_clear(grid: Grid, start: Floats, end: Floats) -> bool:
-    steps = max(2, math.ceil(float(np.linalg.norm(end - start)) / (grid.resolution_m / 2)))
+    steps = max(2, math.ceil(math.dist(start, end) / (grid.resolution_m / 2)))
     points = start + (end - start) * np.linspace(0, 1, steps)[:, None]
     return bool((grid.clearance_at(points) >= HALF_WIDTH_M).all())

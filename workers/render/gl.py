@@ -17,6 +17,7 @@ from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.lap import Lap, no_lap
+from schemas.portable import product
 from schemas.scene import CompiledScene
 from workers.camera import optical_pose, projection_matrix, view_matrix
 from workers.pose import Pose
@@ -126,7 +127,7 @@ class GlRenderer:
     def _look(self, scene: GpuScene, pose: Pose) -> tuple[bytes, NDArray[np.intp]]:
         """Returns the matrix for the programs at a pose, and the parts to be drawn from it."""
         optical = optical_pose(pose, self._camera)
-        clip = self._projection @ view_matrix(optical)
+        clip = product(self._projection, view_matrix(optical))
         matrix = onto_target(clip, self._camera).T.astype(np.float32).tobytes()
         return matrix, scene.parts_to_draw(clip, optical, self._camera)
 

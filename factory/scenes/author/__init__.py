@@ -21,7 +21,7 @@ from schemas.errors import UsageError
 
 __all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_scene"]
 
-AUTHOR_VERSION = "16"
+AUTHOR_VERSION = "17"
 """Changes whenever the same (name, seed) would give another scene; part of the compiled scenes' cache key."""
 
 

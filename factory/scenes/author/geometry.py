@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from schemas import portable
+
 __all__ = [
     "Floats",
     "Mesh",
@@ -153,7 +155,7 @@ def pad(low: Vector, high: Vector, bevel: float, is_loose: bool = False) -> Mesh
 def lathe(profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = 14) -> Mesh:
     """Turns a profile of (radius, z), listed bottom to top, around the vertical through `at`."""
     angle = 2 * math.pi * np.arange(sides) / sides
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle = np.stack([portable.cos(angle), portable.sin(angle)], axis=1)
     rings = np.empty((len(profile), sides, 3))
     for level, (radius, z) in enumerate(profile):
         rings[level, :, :2] = circle * max(radius, 1e-3) + np.array(at)
@@ -185,9 +187,9 @@ def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> Mesh:
     rings = np.empty((len(points), sides, 3))
     for level, direction in enumerate(along):
         u = np.cross(aside, direction)
-        u /= np.linalg.norm(u)
+        u /= np.linalg.norm(u[None], axis=1)
         v = np.cross(direction, u)
-        rings[level] = points[level] + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
+        rings[level] = points[level] + radius * (portable.cos(angle)[:, None] * u + portable.sin(angle)[:, None] * v)
         aside = v
     return loft(rings)
 
@@ -219,7 +221,8 @@ def moved(mesh: Mesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: 
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    points = mesh.points @ (about_z @ about_y @ about_x).T + np.array(shift)
+    turn = portable.product(portable.product(about_z, about_y), about_x)
+    points = portable.product(mesh.points, turn.T) + np.array(shift)
     return Mesh(points, mesh.counts, mesh.indices, mesh.st)
 
 

@@ -257,7 +257,8 @@ def _both_sides(piece: _Piece) -> _Piece:
 def _placed(piece: _Piece, placement: Placement, collides: bool) -> Part:
     rotation, shift = placement.to_world[:3, :3], placement.to_world[:3, 3]
     with np.errstate(all="ignore"):
-        triangles = piece.triangles @ rotation.T + shift
+        exact = piece.triangles @ rotation.T + shift
+        triangles = exact.astype(np.float32).astype(np.float64)  # the last bit is the processor's: schemas.portable
     uvs, tints = piece.uvs, piece.tints
     if not np.isfinite(triangles).all():
         raise ValueError("points or transform are not finite")

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import UsdGeom
 
+from schemas import portable
+
 __all__ = ["Polygons", "solid_polygons"]
 
 Polygons = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
@@ -74,7 +76,8 @@ def _plane(half_width: float, half_length: float) -> Polygons:
 def _lathe(profile: list[tuple[float, float]]) -> Polygons:
     """Turns a profile about z and closes both ends."""
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    rings = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(_SIDES, z)], axis=1) for r, z in profile]
+    x, y = portable.cos(angle), portable.sin(angle)
+    rings = [np.stack([r * x, r * y, np.full(_SIDES, z)], axis=1) for r, z in profile]
     side = np.arange(_SIDES)
     following = (side + 1) % _SIDES
     quads = [

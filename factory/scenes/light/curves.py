@@ -5,22 +5,24 @@ Flat pieces that meet at less than a given angle are shaded as one round surface
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts, number_rows
+from schemas import portable
 
 __all__ = ["Bends", "corner_normals", "find_bends"]
 
-_ROUND_COS = float(np.cos(np.radians(46.0)))
+_ROUND_COS = math.cos(math.radians(46.0))
 """An octagon's sides are still round, a hexagon's are sharp."""
 _MOST_AT_A_CORNER = 64
 _MOST_TRIANGLES = 1_000_000
 """Larger scenes stay faceted: their pieces are smaller than texels anyway."""
 _WELD_M = 1e-4
-_BENT_COS = float(np.cos(np.radians(2.0)))
+_BENT_COS = math.cos(math.radians(2.0))
 _BENT_SLOPE = 0.08
 """Change of the unit normal along a side from which on the side needs two texels at least."""
 
@@ -104,7 +106,7 @@ def _angles(triangles: Floats) -> Floats:
     """(T, 3) inner angle at each corner, radians."""
     after, before = (np.roll(triangles, shift, axis=1) - triangles for shift in (-1, 1))
     sine = np.linalg.norm(np.cross(after, before), axis=2)
-    return np.asarray(np.arctan2(sine, np.einsum("tkc,tkc->tk", after, before)))
+    return portable.arctan2(sine, np.einsum("tkc,tkc->tk", after, before))
 
 
 def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
@@ -124,10 +126,10 @@ def find_bends(charts: Charts, triangles: Floats, groups: Ints) -> Bends:
     terms = np.concatenate((np.ones((len(chart), 1)), share.reshape(-1, 2)), axis=1)
     normals = corners.reshape(-1, 3)
     gram = np.stack([np.bincount(chart, terms[:, a] * terms[:, b], count) for a in range(3) for b in range(3)], axis=1)
-    right = np.stack(
+    right: Floats = np.stack(
         [np.bincount(chart, terms[:, a] * normals[:, k], count) for a in range(3) for k in range(3)], axis=1
     )
-    fit: Floats = np.linalg.solve(gram.reshape(-1, 3, 3) + 1e-6 * np.eye(3), right.reshape(-1, 3, 3)).astype(float)
+    fit = portable.solve(gram.reshape(-1, 3, 3) + 1e-6 * np.eye(3), right.reshape(-1, 3, 3))
     off = np.einsum("nk,nk->n", normals, charts.axes[chart, 2])
     least = np.ones(count)
     np.minimum.at(least, chart, off)

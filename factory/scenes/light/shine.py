@@ -13,6 +13,7 @@ from factory.scenes.light.charts import number_rows
 from factory.scenes.light.lamps import Lamps, light_from, nearest_lamps
 from factory.scenes.light.rays import Caster
 from factory.scenes.light.texels import PATTERN_SIDE, Texels
+from schemas import portable
 
 __all__ = ["Rays", "lamp_light", "sky_light"]
 
@@ -51,7 +52,7 @@ def sky_light(caster: Caster, texels: Texels, rays: Rays) -> tuple[Floats, Bools
 def _sky(caster: Caster, texels: Texels, run: Ints, count: int) -> tuple[Singles, Bools]:
     numbers = _sequence(count)
     radius, turn = np.sqrt(numbers[..., 0]), 2 * np.pi * numbers[..., 1]
-    local = (radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - numbers[..., 0]))
+    local = (radius * portable.cos(turn), radius * portable.sin(turn), np.sqrt(1 - numbers[..., 0]))
     patterns = [np.asarray(part, np.float32) for part in local]
     axes = np.ascontiguousarray(texels.axes[run].transpose(1, 2, 0), np.float32)
     points, pattern = np.ascontiguousarray(texels.points[run], np.float32), texels.pattern[run]

@@ -22,8 +22,8 @@ _GREY, _ADAPTION = 0.38, 0.6
 _MOST_CORRECTION = 1.35
 _WHITE = 3.0
 """Light, in the same units, that comes out as full."""
-_LAMP_TINT = np.array((1.0, 0.965, 0.885), np.float32)
-_SKY_TINT = np.array((0.94, 0.975, 1.0), np.float32)
+_LAMP_TINT = np.array((1.0, 0.965, 0.885))
+_SKY_TINT = np.array((0.94, 0.975, 1.0))
 _GAMMA = 2.2
 
 Floats = NDArray[np.float64]
@@ -40,10 +40,10 @@ def tone(sky: Floats, direct: Floats, measured: NDArray[np.bool_], grey: Floats)
     """
     lit = measured & (direct > 0)
     mean = float(direct[lit].mean()) if lit.any() else 1.0
-    open_, lamps = np.asarray(sky, np.float32), np.asarray(direct / mean, np.float32)
+    open_, lamps = sky, direct / mean
     ambient = _FLOOR + _SKY_SHARE * open_[..., None] ** _CONTACT * _SKY_TINT
     light = ambient + (1 - _SKY_SHARE) * (lamps * open_**_SHELTER)[..., None] * _LAMP_TINT
-    exposed = float(light[lit].mean(dtype=np.float64)) if lit.any() else 1.0
+    exposed = float(light[lit].mean()) if lit.any() else 1.0
     scale = _EXPOSURE * _correction(grey[lit]) / exposed
     bright = np.minimum(light * scale, _WHITE)
     shown = bright * (1 + bright / _WHITE**2) / (1 + bright)

@@ -1,0 +1,62 @@
+"""Numbers that go into episodes, printed: `python -m tests.builders.kernels`, to be run where libraries choose anew."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from schemas.config import CameraConfig
+from schemas.measure import measure_track
+from schemas.portable import product
+from tests.builders.evaluation import room_job, room_package
+from workers.appearance import Appearance
+from workers.attempt import Success, run_attempt
+from workers.camera import optical_pose, projection_matrix, view_matrix
+from workers.plan import geodesic_m
+from workers.pose import Pose
+from workers.stage import LoadedScene, Stage
+
+_MANY = 300
+
+
+def main() -> None:
+    """Prints one JSON object: what was computed, and a digest or the values themselves."""
+    job, package = room_job(1), room_package()
+    with TemporaryDirectory() as folder, Stage("gl") as stage:
+        path = Path(folder, "room.scene")
+        path.write_bytes(package)
+        stage.load(path, job.scene_sha256)
+        outcome = run_attempt(job, stage, io.BytesIO(), "test", lambda step: None)
+        assert isinstance(outcome, Success), outcome
+        found = {"episode": outcome.meta.content_digest, **_computed(stage.loaded(job.scene_sha256), job.target_id)}
+    json.dump({"scene": hashlib.sha256(package).hexdigest(), **found}, sys.stdout)
+
+
+def _computed(place: LoadedScene, target_id: str) -> dict[str, str]:
+    rng, camera = np.random.default_rng(6), CameraConfig()
+    target = place.scene.info.target(target_id)
+    tracks = rng.normal(size=(_MANY, 9, 7)).astype(np.float32)
+    poses = [Pose(*row) for row in rng.normal(size=(_MANY, 7))]
+    views = [product(projection_matrix(camera), view_matrix(optical_pose(pose, camera))) for pose in poses]
+    starts = place.grid.centre_of(rng.integers(0, min(place.grid.occupancy.shape), (_MANY, 2)))
+    look = Appearance(place.scene, target.instance_id, camera).look
+    return {
+        "measures": _digest(str([measure_track(track, (0.3, 0.1, 0.7)) for track in tracks])),
+        "views": _digest(str(np.array(views).tolist())),
+        "ways": _digest(str([geodesic_m(place.grid, xy, target, 1.0) for xy in starts])),
+        "looks": _digest(str([look(x, y, yaw) for (x, y), yaw in zip(starts, rng.uniform(-3, 3, _MANY), strict=True)])),
+    }
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+if __name__ == "__main__":
+    main()
