@@ -30,7 +30,7 @@ from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.errands import Errands
-from coordinator.puller import Judge, Pullers
+from coordinator.puller import Judge, Nearby, Pullers, nothing_nearby
 from coordinator.repair.reconcile import reconcile
 from coordinator.settings import CoordinatorSettings
 from coordinator.vitals import Vitals
@@ -74,6 +74,7 @@ class Coordinator(Closing):
         store: where the dataset lies, when in object storage.
         errands: jobs in the place of the plan's draws; what they bring is kept, and no tables of episodes are written.
         connect: endpoints of other coordinators, whose workers may work for this one too.
+        nearby: where bundles of workers on this machine lie, which then need not come over the network.
 
     Raises:
         UsageError: the directory holds another plan.
@@ -96,6 +97,7 @@ class Coordinator(Closing):
         store: ObjectPath | None = None,
         errands: Errands | None = None,
         connect: Sequence[str] = (),
+        nearby: Nearby = nothing_nearby,
     ) -> None:
         self._gate = tuple(gate)
         self._settings = settings = settings or CoordinatorSettings()
@@ -123,7 +125,7 @@ class Coordinator(Closing):
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
             stack.callback(self._write_tables)
-            self._pullers = stack.enter_context(self._open_pullers(checker))
+            self._pullers = stack.enter_context(self._open_pullers(checker, nearby))
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
             self._look_for_room()
             front = stack.enter_context(self._open_front())
@@ -202,7 +204,7 @@ class Coordinator(Closing):
         if is_new or reconciled.adopted or reconciled.requeued or is_owed:
             self._changed.set()
 
-    def _open_pullers(self, checker: Judge) -> Pullers:
+    def _open_pullers(self, checker: Judge, nearby: Nearby) -> Pullers:
         return Pullers(
             self._archive,
             LedgerBook(self._writer, self._terms, self._clock),
@@ -211,6 +213,7 @@ class Coordinator(Closing):
             self._settings,
             self._changed.set,
             self._meters,
+            nearby,
         )
 
     def _open_front(self) -> Front:

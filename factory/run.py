@@ -29,6 +29,7 @@ from schemas.plan import Plan
 from schemas.terms import RendererKind
 from schemas.wire import Progress
 from workers.experts import require_expert
+from workers.spool import find_bundle, folder_of
 
 __all__ = ["LocalRun", "run_locally"]
 
@@ -77,8 +78,16 @@ def run_locally(
     """
     require_expert(run.plan.expert)
     require_room(run.root, settings.reserve_bytes)
+    spool = folder_of(run.root / _SPOOL, run.plan.run)
     with Coordinator(
-        run.root, run.plan, run.catalog, _LISTEN, settings=settings, gate=run.gate, store=run.store
+        run.root,
+        run.plan,
+        run.catalog,
+        _LISTEN,
+        settings=settings,
+        gate=run.gate,
+        store=run.store,
+        nearby=lambda lease: find_bundle(spool, lease),
     ) as coordinator:
         write_target_lists(run.catalog, run.store or run.root)
         progress = coordinator.progress()

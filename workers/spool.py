@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import hashlib
 import os
 import shutil
 import threading
@@ -22,12 +23,26 @@ from schemas.base import Model, Sha256
 from schemas.errors import WorldError
 from schemas.wire import Lease
 
-__all__ = ["Spool", "Spooled"]
+__all__ = ["Spool", "Spooled", "find_bundle", "folder_of"]
 
 _MAX_SIBLINGS = 256
 _LOCK, _PART, _BUNDLE, _SIDECAR = "lock", ".part", ".zip", ".json"
 
 log = structlog.get_logger(__name__)
+
+
+def folder_of(root: Path, run: str) -> Path:
+    """Returns the folder of a run under a root; it is named by digest, for the run's name came over the network."""
+    return root / hashlib.sha256(run.encode()).hexdigest()[:16]
+
+
+def find_bundle(folder: Path, lease: Lease) -> Path | None:
+    """Returns the finished bundle made under a lease that some worker keeps in a run's folder, or `None`."""
+    for sidecar in folder.glob(f"*/{_stem(lease)}{_SIDECAR}"):
+        entry = _read_sidecar(sidecar)
+        if entry is not None and entry.lease == lease:
+            return sidecar.with_suffix(_BUNDLE)
+    return None
 
 
 class Spooled(Model):
@@ -158,11 +173,15 @@ class Spool:
         self.close()
 
     def _file(self, lease: Lease, suffix: str) -> Path:
-        return self.directory / f"{lease.job_id}.{lease.fence}{suffix}"
+        return self.directory / f"{_stem(lease)}{suffix}"
 
 
 def _key(lease: Lease) -> tuple[int, int]:
     return lease.job_id, lease.fence
+
+
+def _stem(lease: Lease) -> str:
+    return f"{lease.job_id}.{lease.fence}"
 
 
 def _take_folder(root: Path) -> tuple[Path, int]:
@@ -204,7 +223,7 @@ def _adopt(orphaned: Path, mine: Path) -> None:
         if not is_idle:
             return
         for entry in _clean(orphaned):
-            stem = "{}.{}".format(*_key(entry.lease))
+            stem = _stem(entry.lease)
             if (mine / f"{stem}{_SIDECAR}").exists():
                 continue
             for suffix in (_BUNDLE, _SIDECAR):  # the sidecar last: it makes the bundle count
@@ -231,7 +250,7 @@ def _read_sidecar(path: Path) -> Spooled | None:
         entry = Spooled.model_validate_json(path.read_bytes())
     except ValidationError:
         return None
-    return entry if path.stem == "{}.{}".format(*_key(entry.lease)) else None
+    return entry if path.stem == _stem(entry.lease) else None
 
 
 def _write_synced(path: Path, data: bytes) -> None:

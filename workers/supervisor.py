@@ -5,7 +5,6 @@ Simulates nothing itself and never forks once the link is open: simulations are 
 
 from __future__ import annotations
 
-import hashlib
 import random
 import socket
 import threading
@@ -23,7 +22,7 @@ from workers.link import Link
 from workers.scene_cache import SceneCache
 from workers.settings import WorkerSettings
 from workers.slot import Slot
-from workers.spool import Spool
+from workers.spool import Spool, folder_of
 
 __all__ = ["Ending", "Supervisor", "run_worker"]
 
@@ -84,8 +83,7 @@ def _work_for(
     stop: threading.Event,
     at_once: threading.Event,
 ) -> Ending:
-    # a folder per run, named by digest: the name came over the network
-    folder = settings.spool_dir / hashlib.sha256(terms.run.encode()).hexdigest()[:16]
+    folder = folder_of(settings.spool_dir, terms.run)
     with Spool(folder, settings.spool_limit, settings.max_spool_bytes, settings.min_free_bytes) as spool:
         host = Host(
             settings=settings,

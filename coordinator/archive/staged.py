@@ -1,4 +1,4 @@
-"""A part file on its way into the archive: grows, is hashed as it grows, and leaves nothing behind when dropped."""
+"""A part file on its way into the archive: grows, or is taken whole; is hashed, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Staged:
     def __init__(self, path: Path, file: FileIO) -> None:
         self.path = path
         self.size = 0
-        """Bytes written so far."""
+        """Bytes that are there so far."""
         self._file = file
         self._hash = hashlib.sha256()
 
@@ -40,9 +40,33 @@ class Staged:
         self._hash.update(data)
         self.size += len(data)
 
+    def take(self, source: Path) -> None:
+        """Becomes another name of a file on this disk, and hashes it; whoever wrote it must not write to it again.
+
+        Args:
+            source: the file.
+
+        Raises:
+            OSError: there is none, it lies on another disk, or the disk knows no second names; nothing has changed.
+            WorldError: it cannot be read; the part file has been removed.
+        """
+        link = self.path.with_suffix(".link")
+        os.link(source, link)
+        try:
+            link.replace(self.path)
+            taken = self.path.open("rb", buffering=0)
+            self._file.close()
+            self._file = taken
+            self._hash = hashlib.file_digest(self._file, "sha256")
+            self.size = os.fstat(self._file.fileno()).st_size
+        except OSError as error:
+            link.unlink(missing_ok=True)
+            self.abandon()
+            raise world_error("read", source.parent, error) from error
+
     @property
     def sha256(self) -> str:
-        """Digest of what was written so far."""
+        """Digest of what is there so far."""
         return self._hash.hexdigest()
 
     def flush(self) -> None:

@@ -88,6 +88,26 @@ def test_published_episode_has_its_bytes_and_its_name(kind: Kind) -> None:
         assert parts_of(kind) == []
 
 
+def test_file_on_the_same_disk_is_taken_whole_and_left_to_its_owner(kind: Kind) -> None:
+    with kind.open() as archive:
+        source = kind.home / "elsewhere.zip"
+        source.write_bytes(b"bundle")
+        with archive.stage(5) as staged:
+            staged.take(source)
+            assert (staged.size, staged.sha256) == (6, hashlib.sha256(b"bundle").hexdigest())
+            place = archive.publish(staged, 5)
+        assert place.read_bytes() == source.read_bytes() == b"bundle"
+        with archive.stage(6) as dropped:
+            dropped.take(source)
+        assert source.read_bytes() == b"bundle"
+        with archive.stage(6) as staged:
+            with pytest.raises(FileNotFoundError):
+                staged.take(kind.home / "gone.zip")
+            staged.write(b"grown")
+            assert archive.publish(staged, 6).read_bytes() == b"grown"
+        assert parts_of(kind) == []
+
+
 def test_episodes_are_listed_in_ascending_order(kind: Kind) -> None:
     with kind.open() as archive:
         for index in (1_000_000, 2, 10):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from schemas.wire import Lease
-from workers.spool import Spool
+from workers.spool import Spool, find_bundle
 
 BUNDLE = b"0123456789" * 100
 
@@ -40,6 +40,19 @@ def test_bundle_survives_a_restart(tmp_path):
     with open_spool(tmp_path) as spool:
         assert spool.entries() == before
         assert spool.read(1, 1, 0, 2000) == BUNDLE
+
+
+def test_finished_bundle_is_found_from_outside_by_its_lease_alone(tmp_path):
+    with open_spool(tmp_path) as one, open_spool(tmp_path) as two:
+        put(two, lease(2))
+        one.path_for(lease(3)).write_bytes(BUNDLE)  # under way
+        found = find_bundle(tmp_path, lease(2))
+        assert found is not None
+        assert found.parent == two.directory
+        assert found.read_bytes() == BUNDLE
+        assert find_bundle(tmp_path, lease(3)) is None
+        assert find_bundle(tmp_path, lease(2, token="1")) is None
+        assert find_bundle(tmp_path / "nowhere", lease(2)) is None
 
 
 def test_dropped_bundle_leaves_nothing_behind(tmp_path):
