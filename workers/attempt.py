@@ -62,6 +62,7 @@ def run_attempt(job: Job, stage: Stage, out: BinaryIO, sid: str, on_step: Callab
     place = stage.loaded(job.scene_sha256)
     target = place.scene.info.target(job.target_id)
     rng = job.rng()
+    stage.renderer.load(place.scene, job.camera)  # not beside a world: uploading and Bullet both want room for a while
     for draws, start in enumerate(draw_poses(job, target, place, rng), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
             if not is_spawn_firm(world, start, job):
@@ -95,7 +96,6 @@ def _drive_and_seal(
     """Drives from where the robot stands and completes the bundle, or says why the world refused."""
     start = world.pose()
     writer = BundleWriter(out, stage.lap)
-    stage.renderer.load(place.scene, job.camera)
     stage.lap("start")
     done = drive(
         job,

@@ -27,9 +27,9 @@ def describe_machine() -> Machine:
     )
 
 
-def resident_mib() -> float:
-    """Returns the resident memory of this process, MiB."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+def resident_mib(pid: int | str = "self") -> float:
+    """Returns the resident memory of a process, MiB."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     return round(pages * _PAGE / _MIB, 1)
 
 
@@ -42,14 +42,14 @@ def forget_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def measure_memory(start_mib: float) -> Memory:
-    """Returns the memory of this process now, with what it was at the start and at its height."""
-    return Memory(start_mib=start_mib, end_mib=resident_mib(), peak_mib=_peak_mib())
+def measure_memory(start_mib: float, pid: int | str = "self") -> Memory:
+    """Returns the memory of a process now, with what it was at the start and at its height."""
+    return Memory(start_mib=start_mib, end_mib=resident_mib(pid), peak_mib=_peak_mib(pid))
 
 
-def _peak_mib() -> float:
+def _peak_mib(pid: int | str) -> float:
     # getrusage's maximum would be the parent's as well: it survives an exec
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+    for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmHWM:"):
             return round(int(line.split()[1]) / 1024, 1)
     raise AssertionError("Linux names the peak of every process")

@@ -1,20 +1,26 @@
 """Whether a simulation's memory stays flat: many short episodes in all scenes by turns, watched one by one.
 
-Most are cut short after a few frames, for a leak shows at starts and ends; some are driven to their end.
+The process is the one that a worker starts. Most episodes are cut short after a few frames, for a leak shows at starts
+and ends; some are driven to their end.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
 from statistics import median
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory
 
 from coordinator.plan.catalog import Catalog
-from factory.bench.machine import describe_machine, forget_peak, measure_memory, resident_mib
+from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import MemoryBench
+from schemas.errors import WorldError
 from schemas.job import Job
-from workers.attempt import Success, run_attempt
-from workers.stage import Stage
+from schemas.terms import FailReason, RendererKind
+from workers.order import Order, Report, ReportKind
+from workers.simulation import Death, Simulation
 
 __all__ = ["bench_memory"]
 
@@ -23,48 +29,79 @@ _WHOLE_EVERY = 41
 _STEPS = 5
 """Of all others."""
 _TENTH = 10
+_HANG_S = 120.0
+_ENDS = {ReportKind.SUCCESS, ReportKind.FAILURE}
 
 
 def bench_memory(
-    jobs: Sequence[Job], catalog: Catalog, stage: Stage, episodes: int, tell: Callable[[], None]
+    jobs: Sequence[Job], catalog: Catalog, renderer: RendererKind, episodes: int, tell: Callable[[], None]
 ) -> MemoryBench:
-    """Runs short episodes of the jobs in turn and returns what the process held along the way.
+    """Has a simulation do short episodes of the jobs in turn and returns what it held along the way.
 
     Args:
         jobs: of all scenes, in the order in which they take turns.
         catalog: their scenes.
-        stage: to drive on.
+        renderer: which one it opens.
         episodes: how many, at least 20.
         tell: told after every episode.
+
+    Raises:
+        WorldError: the simulation died, or broke on a job.
     """
-    forget_peak()
-    machine, start_mib = describe_machine(), resident_mib()
-    held, frames, done = [], 0, 0
-    for number in range(episodes):
-        is_whole = number < len(catalog) or number % _WHOLE_EVERY == 0
-        job = jobs[number % len(jobs)] if is_whole else _short(jobs[number % len(jobs)])
-        entry = catalog[job.scene]
-        stage.load(entry.path, entry.sha256)
-        with TemporaryFile() as file:
-            outcome = run_attempt(job, stage, file, "bench", lambda _step: None)
-        if isinstance(outcome, Success):
-            done, frames = done + 1, frames + outcome.meta.rollout.num_steps
-        else:
-            frames += outcome.steps
-        held.append(resident_mib())
-        tell()
+    machine, held, frames, done = describe_machine(), [], 0, 0
+    simulation = Simulation((sys.executable, "-m", "workers.simulate", "--renderer", renderer), _HANG_S)
+    with TemporaryDirectory() as folder, closing(_Watched(simulation)) as watched:
+        bundle, start_mib = Path(folder, "bundle.zip"), resident_mib(watched.pid)
+        for number in range(episodes):
+            is_whole = number < len(catalog) or number % _WHOLE_EVERY == 0
+            job = jobs[number % len(jobs)] if is_whole else _short(jobs[number % len(jobs)])
+            report = watched.run(Order(job=job, scene_path=catalog[job.scene].path, bundle_path=bundle, sid="bench"))
+            done, frames = done + (report.kind is ReportKind.SUCCESS), frames + report.step
+            bundle.unlink(missing_ok=True)
+            held.append(resident_mib(watched.pid))
+            tell()
+        memory = measure_memory(start_mib, watched.pid)
     tenth = episodes // _TENTH
     return MemoryBench(
         machine=machine,
-        renderer=stage.renderer.description,
+        renderer=watched.renderer,
         scenes=tuple(catalog),
         episodes=episodes,
         succeeded=done,
         frames=frames,
         settled_mib=median(held[tenth : 2 * tenth]),
         last_mib=median(held[-tenth:]),
-        memory=measure_memory(start_mib),
+        memory=memory,
     )
+
+
+class _Watched:
+    """A running simulation that must not die."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        simulation.start()
+        self.pid = simulation.pid or 0
+        self.renderer = self._hear({ReportKind.READY}).renderer
+
+    def run(self, order: Order) -> Report:
+        """Returns how the attempt ended."""
+        self._simulation.order(order)
+        report = self._hear(_ENDS)
+        if report.reason is FailReason.CRASH:
+            raise WorldError(f"the simulation could not do {order.job.scene}: {report.detail}")
+        return report
+
+    def close(self) -> None:
+        self._simulation.kill()
+
+    def _hear(self, wanted: set[ReportKind]) -> Report:
+        while True:
+            said = self._simulation.hear(1.0)
+            if isinstance(said, Death):
+                raise WorldError(f"the simulation died: {said.detail}")
+            if said is not None and said.kind in wanted:
+                return said
 
 
 def _short(job: Job) -> Job:

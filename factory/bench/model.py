@@ -66,10 +66,10 @@ class StageCost(Model):
 
 
 class Memory(Model):
-    """Resident memory of the measuring process, MiB."""
+    """Resident memory of the process that simulates, MiB."""
 
     start_mib: float
-    """After the first episode: scene, shaders and buffers are there."""
+    """After the first episode, when scene, shaders and buffers are there; `factory bench memory` has it from before."""
     end_mib: float
     """After the last episode."""
     peak_mib: float

@@ -139,8 +139,8 @@ def memory(scenes: tuple[str, ...], episodes: int, renderer: str, as_json: bool)
     with _bar("memory", episodes) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
         turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
-        with Stage(cast(RendererKind, renderer)) as stage:
-            report = bench_memory([job for turn in turns for job in turn], catalog, stage, episodes, tell)
+        jobs = [job for turn in turns for job in turn]
+        report = bench_memory(jobs, catalog, cast(RendererKind, renderer), episodes, tell)
     _print(report, as_json, show_memory)
 
 

@@ -175,9 +175,11 @@ def _upload_textures(context: moderngl.Context, textures: NDArray[np.uint8]) -> 
 
     The nearest mipmap alone is sampled: mixing two of them looks the same here and costs as much as the light map.
     """
-    layers = textures[:, ::-1] if len(textures) else np.full((1, 1, 1, 3), 255, np.uint8)
+    layers = textures if len(textures) else np.full((1, 1, 1, 3), 255, np.uint8)
     count, height, width, _ = layers.shape
-    array = context.texture_array((width, height, count), 3, np.ascontiguousarray(layers))
+    array = context.texture_array((width, height, count), 3)
+    for number, layer in enumerate(layers):
+        array.write(np.ascontiguousarray(layer[::-1]), (0, 0, number, width, height, 1))
     array.build_mipmaps()
     array.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
     return array
