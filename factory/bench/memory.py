@@ -6,7 +6,6 @@ and ends; some are driven to their end.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -18,7 +17,7 @@ from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import MemoryBench
 from schemas.errors import WorldError
 from schemas.job import Job
-from schemas.terms import FailReason, RendererKind
+from schemas.terms import FailReason
 from workers.order import Order, Report, ReportKind
 from workers.simulation import Death, Simulation
 
@@ -34,14 +33,14 @@ _ENDS = {ReportKind.SUCCESS, ReportKind.FAILURE}
 
 
 def bench_memory(
-    jobs: Sequence[Job], catalog: Catalog, renderer: RendererKind, episodes: int, tell: Callable[[], None]
+    jobs: Sequence[Job], catalog: Catalog, command: Sequence[str], episodes: int, tell: Callable[[], None]
 ) -> MemoryBench:
     """Has a simulation do short episodes of the jobs in turn and returns what it held along the way.
 
     Args:
         jobs: of all scenes, in the order in which they take turns.
         catalog: their scenes.
-        renderer: which one it opens.
+        command: how to start it.
         episodes: how many, at least 20.
         tell: told after every episode.
 
@@ -49,8 +48,7 @@ def bench_memory(
         WorldError: the simulation died, or broke on a job.
     """
     machine, held, frames, done = describe_machine(), [], 0, 0
-    simulation = Simulation((sys.executable, "-m", "workers.simulate", "--renderer", renderer), _HANG_S)
-    with TemporaryDirectory() as folder, closing(_Watched(simulation)) as watched:
+    with TemporaryDirectory() as folder, closing(_Watched(Simulation(command, _HANG_S))) as watched:
         bundle, start_mib = Path(folder, "bundle.zip"), resident_mib(watched.pid)
         for number in range(episodes):
             is_whole = number < len(catalog) or number % _WHOLE_EVERY == 0

@@ -43,6 +43,7 @@ from schemas.base import Model
 from schemas.config import CameraConfig
 from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, RendererKind
+from workers.settings import WorkerSettings
 from workers.stage import Stage
 
 __all__ = ["command"]
@@ -140,7 +141,8 @@ def memory(scenes: tuple[str, ...], episodes: int, renderer: str, as_json: bool)
         catalog = open_catalog(plan, nowhere, scene_cache())
         turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
         jobs = [job for turn in turns for job in turn]
-        report = bench_memory(jobs, catalog, cast(RendererKind, renderer), episodes, tell)
+        command = WorkerSettings(connect=(), renderer=cast(RendererKind, renderer)).simulation_command
+        report = bench_memory(jobs, catalog, command, episodes, tell)
     _print(report, as_json, show_memory)
 
 

@@ -139,6 +139,7 @@ def test_a_revoked_gateway_is_out(pki, tmp_path):
             return False
 
         until(lambda: is_out() and hub_is_up(hub, mine) and is_out(), 60)  # the session reopens meanwhile
+        assert asks(hub, mine, "gw2", Verb.JOIN, join)
 
 
 def hub_is_up(hub: Coordinator, pki: Path) -> bool:
