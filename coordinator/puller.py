@@ -190,14 +190,12 @@ class Pullers(Closing):
 
     def _take_nearby(self, pull: Pull, staged: Staged) -> None:
         """Spares a bundle on the archive's own disk the way over the network and the second copy."""
-        source = self._nearby(pull.lease)
-        if source is None:
-            return
         try:
-            if source.stat().st_size == pull.size:
+            source = self._nearby(pull.lease)
+            if source is not None and source.stat().st_size == pull.size:
                 staged.take(source)
         except OSError as error:
-            log.debug("fetched_instead", source=str(source), error=str(error))
+            log.debug("fetched_instead", episode=episode_id(pull.job.index), error=str(error))
 
     def _judge(self, pull: Pull, path: Path) -> Receipt | None:
         begun = time.monotonic()

@@ -110,3 +110,12 @@ def test_a_bundle_on_the_archives_disk_must_be_the_one_announced(tmp_path: Path)
         assert not place.exists()
         assert "arrived" in house.refused[0]
         assert path.exists()
+
+
+def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: Path) -> None:
+    def vanished(_lease: Lease) -> Path:
+        raise FileNotFoundError("dropped meanwhile")
+
+    with brought(tmp_path, vanished) as (house, place):
+        assert place.read_bytes() == BUNDLE
+        assert len(house.fetched) == 3
