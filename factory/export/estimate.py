@@ -74,14 +74,14 @@ def estimate_export(order: ExportOrder) -> Estimate:
         frames=round(frames * scale),
         bytes=round(size * scale),
         peak_bytes=peak,
-        seconds=round(seconds * scale / max(1, order.workers), 1),
+        seconds=seconds * scale / max(1, order.workers),
         workers=max(1, order.workers),
         free_bytes=free,
         fits=peak <= free,
         sample=sample,
         sample_frames=frames,
         sample_bytes=size,
-        sample_seconds=round(seconds, 3),
+        sample_seconds=seconds,
     )
 
 
