@@ -32,8 +32,11 @@ trap stop TERM INT
 
 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --wait 600 &
 worker=$!
-status=0
-# a signal interrupts the wait; go on until the worker itself is gone
+# told before the worker had a name
+if [ -n "${told_to_stop}" ]; then kill -TERM "${worker}" 2>/dev/null; fi
+# a signal interrupts the wait; go on until the worker itself is gone, which may be before the first look
+wait "${worker}"
+status=$?
 while kill -0 "${worker}" 2>/dev/null; do
     wait "${worker}"
     status=$?

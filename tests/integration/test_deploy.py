@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -212,9 +213,23 @@ class Cluster:
             "TMPDIR": str(folder),
         }
 
-    def task(self) -> subprocess.Popen[str]:
+    @contextmanager
+    def task(self) -> Iterator[subprocess.Popen[str]]:
         command = ["bash", str(DEPLOY / "slurm" / "workers.sh"), "tls/hub:7447", "/pki"]
-        return subprocess.Popen(command, env=self.environment, stdout=subprocess.PIPE, text=True)
+        with subprocess.Popen(
+            command, env=self.environment, stdout=subprocess.PIPE, text=True, start_new_session=True
+        ) as task:
+            try:
+                yield task
+            finally:
+                with suppress(ProcessLookupError):
+                    os.killpg(task.pid, signal.SIGKILL)
+
+    def before(self, command: str, deed: str) -> None:
+        """Has the task do something before it runs a command: what would otherwise be a matter of luck."""
+        trap = self.bin / "trap.sh"
+        trap.write_text(f"""trap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
+        self.environment["BASH_ENV"] = str(trap)
 
     def _tool(self, name: str, body: str) -> None:
         path = self.bin / name
@@ -235,9 +250,20 @@ def test_a_slurm_task_that_is_told_to_stop_lets_its_worker_leave_and_queues_agai
     assert cluster.told.read_text() == "requeue 15_2\n"
 
 
+def test_a_slurm_task_that_is_told_before_its_worker_has_a_name_stops_it_too(tmp_path):
+    cluster = Cluster(tmp_path, "while :; do sleep 0.05; done")
+    cluster.before(r"worker=\$!", "kill -TERM $$")
+    with cluster.task() as task:
+        assert task.wait(20) == 0
+    assert cluster.told.read_text() == "requeue 15_2\n"
+
+
+@pytest.mark.parametrize("looks", ["early", "late"])
 @pytest.mark.parametrize("status", [0, 1])
-def test_a_slurm_task_ends_as_its_worker_does(tmp_path, status):
+def test_a_slurm_task_ends_as_its_worker_does(tmp_path, status, looks):
     cluster = Cluster(tmp_path, f'echo "$MINIVLA_CACHE $@"; exit {status}')
+    if looks == "late":
+        cluster.before(r'wait*|"kill -0"*', "sleep 1")
     with cluster.task() as task:
         out, _ = task.communicate(timeout=20)
     assert task.returncode == status
