@@ -74,6 +74,12 @@ class Target(Model):
     connected_tiers: tuple[Tier, ...] = ()
     """Tiers with a start pose from which the success circle can be driven to."""
 
+    @property
+    def taken_m(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lower and upper corner x, y of what it takes up of the floor, where no episode starts; metres."""
+        (x, y, _), (width, depth, _) = self.centroid_m, self.size_m
+        return (x - width / 2, y - depth / 2), (x + width / 2, y + depth / 2)
+
 
 class SceneInfo(Model):
     """The JSON part of the package."""

@@ -22,6 +22,7 @@ __all__ = [
     "DISC_OFFSETS_M",
     "DISC_RADIUS_M",
     "Grid",
+    "are_within",
     "body_centre",
     "straight_end",
 ]
@@ -198,6 +199,12 @@ def straight_end(spawn_xy: ArrayLike, centroid_xy: ArrayLike, radius_m: float) -
     away = spawn - centroid
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     return np.where(distance > radius_m, centroid + away * (radius_m / np.maximum(distance, 1e-9)), spawn)
+
+
+def are_within(points: Floats, boxes: Floats) -> Bools:
+    """Tells for (N, 2) points whether each lies within any of the rectangles (K, 2, 2), lower and upper corner."""
+    inside: Bools = (points[:, None] > boxes[:, 0]) & (points[:, None] < boxes[:, 1])
+    return np.asarray((inside[..., 0] & inside[..., 1]).any(axis=1))
 
 
 def body_centre(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:

@@ -18,7 +18,7 @@ from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Tier
 from workers.appearance import Appearance
 from workers.foresight import foresee
-from workers.grid import straight_end
+from workers.grid import are_within, straight_end
 from workers.plan import geodesic_field, pose_table
 from workers.pose import Pose
 from workers.stage import LoadedScene
@@ -151,6 +151,7 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
     tests: list[Callable[[Poses], Bools]] = [
         lambda at: place.grid.are_poses_free(at[:, 0], at[:, 1], at[:, 2], job.spawn.margin_m),
         lambda at: place.are_connected(at[:, 0], at[:, 1], at[:, 2]),
+        lambda at: ~are_within(at[:, :2], place.taken),
     ]
     is_planner = job.expert is ExpertName.PLANNER
     if is_planner:

@@ -5,6 +5,7 @@ A cache and nothing else: an attempt never depends on what ran before it.
 
 from __future__ import annotations
 
+import functools
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,11 @@ class LoadedScene:
     def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
         """Tells for base_link poses whether the body centre stands on the connected floor."""
         return self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0).astype(bool)
+
+    @functools.cached_property
+    def taken(self) -> NDArray[np.float64]:
+        """(K, 2, 2) lower and upper corners x, y of what targets take up: nobody starts beneath a shelf."""
+        return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
 
 
 class Stage:

@@ -23,7 +23,7 @@ from factory.scenes.importer import Extraction, Part, extract_stage
 from factory.scenes.importer.assets import read_asset
 from factory.scenes.importer.targets import Candidate, find_candidates
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
-from factory.scenes.listing import list_targets, with_colours, with_far_tier
+from factory.scenes.listing import HIGHEST_BOTTOM_M, list_targets, with_colours, with_far_tier
 from factory.scenes.objects import assign_objects, number_objects
 from factory.scenes.occupancy import build_occupancy
 from factory.scenes.reach import Terrain, sees_matrix
@@ -111,7 +111,7 @@ def compile_stage(
         )
         frame, occupancy = build_occupancy(solid, shown.triangles(), floor_m)
     grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
-    terrain = Terrain(grid, grid.connected_floor(), SpawnConfig())
+    terrain = Terrain(grid, grid.connected_floor(), SpawnConfig(), _taken(shown.candidates, floor_m))
     survey = _survey(path.name, terrain, shown, floor_m, notes)
     geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes)
     info = SceneInfo(
@@ -210,6 +210,12 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
     points = spawns.astype(np.float64)
     sees = sees_matrix(terrain, points, targets)
     return _Survey(with_far_tier(targets, points, sees), spawns, sees)
+
+
+def _taken(candidates: Sequence[Candidate], floor_m: float) -> Floats:
+    """Returns (K, 2, 2) lower and upper corners x, y of the boxes around the candidates, but for what hangs high."""
+    boxes = [candidate.box for candidate in candidates if candidate.box[0, 2] - floor_m < HIGHEST_BOTTOM_M]
+    return np.array([box[:, :2] for box in boxes]).reshape(-1, 2, 2)
 
 
 def _why_no_target(file: str, shown: _Shown, terrain: Terrain, notes: list[str]) -> str:

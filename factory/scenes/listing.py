@@ -19,9 +19,9 @@ from factory.scenes.textures import TextureBook
 from schemas.scene import Target
 from schemas.terms import Tier
 
-__all__ = ["list_targets", "with_colours", "with_far_tier"]
+__all__ = ["HIGHEST_BOTTOM_M", "list_targets", "with_colours", "with_far_tier"]
 
-_HIGHEST_BOTTOM_M = 2.0
+HIGHEST_BOTTOM_M = 2.0
 """What hangs higher over the floor than this is no target, metres."""
 
 
@@ -38,7 +38,7 @@ def list_targets(
         seen[candidate.category] += 1
         target = _target(candidate, f"{candidate.category}_{seen[candidate.category]:03d}", ids[candidate.path])
         bottom = float(candidate.box[0, 2]) - floor_m
-        if not -1.0 < bottom < _HIGHEST_BOTTOM_M:
+        if not -1.0 < bottom < HIGHEST_BOTTOM_M:
             notes.append(f"{target.target_id}: left out, it hangs {bottom:.2f} m over the floor ({candidate.path})")
         elif not is_reachable(terrain, target):
             notes.append(f"{target.target_id}: left out, no pose within its success circle fits ({candidate.path})")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.config import SpawnConfig
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, Tier
-from workers.grid import Grid, body_centre, straight_end
+from workers.grid import Grid, are_within, body_centre, straight_end
 
 __all__ = ["ARRIVAL_RADIUS_M", "SEE_RANGE_M", "Terrain", "is_reachable", "ring_tiers", "sees_matrix"]
 
@@ -38,11 +38,18 @@ class Terrain:
     floor: Bools
     """(H, W) the connected floor of the body centre."""
     config: SpawnConfig
+    taken: Floats
+    """(K, 2, 2) lower and upper corners x, y of what things of a category take up, metres."""
 
     def fits(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike, margin_m: float) -> Bools:
         """Tells for base_link poses whether the footprint is free and stands on the connected floor."""
         on_floor = self.grid.values_at(self.floor, body_centre(x, y, yaw), False)
         return np.asarray(on_floor.astype(bool) & self.grid.are_poses_free(x, y, yaw, margin_m))
+
+    def can_start(self, points: Floats, yaw: ArrayLike) -> Bools:
+        """Tells for base_link at points (N, 2) whether it fits with the spawn margin, and beneath nothing."""
+        fits = self.fits(points[:, 0], points[:, 1], yaw, self.config.margin_m)
+        return np.asarray(fits & ~are_within(points, self.taken))
 
 
 def _rings(centre: Floats, radii: ArrayLike) -> Floats:
@@ -73,7 +80,7 @@ def ring_tiers(terrain: Terrain, target: Target) -> tuple[tuple[Tier, ...], tupl
     for tier, (low, high) in TIER_RANGE_M.items():
         points = _rings(centre, np.linspace(low, high, _RINGS))
         toward = np.arctan2(centre[1] - points[:, 1], centre[0] - points[:, 0])
-        starts = points[terrain.fits(points[:, 0], points[:, 1], toward, terrain.config.margin_m)]
+        starts = points[terrain.can_start(points, toward)]
         starts = starts[terrain.grid.have_sight(starts, target)]
         if len(starts) >= MIN_STARTS:
             connected.append(tier)

@@ -25,7 +25,8 @@ Floats = NDArray[np.float64]
 def survey_spawns(terrain: Terrain) -> NDArray[np.float32]:
     """Returns (S, 2) start points x, y in metres for the base_link, spread over the whole connected floor.
 
-    At three headings in four the footprint with the spawn margin is free and stands on the connected floor.
+    At three headings in four the footprint with the spawn margin is free and stands on the connected floor; none lies
+    beneath a thing of a category.
     """
     points = _open_points(terrain)
     area = float(terrain.floor.sum()) * terrain.grid.resolution_m**2
@@ -41,8 +42,7 @@ def _open_points(terrain: Terrain) -> Floats:
     points = terrain.grid.centre_of(2 * np.argwhere(near[::2, ::2]))
     headings = np.zeros(len(points), np.int64)
     for yaw in 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS:
-        x, y = points[:, 0], points[:, 1]
-        headings += terrain.fits(x, y, yaw, terrain.config.margin_m)
+        headings += terrain.can_start(points, yaw)
     return points[headings >= _MIN_FREE_HEADINGS]
 
 

@@ -2,5 +2,5 @@
 
 __all__ = ["COMPILER_VERSION"]
 
-COMPILER_VERSION = 8
+COMPILER_VERSION = 9
 """Rises whenever the same stage compiles to other bytes."""

@@ -72,6 +72,20 @@ def test_near_starts_face_the_target_within_the_heading_noise(expert: ExpertName
         assert abs(off) <= job.spawn.heading_noise_rad + 1e-9
 
 
+@pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
+def test_no_start_lies_beneath_a_shelf_on_legs(expert: ExpertName) -> None:
+    shelf = Box((2.0, -1.0, 1.5), (3.0, 1.0, 1.7), category="shelf")
+    room = (*room_walls((-1.0, -1.0), (8.5, 1.0)), CRATE)
+    for place, is_beneath in (
+        (prepare_scene(build_scene(room)), True),
+        (prepare_scene(build_scene((*room, shelf))), False),
+    ):
+        jobs = [crate_job(place, attempt, Tier.NEAR, expert=expert) for attempt in range(1, 40)]
+        starts = [start for job in jobs if (start := first_start(place, job)) is not None]
+        assert len(starts) == 39
+        assert any(2.0 < start.x < 3.0 for start in starts) == is_beneath
+
+
 def test_there_is_no_start_where_the_tier_has_no_floor() -> None:
     place = lane_room(3.4)
     assert first_start(place, crate_job(place)) is None

@@ -68,6 +68,14 @@ def test_spawns_fit_and_are_spread(tmp_path: Path) -> None:
     assert np.ptp(scene.spawns, axis=0) == pytest.approx([7.0, 5.0], abs=0.7)
 
 
+def test_no_spawn_lies_beneath_a_shelf_on_legs(tmp_path: Path) -> None:
+    scene = room(tmp_path, TEXT.box("SM_ShelfSteel_A", (-3, -2, 1.5), (0, 2, 1.7)))
+    assert "shelf" in {target.category for target in scene.info.targets}
+    assert Grid.from_scene(scene).clearance_at(np.array([[-1.5, 0.0]]))[0] > 1  # free floor
+    beneath = (scene.spawns > (-3, -2)) & (scene.spawns < (0, 2))
+    assert not beneath.all(axis=1).any()
+
+
 def test_a_thing_behind_a_wall_is_neither_seen_nor_started_at_from_there(tmp_path: Path) -> None:
     wall = TEXT.box("Divider", (-0.1, -1.5, 0), (0, 3, 2.5)) + TEXT.box("SM_Board", (0.0, 1.0, 0.9), (0.04, 2.0, 1.6))
     scene = room(tmp_path, wall)
