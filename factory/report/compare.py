@@ -163,7 +163,8 @@ def _tier_shares(material: Material) -> Iterator[Comparison]:
     for row in material.statistics.tiers:
         if row.paper is None or row.paper.share is None:
             continue
-        planned = material.meta.plan.tier_share(Tier(row.group))
+        tier = Tier(row.group)
+        asked = material.meta.plan.tier_share(tier)
         differ = row.share is not None and abs(row.share - row.paper.share) > _ALIKE_SHARE
         yield _share(
             "tiers",
@@ -171,7 +172,7 @@ def _tier_shares(material: Material) -> Iterator[Comparison]:
             row.share,
             row.paper.share,
             row.paper.source,
-            reasons.say_planned(material.statistics, planned, row.paper.n) if differ else "",
+            reasons.say_planned(material.statistics, tier, asked, row.paper.n) if differ else "",
         )
 
 
@@ -180,9 +181,10 @@ def _splits(material: Material) -> Iterator[Comparison]:
         if row.paper is None or row.paper.n is None or paper.OVERALL.n is None or row.group == ALL:
             continue
         published = row.paper.n / paper.OVERALL.n
-        planned = material.meta.plan.split_share(Split(row.group))
+        split = Split(row.group)
+        asked = material.meta.plan.split_share(split)
         differ = row.share is not None and abs(row.share - published) > _ALIKE_SHARE
-        reason = reasons.say_planned(material.statistics, planned, row.paper.n) if differ else ""
+        reason = reasons.say_planned(material.statistics, split, asked, row.paper.n) if differ else ""
         yield _share("splits", f"share of {row.group}", row.share, published, row.paper.source, reason)
         members = [each for each in material.episodes if each.split == row.group]
         yield from _length(material, "splits", row, facts_of(members))

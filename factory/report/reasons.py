@@ -10,7 +10,7 @@ from factory.stats import paper
 from factory.stats.model import AttemptRow, Published, Statistics
 from factory.stats.rollouts import ALL
 from schemas.language import needs_colour, say_category
-from schemas.terms import ExpertName, Tier
+from schemas.terms import ExpertName, Split, Tier
 
 __all__ = [
     "say_category_share",
@@ -93,15 +93,18 @@ def say_error(statistics: Statistics) -> str:
     return f"{text}."
 
 
-def say_planned(statistics: Statistics, planned: float, published_n: int | None) -> str:
-    """Shares are those of the plan, once it is filled."""
+def say_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
+    """Shares are those of the plan's cells, which of few episodes are not what it asks for."""
     if not statistics.complete:
         state = f"{statistics.episodes} of {statistics.planned} made so far"
     else:
         exact = all(cell.planned == cell.archived for cell in statistics.cells)
         state = "filled exactly" if exact else "which the cells here do not meet"
     counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
-    return f"The plan asks for {_percent(planned)}, {state}{counted}."
+    mine = sum(cell.planned for cell in statistics.cells if group in {cell.tier, cell.split})
+    quota = _percent(mine / max(1, sum(cell.planned for cell in statistics.cells)))
+    cut = "" if quota == _percent(asked) else f" in all, {quota} of its {statistics.planned} episodes"
+    return f"The plan asks for {_percent(asked)}{cut}, {state}{counted}."
 
 
 def say_largest(statistics: Statistics) -> str:

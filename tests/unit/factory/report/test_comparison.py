@@ -85,6 +85,11 @@ def test_shares_follow_the_plan() -> None:
     assert row.reason.startswith("The plan asks for 10 %")
 
 
+def test_the_share_of_a_small_plan_is_that_of_its_cells() -> None:
+    row = found([episode_row(1)], "share of train_id")  # of two, one in each scene
+    assert row.reason.startswith("The plan asks for 60 % in all, 100 % of its 2 episodes, 1 of 2 made so far")
+
+
 def test_an_empty_dataset_is_compared_with_nothing() -> None:
     assert compare(material([])) == ()
 
