@@ -10,7 +10,7 @@ from coordinator.plan.apportion import apportion, webster_sequence
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
 
-__all__ = ["Cells", "cells"]
+__all__ = ["Cells", "cells", "empty_splits"]
 
 Share = TypeVar("Share", Split, Tier)
 Cells = dict[tuple[Split, Tier], int]
@@ -23,6 +23,13 @@ def cells(plan: Plan, scene: ScenePlan) -> Cells:
     for split, count in apportion(_positive(plan.splits_of(scene)), scene.episodes).items():
         quota.update((split, next(tiers)) for _ in range(count))
     return dict(quota)
+
+
+def empty_splits(plan: Plan) -> tuple[Split, ...]:
+    """Returns the splits that the plan asks for and that get no episode, because it has too few."""
+    asked = {split for scene in plan.scenes for split in _positive(plan.splits_of(scene))}
+    filled = {split for scene in plan.scenes for split, _ in cells(plan, scene)}
+    return tuple(split for split in Split if split in asked - filled)
 
 
 def _positive(shares: Mapping[Share, float]) -> dict[Share, float]:

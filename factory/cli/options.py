@@ -10,6 +10,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.cells import empty_splits
 from coordinator.plan.file import shrink
 from factory.cli.places import DIRECTORY, PLACE, SITE
 from schemas.plan import Plan
@@ -27,6 +28,7 @@ __all__ = [
     "site_argument",
     "tls_option",
     "verbose_option",
+    "warn_of_empty_splits",
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -64,6 +66,13 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
         expert=ExpertName(expert) if expert else None,
         seed=changes.get("seed"),
     )
+
+
+def warn_of_empty_splits(plan: Plan) -> None:
+    """Says on stderr which splits get nothing of so few episodes: an evaluation would look for them."""
+    empty = empty_splits(plan)
+    if empty:
+        click.echo(f"note: {plan.episodes} episodes are too few for a share of {', '.join(empty)}", err=True)
 
 
 dataset_argument = click.argument("root", metavar="DIR", type=DIRECTORY)

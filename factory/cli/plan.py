@@ -14,7 +14,7 @@ from coordinator.plan.file import load_plan
 from coordinator.plan.nearest import find_nearest
 from coordinator.plan.spelling import spell_plan
 from factory.catalog import collect_scenes
-from factory.cli.options import plan_argument, shrink_options, shrunk_plan
+from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
 from factory.cli.output import json_option, print_json, print_table
 from factory.settings import scene_cache
 from schemas.errors import WorldError
@@ -44,6 +44,7 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         seen, held_out = scene.categories
         click.echo(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
     _print_cells(plan)
+    warn_of_empty_splits(plan)
 
 
 @command.command("nearest")

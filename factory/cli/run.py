@@ -14,7 +14,15 @@ from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
 from factory.cli.bars import Bars
 from factory.cli.gating import GateMode, gate_option, hold_gate
-from factory.cli.options import out_option, plan_argument, renderer_option, shrink_options, shrunk_plan, verbose_option
+from factory.cli.options import (
+    out_option,
+    plan_argument,
+    renderer_option,
+    shrink_options,
+    shrunk_plan,
+    verbose_option,
+    warn_of_empty_splits,
+)
 from factory.cli.output import json_option, print_json, say_duration
 from factory.cli.summary import print_summary, summarise
 from factory.ledger import plan_of
@@ -58,6 +66,7 @@ def command(
     configure_logs(verbose)
     plan = _choose_plan(plan_name, site.home, changes)
     require_expert(plan.expert)
+    warn_of_empty_splits(plan)
     kind, processes = cast(RendererKind, renderer), workers or os.cpu_count() or 1
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+
+def test_splits_that_get_no_episode_are_named(factory):
+    assert "4 episodes are too few for a share of test_id" in factory("plan", "show", "demo", "--episodes", 4).stderr
+    assert factory("plan", "show", "demo").stderr == ""
+
+
 IMPOSSIBLE = """
 [tiers]
 near = 1.0

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from coordinator.plan.apportion import apportion, webster_sequence
 from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.cells import empty_splits
 from coordinator.plan.draw import PlannedJob, cells, expand, pool, redraw, to_job
 from coordinator.plan.file import shrink
 from schemas.errors import InvalidPlan
@@ -46,6 +47,14 @@ def test_cells_hold_exactly_the_quota_of_every_scene_split_and_tier(episodes):
         assert by_split == {s: n for s, n in apportion(plan.splits, scene.episodes).items() if n}
         by_tier = Counter(job.tier for job in jobs if job.scene == scene.name)
         assert by_tier == {t: n for t, n in apportion(plan.tiers, scene.episodes).items() if n}
+
+
+@pytest.mark.parametrize("episodes", [4, 24, 240])
+def test_a_split_is_empty_when_no_job_of_a_plan_that_asks_for_it_has_it(episodes):
+    plan = shrink(BUILTIN_PLANS["demo"], episodes=episodes)
+    drawn = {job.split for job in expand(plan, make_catalog(plan))}
+    assert set(empty_splits(plan)) == {split for split, share in plan.splits.items() if share > 0} - drawn
+    assert bool(empty_splits(plan)) == (episodes == 4)
 
 
 def test_the_paper_plan_counts_1174_episodes_as_published():
