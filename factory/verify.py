@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file
+from coordinator.archive.contract import EPISODES, SCENES, index_of_file
 from coordinator.archive.place import Place, at_hand, children, table_of
 from coordinator.dataset.card import CARD_FILE
 from coordinator.dataset.meta import META_FILE, DatasetMeta
@@ -23,6 +23,7 @@ from coordinator.plan.catalog import SceneEntry, read_entry
 from coordinator.plan.draw import cells
 from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
+from factory.parts import is_part
 from factory.scenes.target_list import list_file_name
 from factory.verify_episode import EpisodeCheck, check_episode, target_of
 from factory.verify_report import Finding, Kind, Report
@@ -121,10 +122,8 @@ def _check_listing(root: Place, rows: Rows, report: Report) -> None:
             report.add(
                 Kind.SURPLUS, name, f"{METADATA_FILE} does not name it (while a run is under way, it lags behind)"
             )
-    known = {EPISODES, SCENES, META_FILE, METADATA_FILE, ATTEMPTS_FILE, CARD_FILE, QUARANTINE}
     for entry in children(root):
-        is_hidden = entry.name.startswith(".")
-        if entry.name not in known and not is_hidden and not entry.name.startswith("ledger."):
+        if not is_part(entry.name):
             report.add(Kind.FOREIGN, entry.name, "is no part of a dataset")
 
 

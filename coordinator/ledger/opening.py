@@ -34,6 +34,7 @@ __all__ = [
     "open_run",
     "planned_of",
     "read_info",
+    "require_plan",
 ]
 
 LEDGER_FILE = "ledger.db"
@@ -175,13 +176,22 @@ def _write_info(connection: Connection, facts: Mapping[str, str]) -> None:
             connection.execute(info.insert().values(key=key, value=value))
 
 
-def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog) -> None:
-    if found.plan.digest != plan.digest:
+def require_plan(begun: Plan, plan: Plan) -> None:
+    """Checks that a plan is the one that a directory was begun with.
+
+    Raises:
+        UsageError: it is another.
+    """
+    if begun.digest != plan.digest:
         raise UsageError(
-            f"the directory holds run {found.run} ({found.plan.episodes} episodes, seed {found.plan.seed}), asked for "
-            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): resume with the plan it began with, or choose "
-            "another --out"
+            f"the directory holds run {begun.run} ({begun.episodes} episodes, seed {begun.seed}), asked for "
+            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): leave the plan and its options out to go on "
+            "with what is there, or choose another --out"
         )
+
+
+def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog) -> None:
+    require_plan(found.plan, plan)
     for name, sha256 in found.scenes.items():
         if name not in catalog or catalog[name].sha256 != sha256:
             now = catalog[name].sha256[:16] if name in catalog else "none"

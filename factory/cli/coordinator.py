@@ -9,10 +9,10 @@ from typing import Any
 import click
 
 from coordinator.archive.disk import require_room
-from coordinator.plan.file import load_plan
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog, write_target_lists
+from factory.cli.begin import begin
 from factory.cli.door import open_door
 from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.http import http_options, status_pages
@@ -21,11 +21,9 @@ from factory.cli.options import (
     out_option,
     plan_argument,
     shrink_options,
-    shrunk_plan,
     tls_option,
     verbose_option,
 )
-from factory.ledger import plan_of
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from factory.site import Site
@@ -80,14 +78,12 @@ def start(
     """
     configure_logs(verbose)
     guard, listen = open_door(tls, listen)
-    begun = plan_of(site.home)
-    wanted = load_plan(plan_name) if plan_name is not None else begun or load_plan("demo")
-    plan = shrunk_plan(wanted, changes)
+    plan, is_new = begin(plan_name, site, changes)
     settings = CoordinatorSettings() if lease_ttl_s is None else CoordinatorSettings(lease_ttl_s=lease_ttl_s)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
-        gate = hold_gate(plan, catalog, gate_mode if begun is None else "skip", "auto", os.cpu_count() or 1, stop)
+        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
             click.echo("interrupted at the gate; nothing was kept", err=True)
             return 130

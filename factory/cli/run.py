@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any, cast
 
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
-from coordinator.plan.file import load_plan
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
 from factory.cli.bars import Bars
+from factory.cli.begin import begin
 from factory.cli.gating import GateMode, gate_option, hold_gate
 from factory.cli.options import (
     out_option,
     plan_argument,
     renderer_option,
     shrink_options,
-    shrunk_plan,
     verbose_option,
     warn_of_empty_splits,
 )
 from factory.cli.output import json_option, print_json, say_duration
 from factory.cli.summary import print_summary, summarise
-from factory.ledger import plan_of
 from factory.logs import configure_logs
 from factory.run import LocalRun, run_locally
 from factory.settings import scene_cache
@@ -64,13 +61,13 @@ def command(
     goes on where it was; no episode is made twice.
     """
     configure_logs(verbose)
-    plan = _choose_plan(plan_name, site.home, changes)
+    plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)
     kind, processes = cast(RendererKind, renderer), workers or os.cpu_count() or 1
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
-        gate = hold_gate(plan, catalog, gate_mode if plan_of(site.home) is None else "skip", kind, processes, stop)
+        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", kind, processes, stop)
         if gate is None:
             click.echo("interrupted at the gate; nothing was kept", err=True)
             return 130
@@ -86,12 +83,6 @@ def command(
     else:
         print_summary(summary)
     return 1 if progress.jobs.get("failed", 0) else 0
-
-
-def _choose_plan(name: str | None, home: Path, changes: dict[str, Any]) -> Plan:
-    begun = plan_of(home)
-    wanted = load_plan(name) if name is not None else begun or load_plan("demo")
-    return shrunk_plan(wanted, changes)
 
 
 class _RunBar(Bars):

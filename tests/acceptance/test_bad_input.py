@@ -50,7 +50,23 @@ def test_a_directory_of_another_plan_is_left_alone(factory, calm, tmp_path):
     before = episodes_in(calm)
     err = factory("run", "demo", "--scene", "hospital", "--out", calm, expect=2).stderr
     assert "choose another --out" in err
+    assert "building" not in err  # it is told before anything is done
     assert episodes_in(calm) == before
+
+
+def test_a_directory_within_a_dataset_is_refused(factory, plan, calm):
+    err = factory("run", plan, "--out", calm / "episodes" / "x", expect=2).stderr
+    assert f"lies in the dataset {calm}" in err
+    assert not (calm / "episodes" / "x").exists()
+
+
+def test_what_is_no_part_of_a_dataset_is_said_before_one_is_made_beside_it(factory, tmp_path):
+    plan, out = tmp_path / "impossible.toml", tmp_path / "x"
+    plan.write_text('[[scenes]]\nname = "hospital"\nepisodes = 1\nseen = ["sofa"]\n')
+    out.mkdir()
+    (out / "thesis.tex").write_text("mine")
+    err = factory("run", plan, "--out", out, expect=2).stderr
+    assert "no part of a dataset, as `factory verify` will say: thesis.tex" in err
 
 
 def test_a_worker_without_a_coordinator_says_how_to_start_one(factory):
