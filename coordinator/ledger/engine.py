@@ -184,6 +184,22 @@ def _begin_immediate(connection: Connection) -> None:
 
 
 def _connect_readonly(file: Path) -> sqlite3.Connection:
-    raw = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True, timeout=30, check_same_thread=False)
-    raw.execute("PRAGMA query_only=ON")
+    try:
+        return _open_readonly(file, "mode=ro")
+    except sqlite3.OperationalError:
+        log = file.with_name(file.name + "-wal")
+        if log.exists() and log.stat().st_size:
+            raise
+        # without a log nobody writes; SQLite wanted to make one beside it, which a read-only disk does not allow
+        return _open_readonly(file, "mode=ro&immutable=1")
+
+
+def _open_readonly(file: Path, how: str) -> sqlite3.Connection:
+    raw = sqlite3.connect(f"{file.absolute().as_uri()}?{how}", uri=True, timeout=30, check_same_thread=False)
+    try:
+        raw.execute("PRAGMA query_only=ON")
+        raw.execute("PRAGMA schema_version")  # the first look at the file
+    except sqlite3.Error:
+        raw.close()
+        raise
     return raw

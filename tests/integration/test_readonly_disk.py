@@ -1,0 +1,60 @@
+"""A finished dataset on a disk that nobody may write to: an archive, a snapshot, another team's folder."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import subprocess
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from coordinator.ledger.engine import open_writer
+from coordinator.ledger.look import look_into
+from coordinator.ledger.opening import open_run, read_info
+from schemas.errors import WorldError
+from tests.builders.ledger import room_catalog, room_plan
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own; only root may have one."""
+    path = tmp_path / "disk"
+    path.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=8m", "small", str(path)]
+    if shutil.which("mount") is None or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("mounting a tmpfs needs root")
+    yield path
+    subprocess.run(["umount", "--lazy", str(path)], check=True)
+
+
+def protect(disk: Path) -> None:
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+
+
+def test_a_ledger_on_a_disk_that_is_not_written_to_is_read(disk: Path, tmp_path: Path) -> None:
+    url, plan = f"sqlite:///{disk / 'ledger.db'}", room_plan(2)
+    engine = open_writer(url)
+    open_run(engine, plan, room_catalog(tmp_path), 30.0, datetime(2026, 1, 2, tzinfo=UTC))
+    engine.dispose()
+    protect(disk)
+    assert [path.name for path in disk.iterdir()] == ["ledger.db"]
+    with look_into(url) as ledger:
+        assert read_info(ledger).run == plan.run
+
+
+def test_a_log_that_cannot_be_read_there_is_not_passed_over(disk: Path) -> None:
+    writer = sqlite3.connect(disk / "ledger.db")
+    writer.execute("PRAGMA journal_mode=WAL")
+    writer.execute("CREATE TABLE info (key, value)")
+    writer.commit()
+    killed = disk / "killed"  # as a kill leaves it: the log is there, the index of it is not
+    killed.mkdir()
+    for name in ("ledger.db", "ledger.db-wal"):
+        shutil.copy(disk / name, killed / name)
+    writer.close()
+    protect(disk)
+    with pytest.raises(WorldError, match="cannot be read"), look_into(f"sqlite:///{killed / 'ledger.db'}"):
+        pass
