@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -23,6 +24,7 @@ from factory.dataset import Dataset
 from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
 from factory.eval.run import run_campaign
+from factory.eval.score import Evaluation
 from factory.eval.store import Store
 from factory.listen import require_loopback, require_tls_endpoints
 from factory.logs import configure_logs
@@ -94,7 +96,23 @@ def command(
             print_evaluation(evaluation, all_tables)
         if out:
             click.echo(f"kept in {out}: results.json, episodes.parquet, index.html", err=True)
-    return 0
+            _tell_how_to_drive_again(evaluation, store)
+    return _judged(evaluation)
+
+
+def _tell_how_to_drive_again(evaluation: Evaluation, store: Store) -> None:
+    folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
+    if folders:
+        again = f"`rm -r {' '.join(folders)}` and the same command drive it anew"
+        click.echo(f"episodes that a policy failed stay as they are; once it is mended, {again}", err=True)
+
+
+def _judged(evaluation: Evaluation) -> int:
+    """Returns the exit code; a policy that failed as a program in every episode has not been evaluated."""
+    lost = [policy.policy for policy in evaluation.policies if policy.only_failed]
+    for name in lost:
+        click.echo(f"error: {name} failed as a program in every episode: nothing is known of how it drives", err=True)
+    return 1 if lost else 0
 
 
 def _door(

@@ -9,7 +9,7 @@ import click
 from factory.cli.output import print_table
 from factory.eval.compare import Comparison
 from factory.eval.estimate import Estimate
-from factory.eval.phrases import ablation_rows, deaf_policies, ends_of
+from factory.eval.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
 from factory.eval.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.stats.model import Share
 
@@ -36,6 +36,8 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     click.echo("")
     for policy in evaluation.policies:
         click.echo(f"{policy.policy}: goes by {policy.knows}; {ends_of(policy)}")
+        for line in faults_in_words(policy):
+            click.echo(line)
     for remark in evaluation.remarks:
         click.echo(f"note: {remark}")
     click.echo("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP is to the closest point")

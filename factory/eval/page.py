@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from factory.eval.estimate import Estimate
-from factory.eval.phrases import ablation_rows, deaf_policies, ends_of
+from factory.eval.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
 from factory.eval.result import EpisodeResult
 from factory.eval.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.stats.model import Share
@@ -119,7 +119,8 @@ def _chart(policies: Sequence[PolicyScores]) -> str:
 
 def _notes(policies: Sequence[PolicyScores]) -> str:
     lines = (
-        f"<li><b>{escape(policy.policy)}</b> goes by {escape(policy.knows)}: {escape(ends_of(policy))}</li>"
+        f"<li><b>{escape(policy.policy)}</b> goes by {escape(policy.knows)}: {escape(ends_of(policy))}"
+        f"{''.join(f'<br>{escape(line)}' for line in faults_in_words(policy))}</li>"
         for policy in policies
     )
     return f"<ul>{''.join(lines)}</ul>"

@@ -8,7 +8,7 @@ from factory.eval.estimate import Estimate
 from factory.eval.score import PolicyScores
 from factory.stats.model import Share
 
-__all__ = ["ablation_rows", "deaf_policies", "ends_of"]
+__all__ = ["ablation_rows", "deaf_policies", "ends_of", "faults_in_words"]
 
 
 def ablation_rows(
@@ -37,3 +37,11 @@ def ends_of(policy: PolicyScores) -> str:
     """Returns how the episodes of a policy ended, and how long it thought."""
     ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
     return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms an answer"
+
+
+def faults_in_words(policy: PolicyScores) -> list[str]:
+    """Returns a line for each way in which a policy failed as a program, with what it said first."""
+    return [
+        f"{policy.policy}: {fault.drives} of {fault.of} ended by {fault.end}, first in {fault.first}: {fault.detail}"
+        for fault in policy.faults
+    ]

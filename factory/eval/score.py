@@ -10,6 +10,7 @@ from typing import Annotated
 from pydantic import Field
 
 from factory.eval.estimate import Estimate, mcnemar_p, means_of
+from factory.eval.faults import Fault, faults_of
 from factory.eval.note import PolicyNote
 from factory.eval.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
 from factory.stats.measures import share_of
@@ -104,9 +105,16 @@ class PolicyScores(Model):
     overall: Score
     groups: tuple[Score, ...]
     ends: dict[EvalEnd, int]
+    faults: tuple[Fault, ...] = ()
+    """Where it failed as a program, under whatever words."""
     ablation: tuple[Ablation, ...]
     act_ms: float | None
     """Mean time of an answer, milliseconds; not part of the numbers that repeat."""
+
+    @property
+    def only_failed(self) -> bool:
+        """Whether it failed as a program in every episode, so that nothing was measured but that."""
+        return 0 < self.overall.n == self.overall.policy_failure.count
 
 
 class Evaluation(Model):
@@ -155,6 +163,7 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
         overall=score(ALL, ALL, original),
         groups=tuple(_grouped(original)),
         ends=dict(sorted(Counter(row.end for row in original).items())),
+        faults=faults_of(results),
         ablation=tuple(_ablations(results)),
         act_ms=sum(row.act_ms for row in original) / len(original) if original else None,
     )

@@ -68,8 +68,7 @@ class Store:
 
     def results(self, policy: str) -> list[EpisodeResult]:
         """Returns the finished episodes of a policy, in the order of the specs; a torn last line is cut off."""
-        folder = self.root / _POLICIES / folder_name(policy)
-        return _in_order(_read_log(folder / _LOG, cut=True), self._specs)
+        return _in_order(_read_log(self.folder_of(policy) / _LOG, cut=True), self._specs)
 
     def add(self, result: EpisodeResult) -> None:
         """Appends an episode, durably.
@@ -85,6 +84,10 @@ class Store:
         except OSError as error:
             raise WorldError(f"cannot write to {self.root}: {error.strerror}; free space and run it again") from error
 
+    def folder_of(self, policy: str) -> Path:
+        """Returns where the results of a policy are kept; without that folder it is driven anew."""
+        return self.root / _POLICIES / folder_name(policy)
+
     def note(self, note: PolicyNote) -> None:
         """Writes down what a policy is."""
         folder = self.folder(note.policy)
@@ -92,7 +95,7 @@ class Store:
 
     def note_of(self, policy: str) -> PolicyNote | None:
         """Returns what was written down of a policy, or `None`."""
-        path = self.root / _POLICIES / folder_name(policy) / _NOTE
+        path = self.folder_of(policy) / _NOTE
         return PolicyNote.model_validate_json(path.read_bytes()) if path.exists() else None
 
     def _log(self, policy: str) -> IO[bytes]:
@@ -102,7 +105,7 @@ class Store:
 
     def folder(self, policy: str) -> Path:
         """Returns the folder of a policy, made where it is missing."""
-        folder = self.root / _POLICIES / folder_name(policy)
+        folder = self.folder_of(policy)
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 

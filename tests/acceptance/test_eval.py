@@ -90,6 +90,23 @@ def test_ctrl_c_keeps_what_is_done(factory: FactoryCli, drives: Path, out: Path,
     assert log.read_bytes().endswith(b"\n")
 
 
+def test_a_policy_that_always_raises_is_quoted_and_can_be_driven_anew(
+    factory: FactoryCli, drives: Path, out: Path, tmp_path: Path
+) -> None:
+    specs = out.parent / "specs.json"
+    words = ("eval", "--data", drives, "--specs", specs, "--policy", "tests.builders.policies:Raises", "--videos", 0)
+    first = factory(*words, "-o", tmp_path / "out", expect=1)
+    assert "2 of 2 ended by policy_raised" in first.stdout
+    assert "KeyError: 'depth_front' (policies.py:" in first.stdout
+    assert "nothing is known of how it drives" in first.stderr
+    (log,) = tmp_path.rglob("episodes.jsonl")
+    assert f"rm -r {log.parent}" in first.stderr
+    log.unlink()
+    (policy,) = factory.json(*words, "-o", tmp_path / "out", expect=1)["policies"]
+    assert [(fault["end"], fault["drives"]) for fault in policy["faults"]] == [("policy_raised", 2)]
+    assert log.read_bytes().count(b"\n") == 2
+
+
 def test_unfiltered_starts_are_a_file_of_specs(factory: FactoryCli, drives: Path, tmp_path: Path) -> None:
     path = tmp_path / "u.json"
     found = factory.json("eval", "specs", drives, "--split", "all", "--unfiltered", "--episodes", 2, "-o", path)
