@@ -16,8 +16,10 @@ from coordinator.dataset.meta import DatasetMeta, read_dataset_meta
 from coordinator.dataset.tables import METADATA_FILE
 from coordinator.summary import EpisodeSummary, file_name_of
 from factory.episode import Episode, Frame
+from factory.vocabulary import require_known
 from schemas.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.meant import did_you_mean
 
 __all__ = ["Dataset", "Episode", "Frame"]
 
@@ -52,6 +54,7 @@ class Dataset:
         """What the dataset is and what made it."""
         self.metadata: pa.Table = _read_table(self.root / METADATA_FILE)
         """One row an episode; the columns are those of `EpisodeSummary`."""
+        self._targets: list[str] = pc.unique(self.metadata["target_id"]).to_pylist()
 
     @property
     def digest(self) -> str:
@@ -60,25 +63,28 @@ class Dataset:
         return dataset_digest(zip(names, self.metadata["content_digest"].to_pylist(), strict=True))
 
     def filter(self, **wanted: str | Iterable[str]) -> Dataset:
-        """Returns the episodes that fit all conditions.
+        """Returns the episodes that fit all conditions: none where a value is right, but no episode here has it.
 
         Args:
             wanted: a value or several for `split`, `scene`, `tier`, `category`, `target`, `template`, `colour`,
                 `expert` or `episode`.
 
         Raises:
-            UsageError: there is no filter of that name.
+            UsageError: there is no filter of that name, or no such value.
         """
         table = self.metadata
         for name, values in wanted.items():
             if name not in _FILTERS:
-                raise UsageError(f"no filter {name!r}; there are {', '.join(_FILTERS)}")
-            table = table.filter(pc.field(_FILTERS[name]).isin(_as_strings(values)))
+                raise UsageError(f"no filter {name!r}; there are {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}")
+            asked, column = _as_strings(values), _FILTERS[name]
+            held = self._targets if name == "target" else pc.unique(self.metadata[column]).to_pylist()
+            require_known(name, asked.to_pylist(), held, self.meta.plan)
+            table = table.filter(pc.field(column).isin(asked))
         return self._with(table)
 
     def _with(self, table: pa.Table) -> Dataset:
         part = object.__new__(Dataset)
-        part.root, part.meta, part.metadata = self.root, self.meta, table
+        part.root, part.meta, part.metadata, part._targets = self.root, self.meta, table, self._targets
         return part
 
     def __len__(self) -> int:

@@ -16,6 +16,6 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
     >>> did_you_mean("oracle", ["hospital", "office"])
     ''
     """
-    spelt = {name.lower(): name for name in names}
+    spelt = {name.lower(): str(name) for name in names}
     near = difflib.get_close_matches(word.lower(), spelt, n=1)
     return f"; did you mean {spelt[near[0]]!r}?" if near else ""

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 __all__ = [
     "BUILTIN_CATEGORIES",
     "CATEGORIES",
+    "COLOUR_NAMES",
     "TIER_RANGE_M",
     "EndReason",
     "ExpertName",
@@ -103,6 +104,9 @@ CATEGORIES = (
     "crate",
 )
 """The paper's twelve object categories."""
+
+COLOUR_NAMES = ("black", "gray", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown")
+"""The eleven basic colour terms; a target of no one colour is `unknown`."""
 
 
 class SceneCategories(NamedTuple):

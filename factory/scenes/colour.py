@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["COLOUR_NAMES", "dominant_name", "lab_of", "linear_of", "name_indices", "srgb_of"]
+from schemas.terms import COLOUR_NAMES
 
-COLOUR_NAMES = ("black", "gray", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown")
-"""The eleven basic colour terms."""
+__all__ = ["dominant_name", "lab_of", "linear_of", "name_indices", "srgb_of"]
+
 _BLACK, _GRAY, _WHITE, _RED, _ORANGE, _YELLOW, _GREEN, _BLUE, _PURPLE, _PINK, _BROWN = range(11)
 _HUES = ((0, 45, _RED), (45, 72, _ORANGE), (72, 108, _YELLOW), (108, 195, _GREEN), (195, 308, _BLUE))
 _NAMELESS = len(COLOUR_NAMES)

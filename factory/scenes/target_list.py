@@ -12,11 +12,11 @@ from typing import Annotated
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from factory.scenes.colour import COLOUR_NAMES
 from factory.scenes.yaml_text import read_yaml
 from schemas.base import Model, Name
 from schemas.errors import UsageError
 from schemas.scene import SceneInfo
+from schemas.terms import COLOUR_NAMES
 
 __all__ = ["TargetEntry", "TargetList", "list_file_name", "load_target_list", "spell_target_list"]
 

@@ -86,6 +86,46 @@ def test_filters_narrow_and_combine(shared: Path) -> None:
         data.filter(colour_word="red")
 
 
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ({"split": "bogus"}, "no split 'bogus'; there are train_id, val_id, test_id"),
+        ({"scene": "offfice"}, "no scene 'offfice'; there are office, .*; did you mean 'office'"),
+        ({"tier": ("near", "Far")}, "no tier 'Far'; there are near, mid, far; did you mean 'far'"),
+        ({"category": "chairs"}, "no category 'chairs'; .*; did you mean 'chair'"),
+        ({"target": "chair_1"}, "no target 'chair_1'; there are chair_001; did you mean 'chair_001'"),
+        ({"template": "train_19"}, "no template 'train_19'; .*ood_06 and 6 more"),
+        ({"colour": "grey"}, "no colour 'grey'; .*; did you mean 'gray'"),
+        ({"expert": "plan"}, "no expert 'plan'; .*; did you mean 'planner'"),
+        ({"episode": "1"}, "no episode '1'; there are ep_000001"),
+        ({"episode": "ep_000004"}, "no episode 'ep_000004'; there are ep_000001, ep_000002, ep_000003"),
+    ],
+)
+def test_values_that_no_dataset_could_have_are_named(shared: Path, wanted: dict[str, str], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        Dataset(shared).filter(**wanted)
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"split": "test_ood_obj"},
+        {"scene": "hospital"},
+        {"tier": "far"},
+        {"category": "sofa"},
+        {"target": "sofa_012"},
+        {"template": "ood_12"},
+        {"colour": "unknown"},
+        {"expert": "planner"},
+        {"split": ()},
+    ],
+)
+def test_values_of_the_vocabulary_may_leave_nothing(shared: Path, wanted: dict[str, str]) -> None:
+    part = Dataset(shared).filter(**wanted)
+    assert len(part) == 0
+    assert len(part.filter(episode="ep_000002", target="chair_001")) == 0
+
+
 def test_digest_is_the_one_in_the_description(shared: Path) -> None:
     data = Dataset(shared)
     assert data.digest == data.meta.dataset_digest

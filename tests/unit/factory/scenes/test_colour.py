@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.scenes.colour import COLOUR_NAMES, dominant_name, lab_of, linear_of, name_indices, srgb_of
+from factory.scenes.colour import dominant_name, lab_of, linear_of, name_indices, srgb_of
+from schemas.terms import COLOUR_NAMES
 
 
 @pytest.mark.parametrize(
