@@ -14,25 +14,25 @@ from pydantic import ValidationError
 from coordinator.plan.apportion import apportion
 from coordinator.plan.builtin import BUILTIN_PLANS
 from schemas.errors import InvalidPlan, UsageError
+from schemas.meant import did_you_mean
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import ExpertName
 
-__all__ = ["load_plan", "parse_plan", "shrink"]
+__all__ = ["load_plan", "parse_plan", "scene_of", "shrink"]
 
 
 def load_plan(reference: str) -> Plan:
     """Returns a built-in plan by its name, or reads a TOML file.
 
     Raises:
-        UsageError: neither a built-in name nor a readable file.
+        UsageError: no built-in plan is called that, and no such file is there.
         InvalidPlan: the file holds mistakes; all are listed.
     """
     if reference in BUILTIN_PLANS:
         return BUILTIN_PLANS[reference]
     path = Path(reference)
     if not path.is_file():
-        known = ", ".join(BUILTIN_PLANS)
-        raise UsageError(f"no plan {reference!r}: neither a built-in name ({known}) nor a TOML file")
+        raise UsageError(_say_absent(reference, path))
     try:
         text = path.read_text(encoding="utf-8")
         data = tomllib.loads(text)
@@ -40,6 +40,17 @@ def load_plan(reference: str) -> Plan:
         raise InvalidPlan(f"{path} is no TOML", [str(error)]) from error
     data.setdefault("name", _name_from(path))
     return parse_plan(data, str(path), base=path.parent)
+
+
+def _say_absent(reference: str, path: Path) -> str:
+    """Returns why a reference is no plan: a file that is not there, or a name that none has."""
+    known = f"the built-in plans are {', '.join(BUILTIN_PLANS)}"
+    if path.is_dir():
+        return f"no plan {reference!r}: that is a directory; give a TOML file ({known})"
+    meant = did_you_mean(path.stem, BUILTIN_PLANS)
+    if path.suffix or path.name != reference:
+        return f"no plan {reference!r}: no such file ({known}){meant}"
+    return f"no plan {reference!r}: no such file, and {known}{meant}"
 
 
 def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Plan:
@@ -67,6 +78,19 @@ def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
     return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
 
 
+def scene_of(plan: Plan, name: str) -> ScenePlan:
+    """Returns the plan's part of a scene.
+
+    Raises:
+        UsageError: the plan has no such scene.
+    """
+    scenes = {part.name: part for part in plan.scenes}
+    if name not in scenes:
+        names = f"{', '.join(scenes)}{did_you_mean(name, scenes)}"
+        raise UsageError(f"plan {plan.name!r} has no scene {name!r}; it has {names}")
+    return scenes[name]
+
+
 def shrink(
     plan: Plan,
     *,
@@ -82,10 +106,7 @@ def shrink(
     """
     scenes = plan.scenes
     if scene is not None:
-        scenes = tuple(part for part in scenes if part.name == scene)
-        if not scenes:
-            names = ", ".join(part.name for part in plan.scenes)
-            raise UsageError(f"plan {plan.name!r} has no scene {scene!r}; it has {names}")
+        scenes = (scene_of(plan, scene),)
     if episodes is not None:
         if episodes < 1:
             raise UsageError(f"--episodes {episodes}: at least 1 is needed")

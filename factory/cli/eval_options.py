@@ -8,6 +8,7 @@ import click
 
 from factory.dataset import Dataset
 from schemas.errors import UsageError
+from schemas.meant import did_you_mean
 from schemas.terms import Split
 
 __all__ = ["SplitList", "splits_of"]
@@ -29,7 +30,8 @@ class SplitList(click.ParamType):  # type: ignore[type-arg]  # generic since cli
         names = [name.strip() for name in str(value).split(",") if name.strip()]
         unknown = [name for name in names if name not in set(Split)]
         if unknown or not names:
-            self.fail(f"no split {', '.join(unknown) or 'is named'}; there are {', '.join(Split)}, or all", param, ctx)
+            known = f"there are {', '.join(Split)}, or all{did_you_mean(''.join(unknown[:1]), (*Split, 'all'))}"
+            self.fail(f"no split {', '.join(unknown) or 'is named'}; {known}", param, ctx)
         return tuple(split for split in Split if split in names)
 
 

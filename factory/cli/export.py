@@ -18,7 +18,7 @@ from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, say_duration, stderr
 from factory.export.base import Options
 from factory.export.estimate import Estimate, estimate_export
-from factory.export.registry import EXPORTERS, find_exporter
+from factory.export.registry import EXPORTERS, check_format, find_exporter
 from factory.export.report import ExportReport
 from factory.export.run import ExportOrder, Progress, run_export
 from factory.export.selection import SPLITS, parse_episodes
@@ -32,9 +32,18 @@ Command = Callable[..., Any]
 _NAMED = 5
 
 
+class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click 8.2 only
+    """A format; of one that is made elsewhere it says where."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Returns the name."""
+        check_format(str(value))
+        return super().convert(value, param, ctx)
+
+
 @click.command("export")
 @place_argument
-@click.option("--to", "format_name", required=True, type=click.Choice(list(EXPORTERS)), help="The format.")
+@click.option("--to", "format_name", required=True, type=FormatName(list(EXPORTERS)), help="The format.")
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Directory of the export; resumed.")
 @click.option("--split", "splits", multiple=True, type=click.Choice(SPLITS), help="Only this split; may be repeated.")
 @click.option("--episodes", metavar="IDS", help="Only these, e.g. 1-50,60 or ep_000060.")

@@ -10,8 +10,10 @@ from typing import Any
 
 import click
 
+from coordinator.ledger.opening import read_info
 from coordinator.ledger.records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
 from coordinator.ledger.states import State
+from coordinator.plan.file import scene_of
 from coordinator.wire.tls import read_credentials
 from factory.cli.episodes import episode_index
 from factory.cli.options import ledger_option, site_argument, tls_option
@@ -58,6 +60,8 @@ def list_(
         split=Split(split) if split else None,
     )
     with read_ledger(site, ledger) as connection:
+        if scene is not None:
+            scene_of(read_info(connection).plan, scene)
         jobs, total = list_jobs(connection, wanted, limit), count_jobs(connection, wanted)
     if as_json:
         print_json({"total": total, "jobs": [_plain(job) for job in jobs]})

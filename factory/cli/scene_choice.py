@@ -39,6 +39,8 @@ def chosen_scene(scene: str, seed: int) -> CompiledScene:
     path = Path(scene)
     if path.suffix.lower().startswith(".usd"):
         raise UsageError(f"{scene} is a stage; compile it with `factory scene import {scene}` and give the package")
+    if path.suffix and not path.is_file():
+        raise UsageError(f"no file {scene}; give a compiled package (*.scene.zip) or the name of a built-in scene")
     return open_scene(path if path.is_file() else build_scene(scene, seed, scene_cache()))
 
 

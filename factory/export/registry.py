@@ -11,8 +11,9 @@ from typing import Any
 
 from factory.export.base import Exporter
 from schemas.errors import UsageError
+from schemas.meant import did_you_mean
 
-__all__ = ["EXPORTERS", "AnyExporter", "find_exporter", "require_packages"]
+__all__ = ["EXPORTERS", "AnyExporter", "check_format", "find_exporter", "require_packages"]
 
 AnyExporter = Exporter[Any, Any]
 
@@ -30,6 +31,25 @@ EXPORTERS: Mapping[str, str] = MappingProxyType(
 """Name -> module and class."""
 
 
+_MADE_ELSEWHERE: Mapping[str, str] = MappingProxyType(
+    {"rlds": "TFDS builds it from the dataset; builder and recipe are in docs/formats/rlds/README.md"}
+)
+"""Formats that other tools write, and how."""
+
+
+def check_format(name: str) -> None:
+    """Makes sure that a format is called that, without loading it.
+
+    Raises:
+        UsageError: there is no such format.
+    """
+    if name in EXPORTERS:
+        return
+    if name.lower() in _MADE_ELSEWHERE:
+        raise UsageError(f"`factory export` does not write {name.lower()}: {_MADE_ELSEWHERE[name.lower()]}")
+    raise UsageError(f"no format {name!r}; there are {', '.join(EXPORTERS)}{did_you_mean(name, EXPORTERS)}")
+
+
 @cache
 def find_exporter(name: str) -> AnyExporter:
     """Returns the exporter of a format; heavy packages are imported when it writes.
@@ -37,10 +57,8 @@ def find_exporter(name: str) -> AnyExporter:
     Raises:
         UsageError: there is no such format.
     """
-    place = EXPORTERS.get(name)
-    if place is None:
-        raise UsageError(f"no format {name!r}; there are {', '.join(EXPORTERS)}")
-    module, _, kind = place.partition(":")
+    check_format(name)
+    module, _, kind = EXPORTERS[name].partition(":")
     exporter: AnyExporter = getattr(importlib.import_module(module), kind)()
     return exporter
 

@@ -24,6 +24,7 @@ from factory.eval.spec import EvalSpec, SpecSet
 from factory.eval.spec_file import read_specs
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
+from schemas.meant import did_you_mean
 from schemas.terms import EndReason, RendererKind, Split
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.slew import Twist
@@ -226,5 +227,7 @@ def _specs(root: Path, split: str, specs: str | Path | SpecSet | None) -> SpecSe
     names = [name.strip() for name in split.split(",")]
     unknown = [name for name in names if name not in set(Split)]
     if unknown:
-        raise UsageError(f"no split {', '.join(unknown)}; there are {', '.join(Split)}")
+        raise UsageError(
+            f"no split {', '.join(unknown)}; there are {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
+        )
     return specs_of_dataset(Dataset(root), [Split(name) for name in names])

@@ -18,6 +18,7 @@ from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import UsageError, WorldError
+from schemas.meant import did_you_mean
 from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
 
 __all__ = ["build_scene", "import_scene", "load_edits", "package_path"]
@@ -34,8 +35,8 @@ def package_path(
         UsageError: no built-in scene has that name.
     """
     if name not in BUILTIN_SCENES:
-        known = ", ".join(BUILTIN_SCENES)
-        raise UsageError(f"no built-in scene is called {name!r}; known: {known}; use `factory scene import` for a USD")
+        known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a USD"
+        raise UsageError(f"no built-in scene is called {name!r}; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or load_rules()).model_dump_json()
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
     if targets is not None:

@@ -39,6 +39,11 @@ def test_an_unknown_scene_option_names_the_scenes_of_the_plan(factory, tmp_path)
     assert "office" in err
 
 
+def test_a_misspelt_scene_of_the_jobs_is_no_empty_list(factory, calm):
+    err = factory("jobs", "list", calm, "--scene", "hospitl", expect=2).stderr
+    assert "did you mean 'hospital'" in err
+
+
 def test_an_output_that_is_a_file_is_refused(factory, plan, tmp_path):
     (tmp_path / "x").write_text("mine")
     err = factory("run", plan, "--out", tmp_path / "x", expect=1).stderr

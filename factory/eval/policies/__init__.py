@@ -16,6 +16,7 @@ from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import RandomPolicy, StopPolicy
 from factory.eval.policy import Policy, is_built_in
 from schemas.errors import UsageError
+from schemas.meant import did_you_mean
 from schemas.terms import ExpertName
 
 __all__ = [
@@ -75,7 +76,7 @@ def find_policy(name: str) -> Entry:
         return POLICIES[kind]
     if ":" not in name or not all(part.isidentifier() for part in name.replace(":", ".").split(".")):
         known = ", ".join(entry.usage for entry in (*POLICIES.values(), _FOREIGN))
-        raise UsageError(f"no policy {name!r}; there are {known}")
+        raise UsageError(f"no policy {name!r}; there are {known}{did_you_mean(kind, POLICIES)}")
     return _FOREIGN
 
 
@@ -141,4 +142,5 @@ def _expert_name(rest: str) -> ExpertName:
     try:
         return ExpertName(rest or ExpertName.PROPORTIONAL)
     except ValueError as error:
-        raise UsageError(f"no expert {rest!r}; there are {', '.join(ExpertName)}") from error
+        known = f"{', '.join(ExpertName)}{did_you_mean(rest, ExpertName)}"
+        raise UsageError(f"no expert {rest!r}; there are {known}") from error

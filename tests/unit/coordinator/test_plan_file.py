@@ -37,8 +37,27 @@ def test_a_good_file_is_read_and_relative_scene_paths_start_at_the_file(tmp_path
 
 
 def test_an_unknown_plan_names_the_built_in_ones():
-    with pytest.raises(UsageError, match="demo, paper, balanced"):
+    with pytest.raises(UsageError, match="demo, paper, balanced; did you mean 'paper'"):
         load_plan("papper")
+
+
+@pytest.mark.parametrize(
+    ("reference", "said"),
+    [
+        ("mine.toml", r"no plan 'mine.toml': no such file \(the built-in plans are demo, paper, balanced\)$"),
+        ("plans/mine", "no plan 'plans/mine': no such file"),
+        ("demo.toml", "no such file .*; did you mean 'demo'"),
+        ("/", "that is a directory; give a TOML file"),
+    ],
+)
+def test_a_file_that_is_not_there_is_called_so(reference, said):
+    with pytest.raises(UsageError, match=said):
+        load_plan(reference)
+
+
+def test_a_misspelt_scene_is_told_the_nearest_of_the_plan():
+    with pytest.raises(UsageError, match=r"has no scene 'hospitl'; it has .*; did you mean 'hospital'"):
+        shrink(load_plan("demo"), scene="hospitl")
 
 
 def test_every_mistake_is_named_with_its_key(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from click.shell_completion import ShellComplete
 
 from factory.cli.main import cli
+from schemas.errors import UsageError
 
 SERVERS = {"factory coordinator start", "factory gateway start", "factory worker"}
 """Run until they are stopped, and print where others connect."""
@@ -60,3 +61,15 @@ def test_every_verb_that_prints_a_result_prints_it_as_json_too() -> None:
 )
 def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, ...], found: list[object]) -> None:
     assert complete(*words) == found
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("lerobt", "no format 'lerobt'; there are paper, .*; did you mean 'lerobot'"),
+        ("rlds", "TFDS builds it .*docs/formats/rlds/README.md"),
+    ],
+)
+def test_a_format_that_is_not_written_is_told_what_is_near_or_where_it_is_made(name: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        cli.main(["export", ".", "--to", name, "-o", "nowhere"], standalone_mode=False)

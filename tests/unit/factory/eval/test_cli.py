@@ -35,6 +35,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         (("--policy", "oracle"), "no policy 'oracle'; there are expert"),
         (("--policy", "expert:best"), "no expert 'best'"),
+        (("--policy", "expert:plannr"), "no expert 'plannr'; .*; did you mean 'planner'"),
+        (("--policy", "exprt"), "no policy 'exprt'; .*; did you mean 'expert'"),
         (("--policy", "stop"), "no episodes but for training; say --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),
         (("--policy", "stop", "--specs", "/nowhere.json"), "factory eval specs"),
