@@ -81,7 +81,7 @@ def command(
         return None
     configure_logs()
     door = _door(listen, connect, tls, out, options["workers"])
-    campaign = draw_up(Asked(**options))
+    campaign = draw_up(Asked(**options), drives_here=door is None)
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         store = stack.enter_context(open_store(campaign, folder))

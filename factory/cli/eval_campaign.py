@@ -17,7 +17,7 @@ from factory.eval.ablation import ABLATIONS
 from factory.eval.campaign import Campaign
 from factory.eval.from_dataset import specs_of_dataset
 from factory.eval.message import Setup
-from factory.eval.policies import check_name
+from factory.eval.policies import check_name, require_at_hand
 from factory.eval.publish import publish
 from factory.eval.result import Variant
 from factory.eval.run import Pace
@@ -48,16 +48,22 @@ class Asked:
     renderer: RendererKind
 
 
-def draw_up(asked: Asked) -> Campaign:
+def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
     """Returns the campaign that was asked for.
 
+    Args:
+        asked: the options.
+        drives_here: whether this machine drives, which then has to hold what the policies are made of.
+
     Raises:
-        UsageError: a policy, a split or the file of specs does not exist.
+        UsageError: a policy, a split or the file of specs does not exist, or what a policy needs is not installed.
     """
     if asked.root is None or not asked.policies:
         raise UsageError("give the dataset and a policy: factory eval --data DIR --policy expert")
     for name in asked.policies:
         check_name(name)
+        if drives_here:
+            require_at_hand(name)
     specs = _specs(Dataset(asked.root), asked)
     setup = Setup(
         settings=specs.settings,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
 from typing import Any
 
 from factory.export.base import Exporter
+from factory.extras import require_package
 from schemas.errors import UsageError
 from schemas.meant import did_you_mean
 
@@ -70,7 +70,4 @@ def require_packages(exporter: AnyExporter) -> None:
         UsageError: one is not; the message names the extra to install.
     """
     for module, extra in exporter.requires:
-        if importlib.util.find_spec(module) is None:
-            raise UsageError(
-                f"format {exporter.name} needs the package {module}: pip install 'minivla-factory[{extra}]'"
-            )
+        require_package(module, extra, f"format {exporter.name}")

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.experts import ExpertPolicy
-from factory.eval.policies.foreign import load_class
+from factory.eval.policies.foreign import load_class, require_module
 from factory.eval.policies.outside import Outside
 from factory.eval.policies.recorded import PlaybackPolicy, ReplayPolicy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import RandomPolicy, StopPolicy
 from factory.eval.policy import Policy, is_built_in
+from factory.extras import require_package
 from schemas.errors import UsageError
 from schemas.meant import did_you_mean
 from schemas.terms import ExpertName
@@ -29,6 +30,7 @@ __all__ = [
     "find_policy",
     "is_foreign",
     "make_policy",
+    "require_at_hand",
 ]
 
 Maker = Callable[[str, Outside], Policy]
@@ -46,8 +48,11 @@ class Entry(NamedTuple):
     reads_instruction: bool = False
     file_of: Callable[[str], Path] | None = None
     """Returns the file that it is made of, from what stands behind the first colon."""
+    needs: tuple[tuple[str, str], ...] = ()
+    """Modules that it needs, each with the extra that brings it."""
 
 
+_WIRE = (("websockets", "eval"), ("msgpack", "eval"))
 POLICIES: Mapping[str, Entry] = MappingProxyType(
     {
         "expert": Entry(lambda rest, _: ExpertPolicy(_expert_name(rest)), "expert[:NAME]"),
@@ -56,9 +61,13 @@ POLICIES: Mapping[str, Entry] = MappingProxyType(
         "stop": Entry(lambda _rest, _: StopPolicy(), "stop"),
         "replay": Entry(lambda _rest, _: ReplayPolicy(), "replay", needs_recording=True),
         "playback": Entry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
-        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file),
-        "ws": Entry(lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True),
-        "wss": Entry(lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True),
+        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, (("torch", "train"),)),
+        "ws": Entry(
+            lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True, None, _WIRE
+        ),
+        "wss": Entry(
+            lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True, None, _WIRE
+        ),
     }
 )
 """By the word before the first colon; any other name is taken for `package.module:Class`."""
@@ -99,6 +108,20 @@ def check_name(name: str) -> None:
     kind, _, rest = name.partition(":")
     if kind == "expert":
         _expert_name(rest)
+
+
+def require_at_hand(name: str) -> None:
+    """Makes sure that what a policy is made of is on this machine, as far as that can be told without making it.
+
+    Raises:
+        UsageError: a package, its file or its module is not there.
+    """
+    entry = find_policy(name)
+    for module, extra in entry.needs:
+        require_package(module, extra, f"policy {name}")
+    file_of(name)
+    if entry is _FOREIGN:
+        require_module(name)
 
 
 def make_policy(name: str, outside: Outside, file: Path | None = None) -> Policy:

@@ -36,6 +36,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--policy", "oracle"), "no policy 'oracle'; there are expert"),
         (("--policy", "expert:best"), "no expert 'best'"),
         (("--policy", "expert:plannr"), "no expert 'plannr'; .*; did you mean 'planner'"),
+        (("--policy", "nowhere_pilot:Policy"), "no module 'nowhere_pilot'; looked in"),
         (("--policy", "exprt"), "no policy 'exprt'; .*; did you mean 'expert'"),
         (("--policy", "stop"), "no episodes but for training; say --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),
