@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from factory.panels import TrackMap, show_depth, show_ids
 from schemas.bundle import BundleReader
@@ -12,7 +12,9 @@ from schemas.scene import CompiledScene
 __all__ = ["draw_contact_sheet"]
 
 _TILE_PX = 240
-_HEAD_PX = 46
+_MARGIN_PX = 8
+_HEAD_SHARE, _WORDS_SHARE, _FACTS_SHARE = 1 / 30, 1 / 80, 1 / 100
+"""Height of the head and of its letters, over the width of the sheet: it is looked at as a whole."""
 
 
 def draw_contact_sheet(episode: BundleReader, scene: CompiledScene, columns: int = 6) -> Image.Image:
@@ -31,22 +33,32 @@ def draw_contact_sheet(episode: BundleReader, scene: CompiledScene, columns: int
     ]
     track = TrackMap(episode, scene, 3 * _TILE_PX).draw(episode.length)
     width = columns * _TILE_PX + track.width
-    sheet = Image.new("RGB", (width, _HEAD_PX + 3 * _TILE_PX), "white")
+    head = round(width * _HEAD_SHARE)
+    sheet = Image.new("RGB", (width, head + 3 * _TILE_PX), "white")
     for row, tiles in enumerate(rows):
         for column, tile in enumerate(tiles):
             small = Image.fromarray(tile).resize((_TILE_PX, _TILE_PX), Image.Resampling.BILINEAR)
-            sheet.paste(small, (column * _TILE_PX, _HEAD_PX + row * _TILE_PX))
-    sheet.paste(track, (columns * _TILE_PX, _HEAD_PX))
+            sheet.paste(small, (column * _TILE_PX, head + row * _TILE_PX))
+    sheet.paste(track, (columns * _TILE_PX, head))
     _write_head(sheet, episode)
     return sheet
 
 
 def _write_head(sheet: Image.Image, episode: BundleReader) -> None:
     job, rollout = episode.meta.job, episode.meta.rollout
-    draw = ImageDraw.Draw(sheet)
-    draw.text((8, 4), f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {job.instruction}", fill="black")
+    words = f"{job.episode_id}  {job.scene}  {job.split}  {job.tier}  {job.instruction}"
     facts = (
         f"{job.target_id} ({job.colour})  attempt {job.attempt}  {rollout.num_steps} steps  "
         f"start {rollout.spawn_dist_m:.2f} m  TL {rollout.trajectory_length_m:.2f} m  NE {rollout.final_ne_m:.3f} m"
     )
-    draw.text((8, 24), facts, fill="black")
+    _write_line(sheet, 0.28, words, _WORDS_SHARE)
+    _write_line(sheet, 0.72, facts, _FACTS_SHARE)
+
+
+def _write_line(sheet: Image.Image, middle: float, text: str, share: float) -> None:
+    """Writes a line of the head, in smaller letters where it would run over the edge."""
+    draw = ImageDraw.Draw(sheet)
+    size = sheet.width * share
+    over = draw.textlength(text, ImageFont.load_default(size)) / (sheet.width - 2 * _MARGIN_PX)
+    font = ImageFont.load_default(size / max(1.0, over))
+    draw.text((_MARGIN_PX, middle * sheet.width * _HEAD_SHARE), text, fill="black", font=font, anchor="lm")

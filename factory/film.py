@@ -5,6 +5,7 @@ Shown at the speed of life, every so many frames left out; written as MP4 (H.264
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -19,7 +20,7 @@ from schemas.bundle import BundleReader
 from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene
 
-__all__ = ["draw_film", "film_rate", "write_gif", "write_mp4"]
+__all__ = ["draw_film", "facts_of_step", "film_rate", "require_mp4", "write_gif", "write_mp4"]
 
 _TILE_PX = 320
 _CAPTION_PX = 56
@@ -62,6 +63,16 @@ def draw_film(episode: BundleReader, scene: CompiledScene, stride: int) -> Itera
         yield np.asarray(film)
 
 
+def require_mp4() -> None:
+    """Makes sure that MP4 can be written, before anything is drawn.
+
+    Raises:
+        UsageError: PyAV is not installed.
+    """
+    if importlib.util.find_spec("av") is None:
+        raise UsageError("writing MP4 needs PyAV: pip install 'minivla-factory[video]', or choose a .gif")
+
+
 def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
     """Writes H.264 in yuv420p, which every player and browser shows; `path` is replaced as a whole.
 
@@ -69,10 +80,9 @@ def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
         UsageError: PyAV is not installed.
         WorldError: the file cannot be written.
     """
-    try:
-        import av
-    except ImportError as error:
-        raise UsageError("writing MP4 needs PyAV: pip install 'minivla-factory[video]', or choose a .gif") from error
+    require_mp4()
+    import av
+
     beside = path.with_name(f".{path.name}.part")
     try:
         with av.open(str(beside), "w", format="mp4", options={"movflags": "faststart"}) as container:
@@ -122,15 +132,18 @@ def _unwritten(path: Path, error: OSError) -> WorldError:
 
 
 def _write_caption(film: Image.Image, episode: BundleReader, t: int) -> None:
-    meta = episode.meta
     pen = ImageDraw.Draw(film)
     top = _TILE_PX + 6
-    pen.text((_MARGIN_PX, top), meta.job.instruction, fill="black", font=ImageFont.load_default(20))
+    pen.text((_MARGIN_PX, top), episode.meta.job.instruction, fill="black", font=ImageFont.load_default(20))
+    pen.text((_MARGIN_PX, top + 27), facts_of_step(episode, t), fill=(90, 90, 90), font=ImageFont.load_default(14))
+
+
+def facts_of_step(episode: BundleReader, t: int) -> str:
+    """Returns what stands beneath the picture of a step: episode, time, command, planar distance."""
+    meta, job = episode.meta, episode.meta.job
     speed, turn = episode.arrays.actions_continuous[t]
     distance = float(np.linalg.norm(episode.arrays.poses[t, :2] - np.array(meta.target_centroid_m[:2])))
-    job = meta.job
-    facts = (
+    return (
         f"{meta.episode_id}  {job.scene}  {job.tier}  {job.target_id}   t {t / job.task.control_hz:5.2f} s   "
-        f"v {speed:4.2f} m/s   w {turn:+5.2f} rad/s   {distance:4.2f} m to go"
+        f"v {speed:4.2f} m/s   w {turn:+5.2f} rad/s   {distance:4.2f} m from the target's centre"
     )
-    pen.text((_MARGIN_PX, top + 27), facts, fill=(90, 90, 90), font=ImageFont.load_default(14))

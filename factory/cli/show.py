@@ -14,7 +14,7 @@ from factory.cli.episodes import episode_path
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json
 from factory.contact_sheet import draw_contact_sheet
-from factory.film import draw_film, film_rate, write_gif, write_mp4
+from factory.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
 from schemas.bundle import BundleReader
 from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene, decode_scene
@@ -46,6 +46,8 @@ def command(root: Place, episode: str, out: Path | None, columns: int, as_json: 
         raise UsageError(
             f"-o {target}: nothing is written as {kind or 'a file without suffix'!r}; use {', '.join(_KINDS)}"
         )
+    if kind == ".mp4":
+        require_mp4()
     with path.open("rb") as file, BundleReader(file) as bundle:
         job = bundle.meta.job
         with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:

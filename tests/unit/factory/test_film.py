@@ -15,7 +15,8 @@ from click.testing import CliRunner
 from PIL import Image
 
 from factory.cli.show import command
-from factory.film import draw_film, film_rate
+from factory.contact_sheet import draw_contact_sheet
+from factory.film import draw_film, facts_of_step, film_rate
 from factory.panels import TrackMap, show_depth, show_ids
 from schemas.bundle import BundleReader
 from schemas.errors import UsageError
@@ -96,7 +97,29 @@ def test_gif_and_contact_sheet_can_be_opened(root: Path, tmp_path: Path) -> None
         assert film.size == (1280, 376)
         assert film.n_frames > 1  # type: ignore[attr-defined]
     with Image.open(tmp_path / "e.png") as sheet:
-        assert sheet.size == (9 * 240, 46 + 3 * 240)
+        assert sheet.size == (9 * 240, 72 + 3 * 240)
+
+
+@pytest.mark.parametrize("columns", [2, 6, 24])
+def test_the_head_of_a_sheet_grows_with_it_and_stays_within(episode: BundleReader, columns: int) -> None:
+    sheet = draw_contact_sheet(episode, scene(), columns)
+    head = np.asarray(sheet.convert("L"))[: sheet.height - 3 * 240]
+    rows, across = (np.flatnonzero((head < 128).any(axis=axis)) for axis in (1, 0))
+    assert np.ptp(rows) > 0.6 * len(head)
+    assert across.max() < sheet.width - 4
+
+
+def test_a_head_too_long_for_its_sheet_is_written_smaller(root: Path) -> None:
+    with (root / "episodes/ep_000001.zip").open("rb") as file, BundleReader(file) as bundle:
+        job = bundle.meta.job.model_copy(update={"instruction": "Please go to the chair. " * 20})
+        bundle.meta = bundle.meta.model_copy(update={"job": job})
+        sheet = draw_contact_sheet(bundle, scene(), 2)
+    head = np.asarray(sheet.convert("L"))[: sheet.height - 3 * 240]
+    assert np.flatnonzero((head < 128).any(axis=0)).max() < sheet.width - 4
+
+
+def test_a_film_says_from_where_its_distance_is(episode: BundleReader) -> None:
+    assert facts_of_step(episode, 11).endswith(" m from the target's centre")
 
 
 @pytest.mark.parametrize("name", ["e.avi", "e"])
