@@ -253,3 +253,13 @@ class Progress(Model):
     """Seconds to the end at that rate; `None` when unknown, 0 when finished."""
     finished: bool
     """Whether no job can change any more without a `retry`."""
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """Failed attempts by reason; a job that its worker gave back unharmed has not failed."""
+        return {name: count for name, count in self.attempts.items() if name not in {"success", FailReason.RELEASED}}
+
+    @property
+    def given_back(self) -> int:
+        """Attempts that were broken off, as by Ctrl-C: their jobs wait again and have lost nothing."""
+        return self.attempts.get(FailReason.RELEASED, 0)

@@ -92,10 +92,8 @@ def _take_surroundings() -> None:
 def _run() -> int:
     try:
         outcome = cli.main(standalone_mode=False)
-    except click.exceptions.Abort:
-        return _say("interrupted", 130)
-    except KeyboardInterrupt:
-        return _say("interrupted", 130)
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _say("interrupted; nothing that was done is lost: run the same command again to go on", 130)
     except click.ClickException as error:
         error.show()
         return 2

@@ -100,7 +100,7 @@ class _RunBar(Bars):
 
     def tell(self, progress: Progress) -> None:
         """Shows where the run stands."""
-        failures = sum(count for outcome, count in progress.attempts.items() if outcome != "success")
+        failures = sum(progress.failures.values())
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
         left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
         remark = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"

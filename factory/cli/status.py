@@ -20,7 +20,7 @@ from factory.ledger import progress_of
 from factory.listen import require_endpoints
 from factory.site import Site
 from schemas.errors import TransientError, UsageError
-from schemas.wire import Progress
+from schemas.wire import Progress, WorkerStatus
 
 __all__ = ["command", "draw_progress", "watch_progress"]
 
@@ -95,9 +95,9 @@ def draw_progress(progress: Progress) -> Group:
     done = progress.jobs.get("archived", 0)
     rate = "-" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
     head = f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {say_duration(progress.eta_s)}"
-    failures = {name: count for name, count in progress.attempts.items() if name != "success"}
-    tries = ", ".join(f"{count} {name}" for name, count in failures.items()) or "none"
-    foot = f"failed attempts: {tries}; redrawn: {progress.redrawn}"
+    tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
+    back = f"; given back: {progress.given_back}" if progress.given_back else ""
+    foot = f"failed attempts: {tries}{back}; redrawn: {progress.redrawn}"
     kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
     away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
     parts = [Text(head, style="bold"), *away]
@@ -121,7 +121,13 @@ def _workers(progress: Progress) -> Table:
     for column in ("slots", "leased", "archived", "state"):
         table.add_column(column, justify="right")
     for worker in progress.workers:
-        gone = "left" if progress.finished else f"silent since {worker.last_beat:%H:%M:%S}"
-        state = "alive" if worker.alive else gone
+        state = _state_of(worker, progress.finished)
         table.add_row(worker.sid, str(worker.slots), str(worker.leased), str(worker.archived), state)
     return table
+
+
+def _state_of(worker: WorkerStatus, is_finished: bool) -> str:
+    """Returns a worker's state in words; those of a finished run are told to leave, and say nothing when they do."""
+    if is_finished:
+        return "left"
+    return "alive" if worker.alive else f"silent since {worker.last_beat:%H:%M:%S}"

@@ -9,9 +9,13 @@ import click
 from coordinator.archive.place import Place
 from factory.cli.output import print_table
 from factory.dataset import Dataset
+from schemas.terms import FailReason
 from schemas.wire import Progress
 
 __all__ = ["print_summary", "summarise"]
+
+_WORDS = {str(FailReason.RELEASED): "given back"}
+"""What an outcome is called where its own name says little."""
 
 
 def summarise(root: Place, progress: Progress) -> dict[str, Any]:
@@ -39,7 +43,7 @@ def print_summary(summary: dict[str, Any]) -> None:
     click.echo(f"dataset {summary['dataset']}: {summary['episodes']} of {summary['planned']} episodes, {size}")
     click.echo(f"digest  {summary['digest']}")
     print_table("", ("scene", "episodes"), summary["by_scene"].items())
-    tries = ", ".join(f"{count} {outcome}" for outcome, count in summary["attempts"].items())
+    tries = ", ".join(f"{count} {_WORDS.get(outcome, outcome)}" for outcome, count in summary["attempts"].items())
     click.echo(f"attempts: {tries}; targets redrawn: {summary['redrawn']}")
     if summary["failed"]:
         click.echo(f"{summary['failed']} jobs failed: factory jobs list {summary['dataset']} --state failed", err=True)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
 
 import pytest
 
-from factory.cli.status import watch_progress
+from coordinator.plan.file import load_plan
+from factory.cli.output import stdout
+from factory.cli.run import _RunBar
+from factory.cli.status import draw_progress, watch_progress
 from schemas.errors import TransientError
-from schemas.wire import Progress
+from schemas.wire import Progress, WorkerStatus
 
 
 def progress(archived: int) -> Progress:
@@ -39,6 +43,29 @@ def telling(answers: Iterable[int | None]) -> Callable[[], Progress]:
         return progress(answer)
 
     return source
+
+
+def test_jobs_given_back_are_no_failed_attempts(capsys: pytest.CaptureFixture[str]) -> None:
+    tried = progress(1).model_copy(update={"attempts": {"success": 1, "released": 2, "timeout": 3}})
+    stdout.print(draw_progress(tried))
+    assert "failed attempts: 3 timeout; given back: 2; redrawn: 0" in capsys.readouterr().out
+    assert (tried.failures, tried.given_back) == ({"timeout": 3}, 2)
+    assert tried.model_dump()["attempts"] == {"success": 1, "released": 2, "timeout": 3}
+
+
+def test_the_bar_of_a_run_counts_no_job_that_was_given_back() -> None:
+    bar = _RunBar(load_plan("demo"))
+    bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
+    assert bar.tasks[0].fields["remark"].endswith("0 failed attempts")
+
+
+@pytest.mark.parametrize(("archived", "state"), [(1, "alive"), (3, "left")])
+def test_workers_of_a_finished_run_have_left(capsys: pytest.CaptureFixture[str], archived: int, state: str) -> None:
+    beat = datetime(2026, 1, 1, tzinfo=UTC)
+    worker = WorkerStatus(sid="host.1", host="host", slots=1, leased=0, archived=1, last_beat=beat, alive=True)
+    stdout.print(draw_progress(progress(archived).model_copy(update={"workers": (worker,)})))
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "host.1" in line]
+    assert line.split()[-1] == state
 
 
 def test_a_watch_outlives_a_restart(capsys: pytest.CaptureFixture[str]) -> None:
