@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from coordinator.vitals import Watched
+from factory.extras import require_package
 from schemas.errors import UsageError
 
 __all__ = ["http_options", "status_pages"]
@@ -26,10 +27,21 @@ def http_options(command: Command) -> Command:
             metavar="FILE",
             help="A file whose first line /metrics asks for as a bearer token; needed off loopback.",
         ),
-        click.option("--http", metavar="HOST:PORT", help="Serve /healthz, /readyz and /metrics there, read-only."),
+        click.option(
+            "--http",
+            metavar="HOST:PORT",
+            callback=_require_pages,
+            help="Serve /healthz, /readyz and /metrics there, read-only.",
+        ),
     ):
         command = option(command)
     return command
+
+
+def _require_pages(context: click.Context, param: click.Parameter, http: str | None) -> str | None:  # noqa: ARG001
+    if http is not None:
+        require_package("prometheus_client", "metrics", "--http")
+    return http
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from factory.cli.episodes import episode_index
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json
 from factory.dataset import Dataset
+from factory.extras import require_package
 from factory.view import view_episode
 from schemas.errors import UsageError
 from schemas.job import episode_id
@@ -33,6 +34,7 @@ def command(root: Place, episode: str, save: Path | None, stride: int, as_json: 
     Colour, depth and ids, the robot on the map, the way it drove, actions and instruction.
     Needs the extra: pip install 'minivla-factory[view]'.
     """
+    require_package("rerun", "view", "factory view")
     dataset = Dataset(root)
     try:
         chosen = dataset[episode_id(episode_index(episode))]

@@ -30,7 +30,7 @@ from factory.train.checkpoint import (
 )
 from factory.train.options import BcOptions, CheckpointMeta
 from factory.train.report import EpochMeasures, TrainReport
-from factory.train.torch_door import choose_device, load_torch, summary_writer
+from factory.train.torch_door import choose_device, load_torch, require_logs, summary_writer
 from factory.train.words import vocabulary
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
@@ -79,6 +79,7 @@ def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
         WorldError: the disk refuses, or the losses are no numbers any more.
     """
     device = choose_device(order.device)
+    require_logs()
     _check_folder(order)
     train, val = _caches(order, watcher)
     meta = _meta(order, train)

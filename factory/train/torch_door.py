@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from factory.extras import require_package
 from schemas.errors import UsageError
 
-__all__ = ["choose_device", "load_torch", "summary_writer"]
+__all__ = ["choose_device", "load_torch", "require_logs", "summary_writer"]
 
 _REMEDY = "pip install 'minivla-factory[train]' (the CPU build of torch does)"
 
@@ -22,6 +23,15 @@ def load_torch() -> Any:
         return importlib.import_module("torch")
     except ImportError as error:
         raise UsageError(f"training and `bc:` policies need PyTorch: {_REMEDY}") from error
+
+
+def require_logs() -> None:
+    """Makes sure that logs of a training can be written, before there is one.
+
+    Raises:
+        UsageError: TensorBoard is not installed.
+    """
+    require_package("tensorboard", "train", "training")
 
 
 def summary_writer(folder: str, purge_step: int) -> Any:
