@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset import Dataset, Episode
+from factory.extras import require_package
 from schemas.arrays import FRAME_SIZE_PX
 
 __all__ = ["FrameBatch", "FrameDataset", "Sample", "collate"]
@@ -124,7 +125,12 @@ class FrameDataset:
 
 
 def collate(samples: Sequence[Sample]) -> dict[str, Any]:
-    """Returns what torch's default collation makes of a batch; the images of a `FrameBatch` are not copied for it."""
+    """Returns what torch's default collation makes of a batch; the images of a `FrameBatch` are not copied for it.
+
+    Raises:
+        UsageError: torch is not installed; the message names the extra.
+    """
+    require_package("torch", "train", "collate of factory.torch_dataset")
     import torch
 
     if not isinstance(samples, FrameBatch):  # of several datasets joined by torch

@@ -57,7 +57,7 @@ configs:
 English which object to drive to, sees colour, depth and instance ids at {hz} Hz, and stops within {radius:g} m of it.
 
 ## How it was made
-With [minivla-factory](https://pypi.org/project/minivla-factory/) {version}, simulated in PyBullet and drawn by
+With minivla-factory {version}, simulated in PyBullet and drawn by
 {renderers}. Plan `{plan}`, seed {seed}; the `{expert}` expert drove, with the true pose of its target; nothing was
 recorded from people. Every planned cell of scene, split and tier is filled exactly; an attempt that fails is repeated
 and recorded in `attempts.parquet`. Plan, versions and digests are in `dataset_meta.json`: with the same software,
@@ -93,8 +93,8 @@ from datasets import load_dataset
 rows = load_dataset("PATH_OR_REPOSITORY", split="train").filter(lambda row: row["split"] == "train_id")
 ```
 
-(`datasets` calls the one table `train`; the split of an episode is the column `split`.) With frames and actions
-(`pip install minivla-factory`):
+(`datasets` calls the one table `train`; the split of an episode is the column `split`.) With frames and actions,
+where minivla-factory is installed:
 
 ```python
 from factory import Dataset

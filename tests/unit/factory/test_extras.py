@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from factory.cli.main import cli
+from factory.torch_dataset import collate
 from schemas.errors import UsageError
 from tests.builders.dataset import make_dataset
 
+ROOT = Path(__file__).parents[3]
 WANTED = [
     ("rerun", ("view", "DATA", "1"), r"minivla-factory\[view\]"),
     ("torch", ("eval", "--data", "DATA", "--policy", "bc:nowhere", "-o", "OUT"), r"minivla-factory\[train\]"),
     ("torch", ("train", "bc", "--data", "DATA", "-o", "OUT"), r"minivla-factory\[train\]"),
 ]
+
+
+def test_collating_without_torch_names_the_extra() -> None:
+    if importlib.util.find_spec("torch") is not None:
+        pytest.skip("torch is installed here")
+    with pytest.raises(UsageError, match=r"pip install 'minivla-factory\[train\]'"):
+        collate([])
 
 
 @pytest.mark.parametrize(("module", "words", "said"), WANTED, ids=[words[0] for _, words, _ in WANTED])
@@ -30,3 +42,17 @@ def test_a_verb_that_lacks_its_package_makes_nothing(
     with pytest.raises(UsageError, match=said):
         cli.main([places.get(word, word) for word in words], standalone_mode=False)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_every_extra_that_a_message_or_a_page_names_exists() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    sources = [path for part in ("factory", "coordinator", "workers", "docs") for path in (ROOT / part).rglob("*.*")]
+    texts = [path.read_text() for path in (*sources, ROOT / "README.md") if path.suffix in {".py", ".md"}]
+    named = {name for text in texts for name in re.findall(r"minivla-factory\[([a-z-]+)\]", text)}
+    assert {"train", "view"} <= named <= set(declared)
+
+
+def test_setting_up_ends_with_the_next_command() -> None:
+    words = ("make", "--dry-run", "setup")
+    last = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()[-1]
+    assert "make run" in last
