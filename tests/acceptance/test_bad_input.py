@@ -52,8 +52,8 @@ def test_ctrl_c_before_anything_is_driven_says_how_to_go_on(factory, calm, tmp_p
     process = factory.start("eval", *words)
     writer = wait_for_reader(tmp_path / "specs.json")
     process.send_signal(signal.SIGINT)
+    os.close(writer)  # else a signal that came just before it reads would be noticed after it has read
     _, err = process.communicate(timeout=60)
-    os.close(writer)
     assert process.returncode == 130
     assert "run the same command again to go on" in err
 
