@@ -31,6 +31,7 @@ __all__ = [
     "Target",
     "decode_scene",
     "encode_scene",
+    "read_scene_info",
 ]
 
 SCENE_FORMAT = 2
@@ -214,19 +215,34 @@ def decode_scene(file: BinaryIO) -> CompiledScene:
         InvalidBundle: the package is damaged, of another format version, or contradicts itself.
     """
     reader = ContainerReader(file, _LIMITS)
-    try:
-        info = SceneInfo.model_validate_json(reader.read("scene.json"))
-    except ValidationError as error:
-        raise InvalidBundle("scene refused", [f"scene.json: {item['msg']}" for item in error.errors()]) from error
-    if info.format != SCENE_FORMAT:
-        found = f"scene format {info.format}, this software reads {SCENE_FORMAT}; rebuild with `factory scene build`"
-        raise InvalidBundle("scene refused", [found])
+    info = _read_info(reader)
     arrays = {name: _read_array(reader, spec) for name, spec in SCENE_ARRAYS.items()}
     scene = CompiledScene(info=info, **arrays)  # type: ignore[arg-type]
     findings = _contradictions(scene)
     if findings:
         raise InvalidBundle("scene refused", findings)
     return scene
+
+
+def read_scene_info(file: BinaryIO) -> SceneInfo:
+    """Reads what a package says about itself, without its arrays.
+
+    Raises:
+        InvalidBundle: the package is damaged or of another format version.
+    """
+    return _read_info(ContainerReader(file, _LIMITS))
+
+
+def _read_info(reader: ContainerReader) -> SceneInfo:
+    try:
+        info = SceneInfo.model_validate_json(reader.read("scene.json"))
+    except ValidationError as error:
+        raise InvalidBundle("scene refused", [f"scene.json: {item['msg']}" for item in error.errors()]) from error
+    if info.format != SCENE_FORMAT:
+        remedy = "make it again with `factory scene build` or `factory scene import`"
+        found = f"scene format {info.format}, this software reads {SCENE_FORMAT}; {remedy}"
+        raise InvalidBundle("scene refused", [found])
+    return info
 
 
 def _read_array(reader: ContainerReader, spec: ArraySpec) -> NDArray[np.generic]:

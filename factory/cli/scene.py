@@ -1,17 +1,18 @@
-"""`factory scene`: list, build and import scenes; other verbs are files of their own."""
+"""`factory scene`: build and import scenes; other verbs are files of their own."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from factory.cli import scene_inspect, scene_render, scene_survey, scene_targets
+from factory.cli import scene_inspect, scene_list, scene_render, scene_survey, scene_targets
 from factory.cli.options import verbose_option
-from factory.cli.output import json_option, print_json, print_table, stderr
-from factory.cli.scene_choice import open_scene
+from factory.cli.output import json_option, print_json, stderr
+from factory.cli.scene_package import describe_package, print_others, print_package
+from factory.cli.scene_steps import next_steps, print_steps
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 
@@ -23,27 +24,11 @@ def command() -> None:
     """Built-in scenes and your own."""
 
 
+command.add_command(scene_list.command)
 command.add_command(scene_inspect.command)
 command.add_command(scene_render.command)
 command.add_command(scene_survey.command)
 command.add_command(scene_targets.command)
-
-
-@command.command("list")
-@json_option
-def list_(as_json: bool) -> None:
-    """List the built-in scenes."""
-    from factory.scenes.author import BUILTIN_SCENES
-    from schemas.terms import BUILTIN_CATEGORIES
-
-    rows = [
-        (name, scene.summary, ", ".join(BUILTIN_CATEGORIES[name].seen), ", ".join(BUILTIN_CATEGORIES[name].held_out))
-        for name, scene in BUILTIN_SCENES.items()
-    ]
-    if as_json:
-        print_json([dict(zip(("name", "summary", "seen", "held_out"), row, strict=True)) for row in rows])
-    else:
-        print_table("", ("scene", "summary", "seen", "held out"), rows)
 
 
 def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
@@ -74,7 +59,11 @@ def build(
     book, chosen = load_edits(rules, targets)
     with stderr.status(f"building {name}, seed {seed}"):
         path = build_scene(name, seed, cache or scene_cache(), book, chosen)
-    _print_scene(path, as_json)
+    facts = describe_package(path)
+    if as_json:
+        print_json(facts)
+    else:
+        print_package(facts)
 
 
 @command.command("import")
@@ -105,29 +94,15 @@ def import_(
     limits = StageLimits(max_triangles or MAX_TRIANGLES, allow_outside)
     with stderr.status(f"importing {usd}"):
         path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache(), book, chosen, limits)
-    _print_scene(path, as_json)
-
-
-def _print_scene(path: Path, as_json: bool) -> None:
-    scene = open_scene(path)
-    info = scene.info
-    facts = {
-        "package": str(path),
-        "bytes": path.stat().st_size,
-        "triangles": len(scene.positions) // 3,
-        "collider_triangles": len(scene.collider_triangles),
-        "textures": info.texture_count,
-        "free_area_m2": round(info.free_area_m2, 1),
-        "spawns": len(scene.spawns),
-        "targets": dict(sorted(Counter(target.category for target in info.targets).items())),
-        "notes": list(info.notes),
-    }
+    facts = describe_package(path)
+    made_with = {"rules": rules, "targets": targets}
+    files: dict[str, str | bool] = {key: str(file.resolve()) for key, file in made_with.items() if file is not None}
+    if allow_outside:
+        files["allow_outside"] = True
+    steps = next_steps(path, usd, cache is None, files)
     if as_json:
-        print_json(facts)
-        return
-    for key, value in facts.items():
-        if key == "notes":
-            for note in info.notes:
-                click.echo(f"note: {note}", err=True)
-        else:
-            click.echo(f"{key}: {value}")
+        print_json(facts | asdict(steps))
+    else:
+        print_package(facts)
+        print_others(facts)
+        print_steps(steps)

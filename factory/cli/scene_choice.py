@@ -1,7 +1,11 @@
-"""How a verb is told which scene: a built-in name, built when the cache lacks it, or the file of a compiled package."""
+"""How a verb is told which scene: a built-in name, built when the cache lacks it, the name of an imported scene, or the
+file of a compiled package.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 import click
@@ -16,12 +20,15 @@ __all__ = ["chosen_scene", "open_scene", "scene_argument", "seed_option"]
 
 
 def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
-    names = [CompletionItem(name) for name in BUILTIN_CATEGORIES if name.startswith(word)]
+    from factory.scenes.imported import find_imported
+
+    known = [*BUILTIN_CATEGORIES, *find_imported(scene_cache())]
+    names = [CompletionItem(name) for name in known if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
 
 
 scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=_complete)
-"""SCENE|PACKAGE: a built-in name or a compiled package (`*.scene.zip`)."""
+"""SCENE|PACKAGE: a built-in name, the name of an imported scene, or a compiled package (`*.scene.zip`)."""
 
 seed_option = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Layout seed of a built-in scene."
@@ -29,22 +36,44 @@ seed_option = click.option(
 
 
 def chosen_scene(scene: str, seed: int) -> CompiledScene:
-    """Returns the scene that a user named.
+    """Returns the scene that a user named; of several packages imported under one name the last, and says so.
 
     Raises:
-        UsageError: neither a built-in name nor a file, or a file that is a stage and no package.
+        UsageError: no such name or file, or a file that is a stage and no package.
     """
-    from factory.scenes.build import build_scene
-
     path = Path(scene)
     if path.suffix.lower().startswith(".usd"):
         raise UsageError(f"{scene} is a stage; compile it with `factory scene import {scene}` and give the package")
     if path.suffix and not path.is_file():
-        raise UsageError(f"no file {scene}; give a compiled package (*.scene.zip) or the name of a built-in scene")
-    return open_scene(path if path.is_file() else build_scene(scene, seed, scene_cache()))
+        raise UsageError(f"no file {scene}; give a compiled package (*.scene.zip) or the name of a scene")
+    return open_scene(path if path.is_file() else _package_called(scene, seed))
 
 
 def open_scene(path: Path) -> CompiledScene:
     """Reads a package."""
     with path.open("rb") as file:
         return decode_scene(file)
+
+
+def _package_called(name: str, seed: int) -> Path:
+    from factory.scenes.build import build_scene
+    from factory.scenes.imported import find_imported
+
+    if name in BUILTIN_CATEGORIES:
+        return build_scene(name, seed, scene_cache())
+    imported = find_imported(scene_cache())
+    if name not in imported:
+        raise UsageError(_say_unknown(name, imported))
+    package, *older = imported[name]
+    if older:
+        click.echo(f"{name} was imported {len(older) + 1} times; taking the last, {package}", err=True)
+    return package
+
+
+def _say_unknown(name: str, imported: Iterable[str]) -> str:
+    near = get_close_matches(name, [*BUILTIN_CATEGORIES, *imported], 1)
+    remedy = "compile a stage of your own with `factory scene import FILE --name NAME`"
+    return (
+        f"no scene is called {name!r}, and no package lies there; built in: {', '.join(BUILTIN_CATEGORIES)}; "
+        f"imported: {', '.join(imported) or 'none'}; {f'did you mean {near[0]}? Or ' if near else ''}{remedy}"
+    )

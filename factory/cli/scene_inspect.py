@@ -9,11 +9,12 @@ import click
 
 from factory.cli.output import json_option, print_json, print_table
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
+from factory.cli.scene_rest import say_counts, say_rest
 from schemas.errors import WorldError
 
 __all__ = ["command"]
 
-_LISTED = ("categories", "targets", "notes", "source_sha256", "bounds_m")
+_LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "bounds_m")
 
 
 @click.command("inspect")
@@ -22,7 +23,7 @@ _LISTED = ("categories", "targets", "notes", "source_sha256", "bounds_m")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Also draw the map with targets and spawns (PNG).")
 @json_option
 def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
-    """Print categories, targets, units, extents and notes of SCENE (a built-in name or a compiled package)."""
+    """Print categories, targets, units, extents and notes of SCENE (the name of a scene, or a package)."""
     from factory.scenes.inspection import describe_scene
     from factory.scenes.topdown import encode_topdown
 
@@ -47,7 +48,10 @@ def _print(facts: dict[str, Any]) -> None:
     for key, value in facts.items():
         if key not in _LISTED:
             click.echo(f"{key}: {_words(value)}")
-    click.echo(f"categories: {', '.join(f'{count} {name}' for name, count in facts['categories'].items())}\n")
+    click.echo(f"categories: {say_counts(facts['categories'])}")
+    for line in say_rest(facts["no_target"], facts["instances"]):
+        click.echo(line)
+    click.echo("")
     columns = ("id", "category", "colour", "centroid m", "straight from", "connected from", "prim")
     print_table("", columns, [_row(target) for target in facts["targets"]])
     for note in facts["notes"]:

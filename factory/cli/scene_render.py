@@ -36,7 +36,7 @@ def command(
     renderer: str,
     as_json: bool,
 ) -> None:
-    """Draw SCENE (a built-in name or a compiled package): its map, the views that show most, a sheet of its things."""
+    """Draw SCENE (the name of a scene, or a package): its map, the views that show most, a sheet of its things."""
     from factory.scenes.pictures import Wanted, draw_scene
 
     configure_logs()

@@ -18,7 +18,7 @@ __all__ = ["command"]
 @click.option("--within", type=click.FloatRange(0.1), default=2.0, show_default=True, help="Covered floor, metres.")
 @json_option
 def command(scene: str, seed: int, within: float, as_json: bool) -> int:
-    """Measure the start points of SCENE (a built-in name or a compiled package); exit 1 when there are too few."""
+    """Measure the start points of SCENE (the name of a scene, or a package); exit 1 when there are too few."""
     from factory.scenes.survey_report import SurveyReport, report_survey
 
     report: SurveyReport = report_survey(chosen_scene(scene, seed), within)

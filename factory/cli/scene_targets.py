@@ -20,7 +20,7 @@ __all__ = ["command"]
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 @json_option
 def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write the targets of SCENE (a built-in name or a compiled package) as YAML: edit it, then build or import with
+    """Write the targets of SCENE (the name of a scene, or a package) as YAML: edit it, then build or import with
     --targets FILE.
     """
     from factory.scenes.target_list import list_file_name, spell_target_list

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from schemas.scene import CompiledScene, Target
+from schemas.scene import CompiledScene, SceneInfo, Target
 
-__all__ = ["describe_scene", "describe_target"]
+__all__ = ["describe_scene", "describe_target", "list_other_things"]
 
 
 def describe_scene(scene: CompiledScene) -> dict[str, Any]:
@@ -33,8 +33,19 @@ def describe_scene(scene: CompiledScene) -> dict[str, Any]:
         "instances": len(info.instances),
         "categories": dict(sorted(Counter(target.category for target in info.targets).items())),
         "targets": [describe_target(target) for target in info.targets],
+        "no_target": list_other_things(info),
         "notes": list(info.notes),
     }
+
+
+def list_other_things(info: SceneInfo) -> list[dict[str, str | None]]:
+    """Returns the instances of a scene that are no target: walls, floor, and what could not be reached or named."""
+    targets = {target.instance_id for target in info.targets}
+    return [
+        {"prim_path": instance.prim_path, "category": instance.category}
+        for instance in info.instances
+        if instance.id not in targets
+    ]
 
 
 def describe_target(target: Target) -> dict[str, Any]:

@@ -31,6 +31,41 @@ def test_inspect_refuses_a_stage_with_the_verb_that_compiles_it(factory, tmp_pat
     assert "factory scene import" in factory("scene", "inspect", stage, expect=2).stderr
 
 
+def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
+    plant = TEXT.box("SM_Plant_01", (-2.2, -1.2, 0), (-1.8, -0.8, 0.6))
+    stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT, plant))
+    made = factory("scene", "import", stage, "--name", "den")
+    assert (
+        "targets: 1 chair, 1 plant\nno target: 5 of 7 instances\n  5 of no known category: /World/Floor" in made.stdout
+    )
+    assert "--rules FILE" in made.stdout
+    assert "next:    factory scene inspect den" in made.stdout
+    plan = tmp_path / "den.toml"
+    plan.write_text(made.stdout[made.stdout.index('name = "den"') :])
+    assert factory.json("plan", "nearest", plan)["possible"]
+    assert "no target: 5 of 7 instances" in factory("scene", "inspect", "den").stdout
+    assert factory.json("scene", "survey", "den")["spawns"] >= 40
+    assert factory.json("scene", "targets", "den", "-o", tmp_path / "list.yaml")["scene"] == "den"
+    assert "did you mean den?" in factory("scene", "inspect", "denn", expect=2).stderr
+    (listed,) = [scene for scene in factory.json("scene", "list") if scene["name"] == "den"]
+    assert (listed["origin"], listed["summary"], listed["targets"]) == ("imported", "room.usda", "1 chair, 1 plant")
+    assert listed["package"] in factory("scene", "list").stdout
+
+    TEXT.write(stage, room_body(TEXT))
+    last = factory.json("scene", "import", stage, "--name", "den")["package"]
+    again = factory("scene", "inspect", "den")
+    assert "categories: 1 chair\n" in again.stdout
+    assert f"den was imported 2 times; taking the last, {last}" in again.stderr
+
+
+def test_a_package_in_another_folder_is_told_by_its_path(factory, tmp_path):
+    stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
+    made = factory.json("scene", "import", stage, "--name", "attic", "--cache", tmp_path / "a b")
+    assert made["next"][0] == f"factory scene inspect '{made['package']}' -o attic.png"
+    assert [thing["category"] for thing in made["no_target"]] == [None] * 5
+    assert "no scene is called 'attic'" in factory("scene", "inspect", "attic", expect=2).stderr
+
+
 def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factory, tmp_path):
     _, package = room(factory, tmp_path)
     report = factory.json("scene", "survey", package)

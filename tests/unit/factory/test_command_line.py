@@ -9,6 +9,7 @@ import pytest
 from click.shell_completion import ShellComplete
 
 from factory.cli.main import cli
+from factory.settings import scene_cache
 from schemas.errors import UsageError
 
 SERVERS = {"factory coordinator start", "factory gateway start", "factory worker"}
@@ -73,3 +74,10 @@ def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, 
 def test_a_format_that_is_not_written_is_told_what_is_near_or_where_it_is_made(name: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         cli.main(["export", ".", "--to", name, "-o", "nowhere"], standalone_mode=False)
+
+
+def test_the_shell_completes_the_names_of_imported_scenes() -> None:
+    folder = scene_cache()
+    folder.mkdir(parents=True)
+    (folder / "home_lab-0123456789ab.scene.zip").write_bytes(b"")
+    assert complete("scene", "survey", "ho") == [("plain", "hospital"), ("plain", "home_lab")]

@@ -1,0 +1,29 @@
+"""The own scenes that lie compiled in a cache, by name. Looks them up; compiles nothing and opens no package."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from schemas.terms import BUILTIN_CATEGORIES
+
+__all__ = ["find_imported"]
+
+_PACKAGE = re.compile(r"([a-z][a-z0-9_]{0,63})-[0-9a-f]{12}\.scene\.zip")
+
+
+def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:
+    """Returns the packages of imported scenes.
+
+    Args:
+        cache: directory of packages; one that is not there holds none.
+
+    Returns:
+        The packages by the name of their scene, the one written last first.
+    """
+    found: dict[str, list[tuple[int, str, Path]]] = {}
+    for path in cache.glob("*.scene.zip"):
+        named = _PACKAGE.fullmatch(path.name)
+        if named is not None and named[1] not in BUILTIN_CATEGORIES:
+            found.setdefault(named[1], []).append((path.stat().st_mtime_ns, path.name, path))
+    return {name: tuple(path for *_, path in sorted(found[name], reverse=True)) for name in sorted(found)}
