@@ -37,8 +37,9 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _
     mistakes = find_impossible(plan, entries)
     if mistakes:
         nearest = find_nearest(plan, entries)
-        mistakes += [f"nearest possible: {change}" for change in nearest.changes]
-        mistakes += ["write that plan with `factory plan nearest PLAN -o FILE.toml`"] if nearest.plan else []
+        if nearest.plan is not None:
+            mistakes += [f"nearest possible: {change}" for change in nearest.changes]
+            mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
         raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
     return entries
 

@@ -6,7 +6,7 @@ Pure: the same plan and the same compiled scenes give the same jobs, on any mach
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -79,43 +79,55 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
 
 def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Tier) -> tuple[Target, ...]:
     """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
-    seen, held_out = scene.categories
-    is_held_out = split is Split.TEST_OOD_OBJ
-    sides = {} if is_held_out else sides_of(plan, scene, entry)
+    categories = _categories_of(scene, split)
+    sides = {} if split is Split.TEST_OOD_OBJ else sides_of(plan, scene, entry)
     return tuple(
         target
         for target in entry.info.targets
-        if target.category in (held_out if is_held_out else seen)
+        if target.category in categories
         and tier in startable_tiers(plan, target)
         and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
     )
 
 
 def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
-    """Returns a line for each category that a scene lacks and for each cell that stays without a target."""
+    """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
     return [line for number, scene in enumerate(plan.scenes) for line in _impossible_in(plan, catalog, number, scene)]
 
 
 def _impossible_in(plan: Plan, catalog: Catalog, number: int, scene: ScenePlan) -> Iterator[str]:
-    entry = catalog[scene.name]
-    present = sorted({target.category for target in entry.info.targets})
-    listed = ", ".join(present) or "none at all"
-    quota = cells(plan, scene)
-    is_used = [any(is_held == (split is Split.TEST_OOD_OBJ) for split, _ in quota) for is_held in (False, True)]
-    for categories, is_named in zip(scene.categories, is_used, strict=True):
-        for category in categories:
-            if is_named and category not in present:
-                yield (
-                    f"scenes[{number}] {scene.name}: no reachable {category!r}; reachable there: {listed}; take it out "
-                    "of seen or held_out, or change the scene"
-                )
+    entry, quota = catalog[scene.name], cells(plan, scene)
+    present = {target.category for target in entry.info.targets}
+    named = {split: set(_categories_of(scene, split)) for split, _ in quota}
+    if any(categories - present for categories in named.values()):
+        yield f"scenes[{number}] {scene.name}: {_say_absent(scene, entry, present)}"
     for (split, tier), count in quota.items():
-        if not pool(plan, scene, entry, split, tier):
+        if named[split] & present and not pool(plan, scene, entry, split, tier):
             yield (
                 f"scenes[{number}] {scene.name}: cell {split} / {tier} ({count} episodes) has no target that the "
                 f"{plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
                 "change the scene"
             )
+
+
+def _categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
+    seen, held_out = scene.categories
+    return held_out if split is Split.TEST_OOD_OBJ else seen
+
+
+def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
+    absent = [[name for name in names if name not in present] for names in scene.categories]
+    missing = [
+        f"no reachable {', '.join(map(repr, names))} ({key})"
+        for key, names in zip(("seen", "held_out"), absent, strict=True)
+        if names
+    ]
+    shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
+    blocked = f"; shown but out of reach: {', '.join(sorted(filter(None, shown)))}" if shown else ""
+    remedy = "take out of seen and held_out what is not there, or change the scene"
+    if scene.usd is not None:
+        remedy += ", its rules or its list of targets"
+    return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none at all'}{blocked}; {remedy}"
 
 
 def _expand_scene(

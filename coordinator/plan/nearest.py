@@ -23,7 +23,7 @@ class Nearest:
     """What could be made instead."""
 
     plan: Plan | None
-    """`None` when no scene has any target for the expert."""
+    """`None` when no scene has any target that the plan names and the expert could start for."""
     changes: tuple[str, ...]
     """What differs, one line a scene; empty when the plan is possible as it is."""
     moved: int
@@ -118,10 +118,12 @@ def _moved(wanted: Cells, found: Cells) -> int:
 
 
 def _say(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
-    if part is None:
-        return f"{scene.name}: left out, {lost} episodes; nothing there can be reached"
-    words = []
     present = {target.category for target in entry.info.targets}
+    if part is None:
+        is_there = any(name in present for names in scene.categories for name in names)
+        why = "nothing there can be reached" if is_there else "it has none of the categories asked for"
+        return f"{scene.name}: left out, {lost} episodes; {why}"
+    words = []
     for key, categories in zip(("seen", "held_out"), scene.categories, strict=True):
         gone = [name for name in categories if name not in present]
         if gone:

@@ -17,7 +17,7 @@ from factory.catalog import collect_scenes
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
 from factory.cli.output import json_option, print_json, print_table
 from factory.settings import scene_cache
-from schemas.errors import WorldError
+from schemas.errors import InvalidPlan, WorldError
 from schemas.plan import Plan
 from schemas.terms import Tier
 
@@ -61,7 +61,9 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
         )
     mistakes, found = find_impossible(plan, catalog), find_nearest(plan, catalog)
     if found.plan is None:
-        raise WorldError(f"plan {plan.name!r}: none of its scenes has a target; there is no possible plan near it")
+        raise InvalidPlan(
+            f"plan {plan.name!r} asks for what its scenes do not have, and no plan near it does", mistakes
+        )
     if out is not None:
         _write(out, spell_plan(found.plan))
     if as_json:

@@ -23,13 +23,23 @@ def test_an_impossible_plan_is_refused_with_the_nearest_possible_one(factory, tm
     plan, better = tmp_path / "plan.toml", tmp_path / "better.toml"
     plan.write_text(IMPOSSIBLE)
     err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
-    assert "no reachable 'sofa'" in err
-    assert "cell test_ood_obj / near (1 episodes) has no target" in err
+    assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable there: chair" in err
+    assert "cell test_ood_obj" not in err
     assert "nearest possible: hospital: seen without sofa; held_out without barrel" in err
     assert "factory plan nearest" in err
     assert not (tmp_path / "x").exists()
     found = factory.json("plan", "nearest", plan, "-o", better)
-    assert (found["possible"], found["moved"], len(found["mistakes"])) == (False, 1, 3)
+    assert (found["possible"], found["moved"], len(found["mistakes"])) == (False, 1, 1)
     assert sum(row["episodes"] for row in found["cells"]) == 10
     again = factory("plan", "nearest", better).stdout
     assert "possible as it is: 10 episodes" in again
+
+
+def test_a_plan_of_which_nothing_is_there_is_answered_with_what_is(factory, tmp_path):
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[splits]\ntrain_id = 1.0\n" + IMPOSSIBLE.replace('"chair", ', ""))
+    for verb in (("run", plan, "--out", tmp_path / "x"), ("plan", "nearest", plan)):
+        err = factory(*verb, expect=2).stderr
+        assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable there: chair" in err
+        assert "to 0" not in err
+        assert "can be reached" not in err

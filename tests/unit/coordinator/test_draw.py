@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,6 +13,7 @@ from coordinator.plan.apportion import apportion, webster_sequence
 from coordinator.plan.builtin import BUILTIN_PLANS
 from coordinator.plan.cells import empty_splits
 from coordinator.plan.draw import PlannedJob, cells, expand, pool, redraw, to_job
+from coordinator.plan.draw import PlannedJob, cells, expand, find_impossible, pool, redraw, to_job
 from coordinator.plan.file import shrink
 from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
@@ -134,6 +136,29 @@ def test_every_impossible_cell_is_named_before_anything_runs():
     assert "no reachable 'fire_extinguisher'" in text
     assert "train_id / mid" in text
     assert "train_id / near" not in text
+
+
+def test_absent_categories_are_one_line_and_the_cells_that_follow_from_them_none():
+    scene = ScenePlan(name="lab", usd="lab.usda", seen=("chair", "table"), held_out=("plant",), episodes=50)
+    plan = Plan(name="x", scenes=(scene,))
+    (line,) = find_impossible(plan, {"lab": make_entry("lab", [make_target("shelf", 1, 1), make_target("bin", 1, 2)])})
+    assert (
+        "lab: no reachable 'chair', 'table' (seen), no reachable 'plant' (held_out); reachable there: bin, she" in line
+    )
+    assert line.endswith("or change the scene, its rules or its list of targets")
+
+
+def test_an_absent_category_that_is_shown_is_called_out_of_reach():
+    plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
+    entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
+    entry = replace(entry, info=entry.info.model_copy(update={"targets": entry.info.targets[:1]}))
+    assert "shown but out of reach: trash_can" in find_impossible(plan, {"hospital": entry})[0]
+
+
+def test_a_held_out_category_that_no_episode_names_may_be_absent():
+    plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
+    entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
+    assert find_impossible(plan, {"hospital": entry}) == []
 
 
 def test_the_planner_may_start_where_straight_drivers_may_not():

@@ -83,6 +83,14 @@ def test_a_scene_with_nothing_to_start_for_is_left_out_and_the_others_stay() -> 
     assert find_nearest(plan_of(), hospital((), ())).plan is None
 
 
+def test_a_scene_with_no_category_asked_for_is_left_out_for_that_reason() -> None:
+    scenes = (ScenePlan(name="hospital", episodes=20), ScenePlan(name="office", episodes=10))
+    plan = Plan(name="x", scenes=scenes)
+    other = make_entry("hospital", [make_target("shelf", 1, 1)])
+    found = find_nearest(plan, {"hospital": other, "office": make_catalog(plan)["office"]})
+    assert found.changes == ("hospital: left out, 20 episodes; it has none of the categories asked for",)
+
+
 @pytest.mark.parametrize("seen", [(Tier.NEAR,), NEAR_AND_MID, (Tier.FAR,)])
 @pytest.mark.parametrize("held_out", [None, (), (Tier.MID,), NEAR_AND_MID])
 @pytest.mark.parametrize("episodes", [3, 50, 101])
