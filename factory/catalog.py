@@ -15,6 +15,7 @@ from coordinator.plan.catalog import Catalog, SceneEntry, read_entry
 from coordinator.plan.draw import find_impossible
 from coordinator.plan.nearest import find_nearest
 from factory.packages import package_file
+from factory.plan_files import require_files
 from factory.scenes.build import build_scene, import_scene, load_edits
 from factory.scenes.limits import StageLimits
 from factory.scenes.target_list import list_file_name, spell_target_list
@@ -52,10 +53,15 @@ def collect_scenes(plan: Plan, root: Place, cache: Path, tell: Listener = lambda
         root: the dataset; packages in its `scenes/` are used as they are.
         cache: where new packages are built.
         tell: told the name of each scene before it is built.
+
+    Raises:
+        InvalidPlan: a file that the plan names and the dataset does not make needless is not there.
     """
     entries: dict[str, SceneEntry] = {}
+    held = {scene.name: _packages(root, scene.name) for scene in plan.scenes}
+    require_files(plan, [name for name, packages in held.items() if packages])
     for scene in plan.scenes:
-        kept = _packages(root, scene.name)
+        kept = held[scene.name]
         if not kept:
             tell(scene.name)
         entries[scene.name] = read_entry(package_file(kept[0]) if kept else _make(scene, cache))
@@ -104,7 +110,7 @@ def _packages(root: Place, name: str) -> list[Place]:
 
 def _make(scene: ScenePlan, cache: Path) -> Path:
     rules, targets = (None if path is None else Path(path) for path in (scene.rules, scene.targets))
-    book, chosen = load_edits(rules, targets)
+    book, chosen = load_edits(rules, targets, scene.name)
     if scene.usd is None:
         return build_scene(scene.name, scene.seed, cache, book, chosen)
     limits = StageLimits(allow_outside=scene.allow_outside)

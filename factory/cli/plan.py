@@ -16,6 +16,7 @@ from coordinator.plan.spelling import spell_plan
 from factory.catalog import collect_scenes
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
 from factory.cli.output import json_option, print_json, print_table
+from factory.plan_files import require_files
 from factory.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
 from schemas.plan import Plan
@@ -34,8 +35,9 @@ def command() -> None:
 @shrink_options
 @json_option
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
-    """Show the cells that PLAN (a built-in name or a TOML file) expands to."""
+    """Show the cells that PLAN (a built-in name or a TOML file) expands to; the files that it names must be there."""
     plan = shrunk_plan(load_plan(plan_name), changes)
+    require_files(plan)
     if as_json:
         print_json({"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))})
         return

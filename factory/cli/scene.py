@@ -56,7 +56,7 @@ def build(
     from factory.scenes.build import build_scene, load_edits
 
     configure_logs(verbose)
-    book, chosen = load_edits(rules, targets)
+    book, chosen = load_edits(rules, targets, name)
     with stderr.status(f"building {name}, seed {seed}"):
         path = build_scene(name, seed, cache or scene_cache(), book, chosen)
     facts = describe_package(path)
@@ -90,10 +90,11 @@ def import_(
     from factory.scenes.limits import MAX_TRIANGLES, StageLimits
 
     configure_logs(verbose)
-    book, chosen = load_edits(rules, targets)
+    called = name or usd.stem.lower()
+    book, chosen = load_edits(rules, targets, called)
     limits = StageLimits(max_triangles or MAX_TRIANGLES, allow_outside)
     with stderr.status(f"importing {usd}"):
-        path = import_scene(usd, name or usd.stem.lower(), cache or scene_cache(), book, chosen, limits)
+        path = import_scene(usd, called, cache or scene_cache(), book, chosen, limits)
     facts = describe_package(path)
     made_with = {"rules": rules, "targets": targets}
     files: dict[str, str | bool] = {key: str(file.resolve()) for key, file in made_with.items() if file is not None}

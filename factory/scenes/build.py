@@ -113,14 +113,21 @@ def import_scene(
     return package
 
 
-def load_edits(rules: Path | None, targets: Path | None) -> tuple[RuleBook | None, TargetList | None]:
+def load_edits(
+    rules: Path | None, targets: Path | None, scene: str = "SCENE"
+) -> tuple[RuleBook | None, TargetList | None]:
     """Reads a user's own table of rules and edited list of targets, where given.
+
+    Args:
+        rules: the table, if any.
+        targets: the list, if any.
+        scene: what the scene is called, for the command that writes such a list.
 
     Raises:
         UsageError: a file is not there or makes no sense.
     """
     book = None if rules is None else load_rules(rules)
-    return book, None if targets is None else load_target_list(targets)
+    return book, None if targets is None else load_target_list(targets, scene)
 
 
 def _require_usd() -> None:

@@ -6,6 +6,7 @@ Reads one YAML table; never looks at a stage.
 from __future__ import annotations
 
 import re
+import shlex
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,7 @@ from typing import Annotated
 import yaml
 from pydantic import AfterValidator, TypeAdapter, ValidationError
 
-from factory.scenes.yaml_text import read_yaml
+from factory.scenes.yaml_text import read_yaml, say_absence
 from schemas.base import Model, Name, NonNegative, Positive
 from schemas.errors import UsageError
 
@@ -93,7 +94,11 @@ def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
         table = read_yaml(path.read_text(encoding="utf-8"))
         return RuleBook(rules=TypeAdapter(tuple[CategoryRule, ...]).validate_python(table))
     except OSError as error:
-        raise UsageError(f"no category rules at {path} ({error.strerror})") from error
+        command = f"cp {shlex.quote(str(BUILTIN_RULES))} {shlex.quote(str(path))}"
+        raise UsageError(
+            f"no category rules at {path} ({say_absence(error)}); leave them out to have the built-in ones, or begin "
+            f"your own with `{command}`"
+        ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"{path} is no YAML: {error}") from error
     except ValidationError as error:

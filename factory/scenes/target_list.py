@@ -6,13 +6,14 @@ Reads and writes the file; how an edited one is honoured stands in `honour.py`.
 from __future__ import annotations
 
 import hashlib
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from factory.scenes.yaml_text import read_yaml
+from factory.scenes.yaml_text import read_yaml, say_absence
 from schemas.base import Model, Name
 from schemas.errors import UsageError
 from schemas.scene import SceneInfo
@@ -95,16 +96,26 @@ def spell_target_list(info: SceneInfo) -> str:
     return _HEAD.format(scene=info.name, verb=verb) + body
 
 
-def load_target_list(path: Path) -> TargetList:
+def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:
     """Reads an edited file.
+
+    Args:
+        path: the file.
+        scene: what the scene is called, for the command that writes such a file.
 
     Raises:
         UsageError: it is not there or is no such file; every mistake is named with its row.
     """
     try:
         return TargetList.model_validate(read_yaml(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"no targets file at {path} ({error}); write one with `factory scene targets`") from error
+    except OSError as error:
+        command = f"factory scene targets {scene} -o {shlex.quote(str(path))}"
+        raise UsageError(
+            f"no targets file at {path} ({say_absence(error)}); leave it out to have all that the rules find, or write "
+            f"one to edit with `{command}`"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is no targets file: it is no UTF-8 text") from error
     except yaml.YAMLError as error:
         raise UsageError(f"{path} is no YAML: {error}") from error
     except ValidationError as error:

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-__all__ = ["read_yaml"]
+__all__ = ["read_yaml", "say_absence"]
 
 
 class _Loader(yaml.SafeLoader):
@@ -30,3 +30,8 @@ def read_yaml(text: str) -> Any:
         YAMLError: it is no YAML, or a key stands twice.
     """
     return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+
+
+def say_absence(error: OSError) -> str:
+    """Returns why a file could not be read, without the number of the error."""
+    return (error.strerror or "it cannot be read").lower()

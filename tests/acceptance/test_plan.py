@@ -43,3 +43,11 @@ def test_a_plan_of_which_nothing_is_there_is_answered_with_what_is(factory, tmp_
         assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable there: chair" in err
         assert "to 0" not in err
         assert "can be reached" not in err
+
+
+def test_showing_a_plan_whose_stage_is_missing_says_where_it_was_looked_for(factory, tmp_path):
+    plan = tmp_path / "mine.toml"
+    plan.write_text(
+        '[splits]\ntrain_id = 1.0\n[[scenes]]\nname = "lab"\nusd = "lab/w.usda"\nseen = ["chair"]\nepisodes = 2\n'
+    )
+    assert f"no USD file at {tmp_path}/lab/w.usda" in factory("plan", "show", plan, expect=2).stderr

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from coordinator.plan.apportion import apportion, webster_sequence
 from coordinator.plan.builtin import BUILTIN_PLANS
 from coordinator.plan.cells import empty_splits
-from coordinator.plan.draw import PlannedJob, cells, expand, pool, redraw, to_job
 from coordinator.plan.draw import PlannedJob, cells, expand, find_impossible, pool, redraw, to_job
 from coordinator.plan.file import shrink
 from schemas.errors import InvalidPlan

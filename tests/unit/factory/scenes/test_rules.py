@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.scenes.rules import load_rules, split_name
+from factory.scenes.rules import BUILTIN_RULES, load_rules, split_name
 from schemas.errors import UsageError
 from schemas.terms import CATEGORIES
 
@@ -78,9 +78,10 @@ def test_a_table_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> N
         load_rules(path)
 
 
-def test_a_missing_table_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no category rules"):
+def test_a_missing_table_is_answered_with_the_command_that_begins_one(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"no category rules.*`cp {BUILTIN_RULES} {tmp_path}/absent.yaml`") as caught:
         load_rules(tmp_path / "absent.yaml")
+    assert "Errno" not in str(caught.value)
 
 
 def test_racks_shelves_and_monitors_are_never_called_after_what_they_show() -> None:

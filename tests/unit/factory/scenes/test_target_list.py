@@ -118,9 +118,12 @@ def test_mistakes_are_named_by_row_and_key(tmp_path: Path, text: str, words: lis
     assert all(word in str(caught.value) for word in (*words, "targets_room.yaml")), str(caught.value)
 
 
-def test_a_missing_file_names_the_verb_that_writes_one(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="factory scene targets"):
-        load_target_list(tmp_path / "targets_room.yaml")
+def test_a_missing_file_is_answered_with_the_whole_command_that_writes_one(tmp_path: Path) -> None:
+    path = tmp_path / "my targets.yaml"
+    with pytest.raises(UsageError) as caught:
+        load_target_list(path, "lab")
+    assert f"`factory scene targets lab -o '{path}'`" in str(caught.value)
+    assert "Errno" not in str(caught.value)
 
 
 def test_what_is_written_is_read_back(tmp_path: Path, plain: CompiledScene) -> None:
