@@ -71,7 +71,10 @@ def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factor
     report = factory.json("scene", "survey", package)
     assert report["spawns"] >= 40
     assert report["share_within"] == 1.0
-    assert "targets in sight" in factory("scene", "survey", package).stdout
+    words = factory("scene", "survey", package).stdout
+    assert "spawns without a target in sight: " in words
+    assert "floor within 2 m of a spawn: 100.0 %" in words
+    assert not any(key in words for key in ("blind", "share_within", "farthest_floor_m"))
     closet = TEXT.box("Floor", (0, 0, -0.1), (2, 2, 0)) + TEXT.box("SM_Crate_01", (0.2, 0.2, 0), (0.5, 0.5, 0.4))
     _, small = room(factory, tmp_path / "small", closet)
     assert "spawn points of 40" in factory("scene", "survey", small, expect=1).stderr
