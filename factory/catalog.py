@@ -6,6 +6,7 @@ A dataset keeps the packages it was made with, so that it can be resumed and rep
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from coordinator.archive.contract import SCENES, STAGING
@@ -16,13 +17,14 @@ from coordinator.plan.draw import find_impossible
 from coordinator.plan.nearest import find_nearest
 from factory.packages import package_file
 from factory.plan_files import require_files
-from factory.scenes.build import build_scene, import_scene, load_edits
+from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
-from factory.scenes.target_list import list_file_name, spell_target_list
+from factory.scenes.rules import RuleBook
+from factory.scenes.target_list import TargetList, list_file_name, spell_target_list
 from schemas.errors import ArchiveCorrupt, InvalidPlan, WorldError
 from schemas.plan import Plan, ScenePlan
 
-__all__ = ["collect_scenes", "find_package", "open_catalog", "write_target_lists"]
+__all__ = ["collect_scenes", "find_built", "find_package", "open_catalog", "write_target_lists"]
 
 Listener = Callable[[str], None]
 
@@ -52,7 +54,7 @@ def collect_scenes(plan: Plan, root: Place, cache: Path, tell: Listener = lambda
         plan: names the scenes.
         root: the dataset; packages in its `scenes/` are used as they are.
         cache: where new packages are built.
-        tell: told the name of each scene before it is built.
+        tell: told the name of each scene that is built or compiled, before it is.
 
     Raises:
         InvalidPlan: a file that the plan names and the dataset does not make needless is not there.
@@ -62,10 +64,15 @@ def collect_scenes(plan: Plan, root: Place, cache: Path, tell: Listener = lambda
     require_files(plan, [name for name, packages in held.items() if packages])
     for scene in plan.scenes:
         kept = held[scene.name]
-        if not kept:
-            tell(scene.name)
-        entries[scene.name] = read_entry(package_file(kept[0]) if kept else _make(scene, cache))
+        package = package_file(kept[0]) if kept else _make(scene, cache, partial(tell, scene.name))
+        entries[scene.name] = read_entry(package)
     return entries
+
+
+def find_built(plan: Plan, cache: Path) -> Catalog:
+    """Returns those scenes of a plan that were built or imported before as they are now; makes none."""
+    found = {scene.name: _find(scene, cache) for scene in plan.scenes}
+    return {name: read_entry(path) for name, path in found.items() if path is not None}
 
 
 def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
@@ -108,10 +115,25 @@ def _packages(root: Place, name: str) -> list[Place]:
     return sorted((root / SCENES).glob(f"{name}-*.scene.zip"), key=str)
 
 
-def _make(scene: ScenePlan, cache: Path) -> Path:
-    rules, targets = (None if path is None else Path(path) for path in (scene.rules, scene.targets))
-    book, chosen = load_edits(rules, targets, scene.name)
+def _make(scene: ScenePlan, cache: Path, tell: Callable[[], None]) -> Path:
+    book, chosen = _edits(scene)
     if scene.usd is None:
-        return build_scene(scene.name, scene.seed, cache, book, chosen)
-    limits = StageLimits(allow_outside=scene.allow_outside)
-    return import_scene(Path(scene.usd), scene.name, cache, book, chosen, limits)
+        return build_scene(scene.name, scene.seed, cache, book, chosen, tell)
+    return import_scene(Path(scene.usd), scene.name, cache, book, chosen, _limits(scene), tell)
+
+
+def _find(scene: ScenePlan, cache: Path) -> Path | None:
+    book, chosen = _edits(scene)
+    if scene.usd is None:
+        path = package_path(scene.name, scene.seed, cache, book, chosen)
+        return path if path.is_file() else None
+    return find_import(Path(scene.usd), scene.name, cache, book, chosen, _limits(scene))
+
+
+def _edits(scene: ScenePlan) -> tuple[RuleBook | None, TargetList | None]:
+    rules, targets = (None if path is None else Path(path) for path in (scene.rules, scene.targets))
+    return load_edits(rules, targets, scene.name)
+
+
+def _limits(scene: ScenePlan) -> StageLimits:
+    return StageLimits(allow_outside=scene.allow_outside)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from coordinator.plan.draw import find_impossible
 from coordinator.plan.file import load_plan
 from coordinator.plan.nearest import find_nearest
 from coordinator.plan.spelling import spell_plan
-from factory.catalog import collect_scenes
+from factory.catalog import collect_scenes, find_built
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
 from factory.cli.output import json_option, print_json, print_table
 from factory.plan_files import require_files
@@ -38,8 +39,12 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     """Show the cells that PLAN (a built-in name or a TOML file) expands to; the files that it names must be there."""
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
+    found = find_built(plan, scene_cache())
+    unknown = [scene.name for scene in plan.scenes if scene.name not in found]
+    mistakes = None if unknown else find_impossible(plan, found)
     if as_json:
-        print_json({"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))})
+        told = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
+        print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
     click.echo(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
     for scene in plan.scenes:
@@ -47,6 +52,16 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         click.echo(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
     _print_cells(plan)
     warn_of_empty_splits(plan)
+    for line in mistakes or ():
+        click.echo(f"impossible: {line}")
+    nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
+    if mistakes:
+        click.echo(f"{nearest} says what is possible instead")
+    elif unknown:
+        click.echo(
+            f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does",
+            err=True,
+        )
 
 
 @command.command("nearest")

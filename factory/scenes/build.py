@@ -1,27 +1,32 @@
 """Makes compiled scene packages on disk: the built-in scenes by name and seed, a user's USD by path.
 
-Caches built-in packages by what they are made from; a package appears whole or not at all.
+Caches packages by what they are made from; a package appears whole or not at all.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import tempfile
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene
+from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
-from schemas.errors import UsageError, WorldError
+from schemas.errors import UsageError
 from schemas.meant import did_you_mean
-from schemas.scene import SCENE_FORMAT, CompiledScene, encode_scene
+from schemas.scene import SCENE_FORMAT, encode_scene
 
-__all__ = ["build_scene", "import_scene", "load_edits", "package_path"]
+if TYPE_CHECKING:
+    from factory.scenes.importer import Extraction
+
+__all__ = ["build_scene", "find_import", "import_scene", "load_edits", "package_path"]
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
@@ -41,15 +46,16 @@ def package_path(
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
     if targets is not None:
         made_from += f"\n{targets.digest}"
-    return cache / _file_name(name, hashlib.sha256(made_from.encode()).hexdigest())
-
-
-def _file_name(name: str, digest: str) -> str:
-    return f"{name}-{digest[:12]}.scene.zip"
+    return cache / package_name(name, hashlib.sha256(made_from.encode()).hexdigest())
 
 
 def build_scene(
-    name: str, seed: int, cache: Path, rules: RuleBook | None = None, targets: TargetList | None = None
+    name: str,
+    seed: int,
+    cache: Path,
+    rules: RuleBook | None = None,
+    targets: TargetList | None = None,
+    tell: Callable[[], None] = lambda: None,
 ) -> Path:
     """Authors and compiles a built-in scene unless the cache has it already.
 
@@ -59,6 +65,7 @@ def build_scene(
         cache: directory of packages; made when missing.
         rules: what is called how; the built-in table when `None`.
         targets: an edited list of targets; all that the rules find when `None`.
+        tell: called before something is built.
 
     Returns:
         The path of the package.
@@ -70,10 +77,13 @@ def build_scene(
     path = package_path(name, seed, cache, rules, targets)
     if not path.is_file():
         _require_usd()
+        from factory.scenes.compile import compile_stage  # only now: most runs find their scenes in the cache
+
+        tell()
         with tempfile.TemporaryDirectory(prefix="scene-") as directory:
             root = author_scene(name, seed, Path(directory))
-            scene = _compile(root, name, f"built-in {name}, seed {seed}", rules, targets)
-        _write_package(path, encode_scene(scene))
+            scene = compile_stage(root, name, f"built-in {name}, seed {seed}", rules, targets)
+        write_whole(path, encode_scene(scene))
     return path
 
 
@@ -84,8 +94,9 @@ def import_scene(
     rules: RuleBook | None = None,
     targets: TargetList | None = None,
     limits: StageLimits = USUAL_LIMITS,
+    tell: Callable[[], None] = lambda: None,
 ) -> Path:
-    """Compiles a user's USD stage into the cache.
+    """Compiles a user's USD stage into the cache, unless it was compiled from the same before.
 
     Args:
         path: the stage's root layer.
@@ -94,6 +105,7 @@ def import_scene(
         rules: what is called how; the built-in table when `None`.
         targets: an edited list of targets; all that the rules find when `None`.
         limits: what is refused.
+        tell: called before something is compiled.
 
     Returns:
         The path of the package; its name carries the first digits of its content's SHA-256.
@@ -107,10 +119,45 @@ def import_scene(
     if name in BUILTIN_SCENES:
         raise UsageError(f"{name!r} is a built-in scene; give yours another name")
     _require_usd()
-    data = encode_scene(_compile(path, name, path.name, rules, targets, limits))
-    package = cache / _file_name(name, hashlib.sha256(data).hexdigest())
-    _write_package(package, data)
+    from factory.scenes.compile import compile_extraction
+    from factory.scenes.importer import extract_stage
+
+    extraction = extract_stage(path, limits)
+    made_from = _digest_of(extraction, path.name, rules or load_rules(), targets)
+    known = recall_package(cache, name, made_from)
+    if known is not None:
+        mark_as_last(known)
+        return known
+    tell()
+    data = encode_scene(compile_extraction(path.name, extraction, name, path.name, rules, targets))
+    package = cache / package_name(name, hashlib.sha256(data).hexdigest())
+    write_whole(package, data)
+    remember_package(cache, name, made_from, package)
     return package
+
+
+def find_import(
+    path: Path,
+    name: str,
+    cache: Path,
+    rules: RuleBook | None = None,
+    targets: TargetList | None = None,
+    limits: StageLimits = USUAL_LIMITS,
+) -> Path | None:
+    """Returns the package that `import_scene` would return without compiling, or `None`; arguments as there."""
+    if not any(cache.glob(f"{name}-*.scene.zip")):
+        return None
+    _require_usd()
+    from factory.scenes.importer import extract_stage
+
+    extraction = extract_stage(path, limits)
+    return recall_package(cache, name, _digest_of(extraction, path.name, rules or load_rules(), targets))
+
+
+def _digest_of(extraction: Extraction, source: str, rules: RuleBook, targets: TargetList | None) -> str:
+    """SHA-256 of all that makes an imported package what it is."""
+    parts = (source, extraction.files_sha256, *extraction.notes, rules.model_dump_json(), targets and targets.digest)
+    return hashlib.sha256("\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, *parts))).encode()).hexdigest()
 
 
 def load_edits(
@@ -136,35 +183,3 @@ def _require_usd() -> None:
         raise UsageError(
             f"USD needs {' and '.join(missing)}; install them with `pip install 'minivla-factory[scenes]'`"
         )
-
-
-def _compile(
-    path: Path,
-    name: str,
-    source: str,
-    rules: RuleBook | None,
-    targets: TargetList | None,
-    limits: StageLimits = USUAL_LIMITS,
-) -> CompiledScene:
-    """Loads USD only now: most runs find their scenes in the cache."""
-    from factory.scenes.compile import compile_stage
-
-    return compile_stage(path, name, source, rules, targets, limits)
-
-
-def _write_package(path: Path, data: bytes) -> None:
-    """Writes beside, syncs, renames."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, beside = tempfile.mkstemp(prefix=path.name, suffix=".part", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(beside).chmod(0o644)
-            Path(beside).replace(path)
-        finally:
-            Path(beside).unlink(missing_ok=True)
-    except OSError as error:
-        raise WorldError(f"cannot write {path} ({error.strerror}); free space or choose another cache") from error

@@ -38,7 +38,7 @@ from schemas.errors import WorldError
 from schemas.scene import CompiledScene, Instance, SceneInfo, Target
 from workers.grid import Grid
 
-__all__ = ["compile_stage"]
+__all__ = ["compile_extraction", "compile_stage"]
 
 _SANE_RADIUS_M = 200.0
 _SANE_SPREAD = 5.0
@@ -99,12 +99,36 @@ def compile_stage(
         UsageError: there is no such file, or the list names prims that the stage lacks.
         WorldError: it is no stage, shows no mesh, has no floor, or no thing of a category can be reached.
     """
+    return compile_extraction(path.name, extract_stage(path, limits), name, source, rules, chosen)
+
+
+def compile_extraction(
+    file: str,
+    extraction: Extraction,
+    name: str,
+    source: str,
+    rules: RuleBook | None = None,
+    chosen: TargetList | None = None,
+) -> CompiledScene:
+    """Compiles what was read of a stage; the rest is as for `compile_stage`.
+
+    Args:
+        file: name of the root layer's file, for messages.
+        extraction: what the stage shows.
+        name: what the scene is called.
+        source: what it is, in words, for the record.
+        rules: what is called how; the built-in table when `None`.
+        chosen: the user's list of targets; all that the rules find when `None`.
+
+    Raises:
+        UsageError: the list names prims that the stage lacks.
+        WorldError: it shows no mesh, has no floor, or no thing of a category can be reached.
+    """
     rules = rules or load_rules()
-    extraction = extract_stage(path, limits)
     notes = list(extraction.notes)
-    parts = _without_outliers(path.name, extraction, notes)
-    shown = _show(path.name, extraction, parts, (rules, chosen), notes)
-    with _told_with_sizes(path.name, extraction, shown.parts):
+    parts = _without_outliers(file, extraction, notes)
+    shown = _show(file, extraction, parts, (rules, chosen), notes)
+    with _told_with_sizes(file, extraction, shown.parts):
         floor_m = find_floor_height(shown.triangles())
         solid = solid_triangles(
             [part for part in parts if not part.is_collider], [part for part in parts if part.is_collider], floor_m
@@ -112,7 +136,7 @@ def compile_stage(
         frame, occupancy = build_occupancy(solid, shown.triangles(), floor_m)
     grid = Grid(occupancy, frame.origin_m, frame.resolution_m)
     terrain = Terrain(grid, grid.connected_floor(), SpawnConfig(), _taken(shown.candidates, floor_m))
-    survey = _survey(path.name, terrain, shown, floor_m, notes)
+    survey = _survey(file, terrain, shown, floor_m, notes)
     geometry = lay_out_geometry(shown.parts, shown.owners, shown.ids, shown.book, floor_m, notes)
     info = SceneInfo(
         name=name,

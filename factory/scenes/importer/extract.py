@@ -6,6 +6,7 @@ A broken prim becomes a note, never an end; nothing here knows categories, colli
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -72,6 +73,8 @@ class Extraction:
     """Those of kind component: nothing below them is a thing of its own."""
     sha256: str
     """Digest of the layers and textures that went in."""
+    files_sha256: str
+    """The same with the place of each, seen from the root layer's folder: two that change places make another scene."""
     notes: tuple[str, ...]
 
 
@@ -122,6 +125,7 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
             notes.append(f"{placement.path}: skipped, {say_refusal(str(error))}")
     if all(part.is_collider for part in work.parts):
         notes += find_unseen(scene)
+    digests = _digests(scene.stage, work.parts)
     return Extraction(
         parts=tuple(work.parts),
         metres_per_unit=scene.metres_per_unit,
@@ -129,7 +133,8 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
         groups=frozenset(work.groups),
         models=frozenset(work.models),
         components=frozenset(work.components),
-        sha256=_digest(scene.stage, work.parts),
+        sha256=_digest_of(sorted(digest for _, digest in digests)),
+        files_sha256=_digest_of(sorted(f"{_seen_from(path, place)} {digest}" for place, digest in digests)),
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -269,9 +274,17 @@ def _placed(piece: _Piece, placement: Placement, collides: bool) -> Part:
     return Part(placement.path, triangles, uvs, tints, piece.surface, collides)
 
 
-def _digest(stage: Any, parts: list[Part]) -> str:
-    """Digest of the contents of layers and textures, whatever their places on disk."""
-    layers = [read_asset(layer.realPath) or b"" for layer in stage.GetUsedLayers() if not layer.anonymous]
-    textures = [read_asset(path) or b"" for path in sorted({part.surface.texture for part in parts} - {""})]
-    digests = sorted(hashlib.sha256(data).hexdigest() for data in layers + textures)
-    return hashlib.sha256("\n".join(digests).encode()).hexdigest()
+def _digests(stage: Any, parts: list[Part]) -> list[tuple[str, str]]:
+    """Places on disk and digests of the contents of layers and textures."""
+    layers = [layer.realPath for layer in stage.GetUsedLayers() if not layer.anonymous]
+    textures = sorted({part.surface.texture for part in parts} - {""})
+    return [(place, hashlib.sha256(read_asset(place) or b"").hexdigest()) for place in [*layers, *textures]]
+
+
+def _seen_from(root_layer: Path, place: str) -> str:
+    """A place relative to the root layer's folder; as it is where USD could not resolve it."""
+    return os.path.relpath(place, root_layer.parent) if Path(place).is_absolute() else place
+
+
+def _digest_of(lines: list[str]) -> str:
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

@@ -183,7 +183,7 @@ def test_an_imported_package_is_named_by_its_content(tmp_path: Path) -> None:
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
     path = import_scene(stage, "my_room", tmp_path / "cache")
     assert path == import_scene(stage, "my_room", tmp_path / "cache")
-    assert [file.name for file in (tmp_path / "cache").iterdir()] == [path.name]
+    assert [file.name for file in (tmp_path / "cache").glob("*.scene.zip")] == [path.name]
     with path.open("rb") as file:
         assert decode_scene(file).info.name == "my_room"
 

@@ -1,0 +1,100 @@
+"""An unchanged stage is compiled once; whatever changes what it is compiled to has it compiled anew."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from factory.scenes.build import find_import, import_scene
+from factory.scenes.imported import find_imported
+from factory.scenes.rules import RuleBook, load_rules
+from factory.scenes.target_list import TargetEntry, TargetList
+from tests.builders.stage import StageText, room_body
+
+TEXT = StageText()
+BOXES = {"a.usda": 0.5, "b.usda": 1.0}
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Path:
+    """A room with two boxes of different height from files of their own."""
+    for name, height in BOXES.items():
+        TEXT.write(tmp_path / name, TEXT.box("Box", (0, 0, 0), (0.5, 0.5, height)))
+    boxes = "".join(
+        TEXT.group(name[0].upper(), "", at=(-2.0, place, 0.0), head=f"references = @./{name}@")
+        for place, name in enumerate(BOXES)
+    )
+    return TEXT.write(tmp_path / "room.usda", room_body(TEXT, boxes))
+
+
+def imported(stage: Path, rules: RuleBook | None = None, targets: TargetList | None = None) -> tuple[Path, bool]:
+    """The package, and whether it was compiled for it."""
+    told: list[str] = []
+    cache = stage.parent / "cache"
+    return import_scene(stage, "lab", cache, rules, targets, tell=lambda: told.append("lab")), bool(told)
+
+
+def test_a_stage_is_compiled_once(stage: Path) -> None:
+    first, second = imported(stage), imported(stage)
+    assert first[0] == second[0]
+    assert (first[1], second[1]) == (True, False)
+
+
+def test_a_changed_layer_rules_or_list_of_targets_compiles_anew(stage: Path) -> None:
+    imported(stage)
+    chair = TargetEntry(id="chair_001", category="chair", prim_path="/World/SM_Chair_01")
+    assert imported(stage, targets=TargetList(scene="lab", targets=(chair,)))[1]
+    assert imported(stage, rules=RuleBook(rules=load_rules().rules[:5]))[1]
+    TEXT.write(stage.parent / "a.usda", TEXT.box("Box", (0, 0, 0), (0.5, 0.5, 0.7)))
+    assert imported(stage)[1]
+
+
+def test_files_that_change_places_compile_anew(stage: Path) -> None:
+    old, _ = imported(stage)
+    first, second = (stage.parent / name for name in BOXES)
+    one, other = first.read_bytes(), second.read_bytes()
+    first.write_bytes(other)
+    second.write_bytes(one)
+    new, compiled = imported(stage)
+    assert compiled
+    assert new != old
+
+
+def test_a_file_that_was_missing_compiles_anew_when_it_is_there(stage: Path) -> None:
+    layer = stage.parent / "a.usda"
+    text = layer.read_bytes()
+    layer.unlink()
+    imported(stage)
+    layer.write_bytes(text)
+    assert imported(stage)[1]
+
+
+@pytest.mark.parametrize("damage", [b"not what its name says", None])
+def test_a_damaged_or_missing_package_is_compiled_anew(stage: Path, damage: bytes | None) -> None:
+    package, _ = imported(stage)
+    good = package.read_bytes()
+    package.unlink()
+    if damage is not None:
+        package.write_bytes(damage)
+    assert imported(stage) == (package, True)
+    assert package.read_bytes() == good
+
+
+def test_importing_again_makes_a_package_the_last(stage: Path) -> None:
+    first, _ = imported(stage)
+    second, _ = imported(stage, rules=RuleBook(rules=load_rules().rules[:5]))
+    for package in (first, second):
+        os.utime(package, (1, 1))
+    imported(stage)
+    assert find_imported(first.parent) == {"lab": (first, second)}
+
+
+def test_looking_for_a_package_compiles_none(stage: Path) -> None:
+    cache = stage.parent / "cache"
+    assert find_import(stage, "lab", cache) is None
+    package, _ = imported(stage)
+    os.utime(package, (1, 1))
+    assert find_import(stage, "lab", cache) == package
+    assert package.stat().st_mtime == 1
