@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
+from factory.imported import find_imported
 from factory.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, decode_scene
@@ -20,8 +21,6 @@ __all__ = ["chosen_scene", "open_scene", "scene_argument", "seed_option"]
 
 
 def _complete(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
-    from factory.scenes.imported import find_imported
-
     known = [*BUILTIN_CATEGORIES, *find_imported(scene_cache())]
     names = [CompletionItem(name) for name in known if name.startswith(word)]
     return names or [CompletionItem(word, type="file")]
@@ -57,7 +56,6 @@ def open_scene(path: Path) -> CompiledScene:
 
 def _package_called(name: str, seed: int) -> Path:
     from factory.scenes.build import build_scene
-    from factory.scenes.imported import find_imported
 
     if name in BUILTIN_CATEGORIES:
         return build_scene(name, seed, scene_cache())

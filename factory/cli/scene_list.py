@@ -10,6 +10,7 @@ import click
 
 from factory.cli.output import json_option, print_json, print_table
 from factory.cli.scene_rest import say_counts
+from factory.imported import find_imported
 from factory.settings import scene_cache
 from schemas.errors import FactoryError
 from schemas.scene import read_scene_info
@@ -52,8 +53,6 @@ def _built_in() -> list[dict[str, Any]]:
 
 
 def _imported() -> list[dict[str, Any]]:
-    from factory.scenes.imported import find_imported
-
     return [
         {"name": name, "origin": "imported", **_facts(packages[0]), "package": str(packages[0])}
         for name, packages in find_imported(scene_cache()).items()

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from factory.imported import find_imported
 from factory.scenes.build import find_import, import_scene
-from factory.scenes.imported import find_imported
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.target_list import TargetEntry, TargetList
 from tests.builders.stage import StageText, room_body
