@@ -4,8 +4,7 @@ file of a compiled package.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from difflib import get_close_matches
+from collections.abc import Collection
 from pathlib import Path
 
 import click
@@ -14,6 +13,7 @@ from click.shell_completion import CompletionItem
 from factory.imported import find_imported
 from factory.settings import scene_cache
 from schemas.errors import UsageError
+from schemas.meant import did_you_mean
 from schemas.scene import CompiledScene, decode_scene
 from schemas.terms import BUILTIN_CATEGORIES
 
@@ -68,10 +68,9 @@ def _package_called(name: str, seed: int) -> Path:
     return package
 
 
-def _say_unknown(name: str, imported: Iterable[str]) -> str:
-    near = get_close_matches(name, [*BUILTIN_CATEGORIES, *imported], 1)
-    remedy = "compile a stage of your own with `factory scene import FILE --name NAME`"
+def _say_unknown(name: str, imported: Collection[str]) -> str:
     return (
         f"no scene is called {name!r}, and no package lies there; built in: {', '.join(BUILTIN_CATEGORIES)}; "
-        f"imported: {', '.join(imported) or 'none'}; {f'did you mean {near[0]}? Or ' if near else ''}{remedy}"
+        f"imported: {', '.join(imported) or 'none'}; compile a stage of your own with "
+        f"`factory scene import FILE --name NAME`{did_you_mean(name, [*BUILTIN_CATEGORIES, *imported])}"
     )

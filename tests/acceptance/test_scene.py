@@ -46,7 +46,7 @@ def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
     assert "no target: 5 of 7 instances" in factory("scene", "inspect", "den").stdout
     assert factory.json("scene", "survey", "den")["spawns"] >= 40
     assert factory.json("scene", "targets", "den", "-o", tmp_path / "list.yaml")["scene"] == "den"
-    assert "did you mean den?" in factory("scene", "inspect", "denn", expect=2).stderr
+    assert "did you mean 'den'?" in factory("scene", "inspect", "denn", expect=2).stderr
     (listed,) = [scene for scene in factory.json("scene", "list") if scene["name"] == "den"]
     assert (listed["origin"], listed["summary"], listed["targets"]) == ("imported", "room.usda", "1 chair, 1 plant")
     assert listed["package"] in factory("scene", "list").stdout
