@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import shutil
 import signal
 
@@ -44,31 +42,6 @@ def test_an_unknown_scene_option_names_the_scenes_of_the_plan(factory, tmp_path)
 def test_a_misspelt_scene_of_the_jobs_is_no_empty_list(factory, calm):
     err = factory("jobs", "list", calm, "--scene", "hospitl", expect=2).stderr
     assert "did you mean 'hospital'" in err
-
-
-def test_ctrl_c_before_anything_is_driven_says_how_to_go_on(factory, calm, tmp_path):
-    os.mkfifo(tmp_path / "specs.json")
-    words = ("--data", calm, "--specs", tmp_path / "specs.json", "--policy", "stop")
-    process = factory.start("eval", *words)
-    writer = wait_for_reader(tmp_path / "specs.json")
-    process.send_signal(signal.SIGINT)
-    os.close(writer)  # else a signal that came just before it reads would be noticed after it has read
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "run the same command again to go on" in err
-
-
-def wait_for_reader(fifo):
-    """Returns a descriptor that writes to a pipe, once somebody waits at its other end."""
-    found = []
-
-    def opens():
-        with contextlib.suppress(OSError):  # nobody reads yet
-            found.append(os.open(fifo, os.O_WRONLY | os.O_NONBLOCK))
-        return bool(found)
-
-    wait_for(opens)
-    return found[0]
 
 
 def test_an_output_that_is_a_file_is_refused(factory, plan, tmp_path):

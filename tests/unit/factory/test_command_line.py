@@ -8,7 +8,7 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 
-from factory.cli.main import cli
+from factory.cli.main import cli, main
 from factory.settings import scene_cache
 from schemas.errors import UsageError
 
@@ -74,6 +74,20 @@ def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, 
 def test_a_format_that_is_not_written_is_told_what_is_near_or_where_it_is_made(name: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         cli.main(["export", ".", "--to", name, "-o", "nowhere"], standalone_mode=False)
+
+
+@pytest.mark.parametrize("stroke", [KeyboardInterrupt, click.exceptions.Abort])
+def test_ctrl_c_anywhere_says_how_to_go_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stroke: type[BaseException]
+) -> None:
+    def interrupted(**_: object) -> None:
+        raise stroke
+
+    monkeypatch.setattr(cli, "main", interrupted)
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 130
+    assert "run the same command again to go on" in capsys.readouterr().err
 
 
 def test_the_shell_completes_the_names_of_imported_scenes() -> None:
