@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from coordinator.archive.disk import translated
 from coordinator.ledger.opening import require_plan
 from coordinator.plan.file import load_plan
 from factory.cli.options import shrunk_plan
@@ -38,6 +39,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
 
     Raises:
         UsageError: the place was begun with another plan, or lies in another dataset.
+        WorldError: it cannot be looked into.
     """
     begun = plan_of(site.home)
     wanted = load_plan(name) if name is not None else begun or load_plan("demo")
@@ -45,7 +47,8 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
     if begun is not None:
         require_plan(begun, plan)
     elif site.store is None:
-        _look_around(site.home)
+        with translated("look into", site.home):
+            _look_around(site.home)
     return Beginning(plan, begun is None)
 
 

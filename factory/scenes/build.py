@@ -118,16 +118,13 @@ def import_scene(
         raise UsageError(f"{name!r} cannot name a scene; use lower-case letters, digits and _, a letter first")
     if name in BUILTIN_SCENES:
         raise UsageError(f"{name!r} is a built-in scene; give yours another name")
-    _require_usd()
-    from factory.scenes.compile import compile_extraction
-    from factory.scenes.importer import extract_stage
-
-    extraction = extract_stage(path, limits)
-    made_from = _digest_of(extraction, path.name, rules or load_rules(), targets)
+    extraction, made_from = _read_stage(path, rules, targets, limits)
     known = recall_package(cache, name, made_from)
     if known is not None:
         mark_as_last(known)
         return known
+    from factory.scenes.compile import compile_extraction  # only now: most runs find their scenes in the cache
+
     tell()
     data = encode_scene(compile_extraction(path.name, extraction, name, path.name, rules, targets))
     package = cache / package_name(name, hashlib.sha256(data).hexdigest())
@@ -147,17 +144,22 @@ def find_import(
     """Returns the package that `import_scene` would return without compiling, or `None`; arguments as there."""
     if not any(cache.glob(f"{name}-*.scene.zip")):
         return None
+    _, made_from = _read_stage(path, rules, targets, limits)
+    return recall_package(cache, name, made_from)
+
+
+def _read_stage(
+    path: Path, rules: RuleBook | None, targets: TargetList | None, limits: StageLimits
+) -> tuple[Extraction, str]:
+    """Returns what a stage shows, and the SHA-256 of all that makes a package of it what it is."""
     _require_usd()
     from factory.scenes.importer import extract_stage
 
     extraction = extract_stage(path, limits)
-    return recall_package(cache, name, _digest_of(extraction, path.name, rules or load_rules(), targets))
-
-
-def _digest_of(extraction: Extraction, source: str, rules: RuleBook, targets: TargetList | None) -> str:
-    """SHA-256 of all that makes an imported package what it is."""
-    parts = (source, extraction.files_sha256, *extraction.notes, rules.model_dump_json(), targets and targets.digest)
-    return hashlib.sha256("\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, *parts))).encode()).hexdigest()
+    book = (rules or load_rules()).model_dump_json()
+    parts = (path.name, extraction.files_sha256, *extraction.notes, book, targets and targets.digest)
+    made_from = "\n".join(map(str, (COMPILER_VERSION, SCENE_FORMAT, *parts)))
+    return extraction, hashlib.sha256(made_from.encode()).hexdigest()
 
 
 def load_edits(
