@@ -1,12 +1,12 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long |
-# scenes-check | test-formats | test-train. Everything lives in .venv.
+# scenes-check | test-formats | test-install | test-lerobot | test-train. Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 JUDGE  := .venv-judge
 TRAIN  := .venv-train
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos chaos-long scenes-check test-formats test-train clean
+.PHONY: setup run test check bench chaos chaos-long scenes-check test-formats test-install test-lerobot test-train clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -56,6 +56,16 @@ test-formats: $(READY) $(JUDGE)/.ready $(JUDGE)-v2.1/.ready $(JUDGE)-habitat/.re
 	    lerobot-v2.1=$(JUDGE)-v2.1/bin/python habitat=$(JUDGE)-habitat/bin/python \
 	    readers=$(JUDGE)-readers/bin/python visualnav=$(VISUALNAV)
 
+# the reader inside LeRobot's own environment (Python 3.12)
+test-lerobot: $(READY) $(JUDGE)/.ready
+	rm -rf build/lerobot && mkdir -p build/lerobot
+	$(VENV)/bin/python -m hatchling build -t wheel -d build/lerobot
+	$(JUDGE)/bin/python -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps build/lerobot/*.whl
+	$(JUDGE)/bin/python -m pip install --quiet --disable-pip-version-check build/lerobot/*.whl
+	$(VENV)/bin/factory run demo --scene office --episodes 2 --out build/lerobot/data
+	cd build/lerobot && ../../$(JUDGE)/bin/python ../../tests/install/reader.py data lerobot
+	$(JUDGE)/bin/python -m pip check
+
 $(JUDGE)/.ready:
 	python3.12 -m venv $(JUDGE)
 	$(JUDGE)/bin/python -m pip install --quiet "lerobot[dataset]==0.6.1" lmdb
@@ -82,6 +92,11 @@ $(JUDGE)-readers/.ready: requirements.txt
 	    mcap-protobuf-support foxglove-schemas-protobuf
 	$(JUDGE)-readers/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(JUDGE)-readers/.ready
+
+# the wheel in fresh environments of Python 3.11, 3.12 and 3.13, as far as they are on PATH or in PYENV_ROOT: what the base
+# install reads and shows, what the extra `sim` adds, and what happens beside factory_boy; minutes, installs packages
+test-install: $(READY)
+	$(VENV)/bin/python -m pytest tests/install --install
 
 # training, recipes and their tests, in an environment of their own: PyTorch is large
 test-train: $(TRAIN)/.ready

@@ -5,7 +5,6 @@ Shown at the speed of life, every so many frames left out; written as MP4 (H.264
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +16,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from factory.panels import TrackMap, show_depth, show_ids
 from schemas.bundle import BundleReader
-from schemas.errors import UsageError, WorldError
+from schemas.errors import WorldError
+from schemas.extras import require_package
 from schemas.scene import CompiledScene
 
 __all__ = ["draw_film", "facts_of_step", "film_rate", "require_mp4", "write_gif", "write_mp4"]
@@ -69,8 +69,7 @@ def require_mp4() -> None:
     Raises:
         UsageError: PyAV is not installed.
     """
-    if importlib.util.find_spec("av") is None:
-        raise UsageError("writing MP4 needs PyAV: pip install 'minivla-factory[video]', or choose a .gif")
+    require_package("av", "an MP4 film")
 
 
 def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:

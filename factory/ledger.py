@@ -6,8 +6,9 @@ from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from coordinator.archive.contract import LEDGER_FILE
 from coordinator.ledger.look import Connection, look_into
-from coordinator.ledger.opening import LEDGER_FILE, holds_run, ledger_url_of, read_info
+from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.progress import read_progress
 from factory.site import Site, site_of
 from schemas.errors import UsageError

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES
+from coordinator.archive.contract import EPISODES, LEDGER_FILE, QUARANTINE, SCENES
 from coordinator.dataset.card import CARD_FILE
 from coordinator.dataset.meta import META_FILE
 from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
-from coordinator.ledger.opening import LEDGER_FILE
 
 __all__ = ["is_dataset", "is_part"]
 

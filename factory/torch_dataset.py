@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset import Dataset, Episode
-from factory.extras import require_package
 from schemas.arrays import FRAME_SIZE_PX
+from schemas.extras import require_package
 
 __all__ = ["FrameBatch", "FrameDataset", "Sample", "collate"]
 
@@ -130,7 +130,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     Raises:
         UsageError: torch is not installed; the message names the extra.
     """
-    require_package("torch", "train", "collate of factory.torch_dataset")
+    require_package("torch", "collate of factory.torch_dataset")
     import torch
 
     if not isinstance(samples, FrameBatch):  # of several datasets joined by torch

@@ -19,12 +19,12 @@ from factory.episode import Episode
 from factory.panels import DEPTH_SHOWN_M, show_ids
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
-from schemas.errors import UsageError, WorldError
+from schemas.errors import WorldError
+from schemas.extras import missing_package
 from schemas.scene import CompiledScene
 
 __all__ = ["FloorPicture", "floor_picture", "view_episode"]
 
-_EXTRA = "pip install 'minivla-factory[view]'"
 _ROBOT_BOX_M = (
     (-0.607, -0.25, 0.06),
     (0.14, 0.25, 0.556),
@@ -112,7 +112,7 @@ def _library() -> ModuleType:
     try:
         import rerun
     except ImportError as error:
-        raise UsageError(f"viewing needs rerun-sdk: {_EXTRA}") from error
+        raise missing_package("rerun", "`factory view`") from error
     module: ModuleType = rerun
     return module
 

@@ -14,6 +14,13 @@ from tests.builders.postgres import Postgres, postgres, why_no_postgres
 def pytest_addoption(parser: pytest.Parser) -> None:
     """`--scene-seeds N`: the contract suite of the built-in scenes on N seeds of each."""
     parser.addoption("--scene-seeds", type=int, default=1, help="seeds of each built-in scene to hold to the contract")
+    parser.addoption("--install", action="store_true", help="run tests/install, which installs the wheel from an index")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leaves tests/install out unless it is asked for."""
+    is_install = collection_path == Path(__file__).parent / "install"
+    return True if is_install and not config.getoption("--install") else None
 
 
 @pytest.fixture(scope="session")

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("schemas", "coordinator", "workers", "factory")
+PACKAGES = ("schemas", "coordinator", "workers", "factory", "minivla")
 ALLOWED = {
     "schemas": {"schemas"},
     "coordinator": {"schemas", "coordinator"},
     "workers": {"schemas", "workers"},
-    "factory": set(PACKAGES),
+    "factory": {"schemas", "coordinator", "workers", "factory"},
+    "minivla": {"schemas", "factory", "minivla"},
 }
 DOORS = {
     "pybullet": {"workers/bullet.py"},

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import WorldError
+from schemas.extras import require_package
 from workers.mesh_lists import MeshLists, as_lists, take_back
 
 __all__ = [
@@ -55,6 +56,7 @@ def _silence() -> Iterator[None]:
 
 
 def _import_pybullet() -> ModuleType:
+    require_package("pybullet", "simulation")
     with _silence():
         import pybullet
     return pybullet  # type: ignore[no-any-return]

@@ -16,9 +16,20 @@ from coordinator.archive.place import Place
 from coordinator.archive.staged import Staged
 from schemas.job import episode_id
 
-__all__ = ["EPISODES", "QUARANTINE", "SCENES", "STAGING", "Archive", "Staged", "index_of_file", "scene_file"]
+__all__ = [
+    "EPISODES",
+    "LEDGER_FILE",
+    "QUARANTINE",
+    "SCENES",
+    "STAGING",
+    "Archive",
+    "Staged",
+    "index_of_file",
+    "scene_file",
+]
 
 EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quarantine"
+LEDGER_FILE = "ledger.db"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip")
 
 

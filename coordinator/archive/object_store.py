@@ -17,6 +17,7 @@ from datetime import timedelta
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from schemas.errors import UsageError, WorldError
+from schemas.extras import missing_package
 
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 __all__ = ["SCHEMES", "Listed", "Objects", "objects_at"]
 
 SCHEMES = ("s3", "gs", "az")
-_MISSING = "an archive by URL needs obstore: pip install 'minivla-factory[object-storage]'"
 _CLIENT: ClientConfig = {"connect_timeout": "5s", "timeout": "10m", "allow_http": True}
 """An endpoint that the user writes as http:// is taken at its word; a bundle may take minutes on a slow line."""
 _RETRY: RetryConfig = {"max_retries": 5, "retry_timeout": timedelta(seconds=60)}
@@ -182,7 +182,7 @@ def _open(url: str) -> Any:
         from obstore.exceptions import BaseError
         from obstore.store import from_url
     except ImportError as error:
-        raise UsageError(f"{url}: {_MISSING}") from error
+        raise missing_package("obstore", f"an archive in object storage ({url})") from error
     try:
         return from_url(url, client_options=_CLIENT, retry_config=_RETRY)
     except (BaseError, ValueError) as error:

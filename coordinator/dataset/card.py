@@ -97,7 +97,7 @@ rows = load_dataset("PATH_OR_REPOSITORY", split="train").filter(lambda row: row[
 where minivla-factory is installed:
 
 ```python
-from factory import Dataset
+from minivla import Dataset
 
 for episode in Dataset(".").filter(split="train_id"):
     print(episode.instruction, episode.rgb(0).shape, episode.actions.shape)

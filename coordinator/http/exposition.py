@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from coordinator.meters import Meter
 from coordinator.vitals import Snapshot
-from schemas.errors import UsageError
+from schemas.extras import missing_package
 from schemas.wire import Progress
 
 if TYPE_CHECKING:
@@ -40,9 +40,7 @@ class Exposition:
             import prometheus_client
             from prometheus_client import core
         except ImportError as error:
-            raise UsageError(
-                "status pages need prometheus-client: pip install 'minivla-factory[metrics]', or leave out --http"
-            ) from error
+            raise missing_package("prometheus_client", "--http") from error
         self._snapshot = snapshot
         self._core: Any = core
         self._generate = prometheus_client.generate_latest

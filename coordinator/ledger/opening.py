@@ -16,6 +16,7 @@ from typing import Any
 from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
+from coordinator.archive.contract import LEDGER_FILE
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import State
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, info, jobs
@@ -26,7 +27,6 @@ from schemas.plan import Plan
 from schemas.terms import Split, Tier
 
 __all__ = [
-    "LEDGER_FILE",
     "LedgerInfo",
     "holds_run",
     "insert_planned",
@@ -37,7 +37,6 @@ __all__ = [
     "require_plan",
 ]
 
-LEDGER_FILE = "ledger.db"
 _INSERT_ROWS = 5000
 
 

@@ -19,8 +19,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from factory import Dataset
-from factory.torch_dataset import FrameDataset
+from minivla import Dataset, FrameDataset
 
 GRID = 7
 PROMPT = "In: What action should the robot take to {instruction}?\nOut:"

@@ -1,6 +1,6 @@
 """MiniVLA-Nav as a benchmark of allenai's vla-eval: its orchestrator drives our simulator, its servers give actions.
 
-pip install vla-eval 'minivla-factory[eval]'; then, from the folder of this file (vla_eval.yaml names the dataset):
+pip install vla-eval 'PATH_OF_A_CLONE[eval]'; then, from the folder of this file (vla_eval.yaml names the dataset):
 
     vla-eval run --config vla_eval.yaml --no-docker
 

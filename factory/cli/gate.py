@@ -18,6 +18,7 @@ from factory.gate import GateReport
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from factory.stats.model import Share
+from schemas.extras import require_package
 from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName, RendererKind
 from workers.experts import require_expert
@@ -54,6 +55,7 @@ def command(
     The paper asks for 80 % of 50 before a scene is generated in full.
     """
     configure_logs(verbose)
+    require_package("pybullet", "`factory gate`")
     changes = {"scene": scene, "episodes": episodes, "expert": expert, "seed": seed}
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_expert(plan.expert)

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import click
 
 from coordinator.vitals import Watched
-from factory.extras import require_package
 from schemas.errors import UsageError
+from schemas.extras import require_package
 
 __all__ = ["http_options", "status_pages"]
 
@@ -40,7 +40,7 @@ def http_options(command: Command) -> Command:
 
 def _require_pages(context: click.Context, param: click.Parameter, http: str | None) -> str | None:  # noqa: ARG001
     if http is not None:
-        require_package("prometheus_client", "metrics", "--http")
+        require_package("prometheus_client", "--http")
     return http
 
 

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the data or the world said no, 2 wrong usage, 3 our bug, 1
 from __future__ import annotations
 
 import importlib
+import itertools
 import os
 import sys
 import traceback
@@ -15,6 +16,7 @@ from types import MappingProxyType
 import click
 
 from schemas.errors import FactoryError, UsageError
+from schemas.extras import EXTRA_OF, missing_package
 from workers.one_core import one_core
 
 __all__ = ["cli", "main"]
@@ -103,10 +105,25 @@ def _run() -> int:
         return _say(f"error: {error}", 1)
     except BrokenPipeError:
         return 1
+    except ModuleNotFoundError as error:
+        return _report_missing(error)
     except Exception:  # noqa: BLE001 - the last door: everything else is our bug and says so
-        traceback.print_exc()
-        return _say("this is a bug in minivla-factory; please report the lines above", 3)
+        return _report_bug()
     return outcome if isinstance(outcome, int) else 0
+
+
+def _report_missing(error: ModuleNotFoundError) -> int:
+    """Names the extra that brings a missing package; any other module that is missing is our bug."""
+    module = (error.name or "").partition(".")[0]
+    if module not in EXTRA_OF:
+        return _report_bug()
+    command = " ".join(("factory", *itertools.takewhile(str.isalpha, sys.argv[1:3])))
+    return _say(f"error: {missing_package(module, f'`{command}`')}", 2)
+
+
+def _report_bug() -> int:
+    traceback.print_exc()
+    return _say("this is a bug in minivla-factory; please report the lines above", 3)
 
 
 def _say(text: str, code: int) -> int:

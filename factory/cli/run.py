@@ -27,6 +27,7 @@ from factory.logs import configure_logs
 from factory.run import LocalRun, run_locally
 from factory.settings import scene_cache
 from factory.site import Site
+from schemas.extras import require_package
 from schemas.plan import Plan
 from schemas.terms import RendererKind
 from schemas.wire import Progress
@@ -61,6 +62,7 @@ def command(
     goes on where it was; no episode is made twice.
     """
     configure_logs(verbose)
+    require_package("pybullet", "`factory run`")
     plan, is_new = begin(plan_name, site, changes)
     require_expert(plan.expert)
     warn_of_empty_splits(plan)

@@ -13,9 +13,9 @@ from factory.cli.episodes import episode_index
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json
 from factory.dataset import Dataset
-from factory.extras import require_package
 from factory.view import view_episode
 from schemas.errors import UsageError
+from schemas.extras import require_package
 from schemas.job import episode_id
 from schemas.scene import decode_scene
 
@@ -32,9 +32,9 @@ def command(root: Place, episode: str, save: Path | None, stride: int, as_json: 
     """Open EPISODE (`ep_000001` or a number) of the dataset in the Rerun viewer.
 
     Colour, depth and ids, the robot on the map, the way it drove, actions and instruction.
-    Needs the extra: pip install 'minivla-factory[view]'.
+    Needs the extra `view`.
     """
-    require_package("rerun", "view", "factory view")
+    require_package("rerun", "factory view")
     dataset = Dataset(root)
     try:
         chosen = dataset[episode_id(episode_index(episode))]

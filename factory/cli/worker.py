@@ -12,6 +12,7 @@ from coordinator.wire.tls import read_credentials
 from factory.cli.options import renderer_option, tls_option, verbose_option
 from factory.listen import require_endpoints
 from factory.logs import configure_logs
+from schemas.extras import require_package
 from schemas.terms import RendererKind
 from workers.settings import WorkerSettings
 from workers.stopping import stop_at_eof, stop_on_signals
@@ -56,6 +57,7 @@ def command(
 ) -> int:
     """Simulate jobs for the coordinator until its run is finished; SIGTERM gives back what is under way."""
     configure_logs(verbose)
+    require_package("pybullet", "`factory worker`")
     connect = tuple(part.strip() for given in connect for part in given.split(","))
     more: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
     require_endpoints(connect, with_tls=tls is not None)

@@ -12,10 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from coordinator.archive.contract import LEDGER_FILE
 from coordinator.ledger import operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.look import look_into
-from coordinator.ledger.opening import LEDGER_FILE, holds_run, ledger_url_of
+from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.records import JobFilter, list_jobs
 from coordinator.ledger.states import State
 from coordinator.plan.errands import Errands, Parcel

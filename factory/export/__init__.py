@@ -5,7 +5,7 @@ Reads datasets through `factory.dataset`; never simulates, never changes the dat
 
 from __future__ import annotations
 
-from factory.export.base import Exporter, Facts, Finish, Options, Piece, Requirement
+from factory.export.base import Exporter, Facts, Finish, Options, Piece
 from factory.export.estimate import Estimate, estimate_export
 from factory.export.registry import EXPORTERS, find_exporter
 from factory.export.report import ExportReport, Skip
@@ -22,7 +22,6 @@ __all__ = [
     "Options",
     "Piece",
     "Progress",
-    "Requirement",
     "Skip",
     "estimate_export",
     "find_exporter",

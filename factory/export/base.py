@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Generic, NamedTuple, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 from coordinator.dataset.meta import DatasetMeta
 from coordinator.summary import EpisodeSummary
@@ -20,7 +20,7 @@ from factory.episode import Episode
 from factory.export.output import Output
 from schemas.base import Model
 
-__all__ = ["Exporter", "Facts", "Finish", "Options", "Piece", "Requirement"]
+__all__ = ["Exporter", "Facts", "Finish", "Options", "Piece"]
 
 
 class Options(Model):
@@ -47,15 +47,6 @@ class Facts(Model):
 
 OptionsT = TypeVar("OptionsT", bound=Options)
 FactsT = TypeVar("FactsT", bound=Facts)
-
-
-class Requirement(NamedTuple):
-    """A package that a format needs and that the core does not install."""
-
-    module: str
-    """Name to import, e.g. `av`."""
-    extra: str
-    """The extra of minivla-factory that brings it, e.g. `lerobot`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +106,8 @@ class Exporter(ABC, Generic[OptionsT, FactsT]):
     """One line for the help."""
     version: ClassVar[int] = 1
     """Of our writer; rises when its files change, so that an unfinished export of an older one is not continued."""
-    requires: ClassVar[tuple[Requirement, ...]] = ()
+    requires: ClassVar[tuple[str, ...]] = ()
+    """Top-level modules that write it; their versions are recorded in the manifest."""
     assembles: ClassVar[bool] = False
     options: type[OptionsT]
     facts: type[FactsT]

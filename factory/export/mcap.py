@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from coordinator.archive.place import Place
 from factory.catalog import find_package
 from factory.episode import Episode
-from factory.export.base import Exporter, Facts, Finish, Requirement
+from factory.export.base import Exporter, Facts, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap_messages import (
     TOPICS,
@@ -63,7 +63,7 @@ class McapExporter(Exporter[McapOptions, Facts]):
 
     name = "mcap"
     about = "one MCAP file an episode in Foxglove's schemas, for Foxglove, Rerun and ROS; lossless"
-    requires = (Requirement("mcap", "mcap"),)
+    requires = ("mcap",)
     options = McapOptions
     facts = Facts
 

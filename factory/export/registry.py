@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from factory.export.base import Exporter
-from factory.extras import require_package
 from schemas.errors import UsageError
+from schemas.extras import require_package
 from schemas.meant import did_you_mean
 
 __all__ = ["EXPORTERS", "AnyExporter", "check_format", "find_exporter", "require_packages"]
@@ -67,7 +67,7 @@ def require_packages(exporter: AnyExporter) -> None:
     """Makes sure that a format's packages are installed.
 
     Raises:
-        UsageError: one is not; the message names the extra to install.
+        UsageError: one is not; the message names the command that installs it.
     """
-    for module, extra in exporter.requires:
-        require_package(module, extra, f"format {exporter.name}")
+    for module in exporter.requires:
+        require_package(module, f"format {exporter.name}")

@@ -157,7 +157,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, M
         format_version=exporter.version,
         options=order.options.model_dump(mode="json"),
         source=source,
-        software=of_software(whole.meta, tuple(module for module, _ in exporter.requires)),
+        software=of_software(whole.meta, exporter.requires),
     )
     return dataset, manifest
 

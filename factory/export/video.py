@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -87,7 +88,8 @@ class VideoWriter:
         except (ValueError, av.FFmpegError) as error:
             self._container.close()
             raise WorldError(
-                f"PyAV {av.__version__} here has no encoder {codec.encoder}: pip install 'minivla-factory[lerobot]'"
+                f"PyAV {av.__version__} was built without the encoder {codec.encoder}; "
+                f"install its wheel: {sys.executable} -m pip install --force-reinstall --only-binary :all: av"
             ) from error
         context: Any = self._stream.codec_context
         context.width, context.height, context.pix_fmt = width, height, codec.pixels

@@ -8,10 +8,12 @@ Gymnasium imports the package when a name begins with it:
 
 from __future__ import annotations
 
+from schemas.extras import missing_package
+
 try:
     import gymnasium
 except ImportError as error:
-    raise ImportError("factory.gym needs gymnasium: pip install 'minivla-factory[eval]'") from error
+    raise ImportError(str(missing_package("gymnasium", "factory.gym"))) from error
 
 __all__ = ["ENV_ID", "register_envs"]
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, NamedTuple
 
-from schemas.errors import UsageError, WorldError
+from schemas.errors import WorldError
+from schemas.extras import require_package
 from schemas.identity import Role
 
 if TYPE_CHECKING:
@@ -34,10 +35,7 @@ def require_cryptography() -> None:
     Raises:
         UsageError: it is not.
     """
-    try:
-        import cryptography  # noqa: F401
-    except ImportError as error:
-        raise UsageError("keys need cryptography: pip install 'minivla-factory[tls]'") from error
+    require_package("cryptography", "`factory keys`")
 
 
 def found_authority(name: str, days: int, now: datetime) -> Certificate:

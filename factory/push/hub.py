@@ -15,12 +15,12 @@ from urllib.parse import urlsplit
 
 from factory.push.files import PushPlan, batches_of
 from schemas.errors import UsageError, WorldError
+from schemas.extras import missing_package
 
 __all__ = ["PushResult", "push", "require_safe_endpoint"]
 
 Listener = Callable[[int, int], None]
 """Told files and bytes that have been committed."""
-_EXTRA = "pip install 'minivla-factory[hub]'"
 
 
 class PushResult(NamedTuple):
@@ -93,7 +93,7 @@ def _library() -> ModuleType:
         import huggingface_hub
         from huggingface_hub.utils.tqdm import disable_progress_bars
     except ImportError as error:
-        raise UsageError(f"pushing needs huggingface_hub: {_EXTRA}") from error
+        raise missing_package("huggingface_hub", "`factory push`") from error
     disable_progress_bars()  # ours stands on stderr
     return huggingface_hub
 

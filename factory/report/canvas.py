@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factory.report.palette import colour
-from schemas.errors import UsageError
+from schemas.extras import missing_package
 
 try:
     import matplotlib as mpl
@@ -27,10 +27,7 @@ try:
     from matplotlib.path import Path as Outline
     from matplotlib.ticker import MaxNLocator
 except ImportError as error:
-    raise UsageError(
-        "the report is drawn by matplotlib, which is not installed; install it with "
-        "`pip install 'minivla-factory[report]'`"
-    ) from error
+    raise missing_package("matplotlib", "the report") from error
 
 __all__ = ["WIDTH_IN", "Axes", "Panel", "count_whole", "draw_panel", "fill_outlines", "mark", "write_legend"]
 

@@ -9,7 +9,6 @@ import hashlib
 import re
 import tempfile
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +19,7 @@ from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import UsageError
+from schemas.extras import require_package
 from schemas.meant import did_you_mean
 from schemas.scene import SCENE_FORMAT, encode_scene
 
@@ -180,8 +180,5 @@ def load_edits(
 
 
 def _require_usd() -> None:
-    missing = [package for package in ("pxr", "mapbox_earcut", "embreex") if find_spec(package) is None]
-    if missing:
-        raise UsageError(
-            f"USD needs {' and '.join(missing)}; install them with `pip install 'minivla-factory[scenes]'`"
-        )
+    for module in ("pxr", "mapbox_earcut", "embreex"):
+        require_package(module, "building a scene from USD")

@@ -5,12 +5,10 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from factory.extras import require_package
 from schemas.errors import UsageError
+from schemas.extras import missing_package, require_package
 
 __all__ = ["choose_device", "load_torch", "require_logs", "summary_writer"]
-
-_REMEDY = "pip install 'minivla-factory[train]' (the CPU build of torch does)"
 
 
 def load_torch() -> Any:
@@ -22,7 +20,7 @@ def load_torch() -> Any:
     try:
         return importlib.import_module("torch")
     except ImportError as error:
-        raise UsageError(f"training and `bc:` policies need PyTorch: {_REMEDY}") from error
+        raise missing_package("torch", "a training or `bc:` policy") from error
 
 
 def require_logs() -> None:
@@ -31,7 +29,7 @@ def require_logs() -> None:
     Raises:
         UsageError: TensorBoard is not installed.
     """
-    require_package("tensorboard", "train", "training")
+    require_package("tensorboard", "training")
 
 
 def summary_writer(folder: str, purge_step: int) -> Any:
@@ -44,7 +42,7 @@ def summary_writer(folder: str, purge_step: int) -> Any:
     try:
         module = importlib.import_module("torch.utils.tensorboard")
     except ImportError as error:
-        raise UsageError(f"training logs need TensorBoard: {_REMEDY}") from error
+        raise missing_package("tensorboard", "the log of a training") from error
     return module.SummaryWriter(folder, purge_step=purge_step)
 
 

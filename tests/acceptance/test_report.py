@@ -7,6 +7,8 @@ import shutil
 import subprocess
 import sys
 
+from schemas.extras import install_command
+
 
 def test_a_report_is_written_and_read_again(factory, calm, tmp_path):
     found = factory.json("report", calm, "-o", tmp_path / "out")
@@ -43,5 +45,5 @@ def test_without_matplotlib_the_remedy_is_named(calm, tmp_path):
         check=False,
     )
     assert done.returncode == 2
-    assert "pip install 'minivla-factory[report]'" in done.stderr
+    assert install_command("report") in done.stderr
     assert not (tmp_path / "out").exists()

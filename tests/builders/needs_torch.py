@@ -11,5 +11,5 @@ __all__ = ["needs_torch"]
 _MISSING = [name for name in ("torch", "tensorboard") if importlib.util.find_spec(name) is None]
 
 needs_torch = pytest.mark.skipif(
-    bool(_MISSING), reason=f"no {' and no '.join(_MISSING)}: pip install 'minivla-factory[train]'; make test-train does"
+    bool(_MISSING), reason=f"no {' and no '.join(_MISSING)}: the extra `train` brings them; make test-train installs it"
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from factory.export import EXPORTERS, ExportOrder, Progress, estimate_export, fi
 from factory.export.manifest import MANIFEST_FILE, read_manifest
 from factory.export.output import WORK_FOLDER
 from schemas.errors import UsageError, WorldError
+from schemas.extras import EXTRA_OF, install_command
 from tests.builders.dataset import make_dataset
 
 EPISODES = 3
@@ -250,9 +252,10 @@ def test_missing_package_is_named_with_its_extra(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     required = find_exporter(name).requires
-    for module, extra in required:
+    for module in required:
         monkeypatch.setitem(sys.modules, module, None)
-        with pytest.raises(UsageError, match=rf"needs the package {module}: pip install 'minivla-factory\[{extra}\]'"):
+        remedy = re.escape(install_command(EXTRA_OF.get(module)))
+        with pytest.raises(UsageError, match=rf"needs the package {module}, which is not installed; .*{remedy}"):
             run_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
 

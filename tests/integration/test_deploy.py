@@ -9,6 +9,7 @@ import shlex
 import shutil
 import signal
 import subprocess
+import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -100,6 +101,13 @@ def test_kustomize_renders_what_it_is_given(place):
         ["ConfigMap", "Deployment", "Namespace", "NetworkPolicy", "NetworkPolicy", "Service", "StatefulSet", *more]
     )
     assert {document["metadata"].get("namespace", "minivla") for document in rendered} == {"minivla"}
+
+
+def test_the_image_holds_each_package_of_the_wheel() -> None:
+    project = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
+    packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    copied = re.findall(r"^COPY (\w+) \w+$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
+    assert sorted(copied) == sorted(packages)
 
 
 def test_containers_run_without_any_privilege():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from factory.eval.policy import EpisodeInfo, Observation
 from factory.train.options import BcOptions
 from factory.train.run import TrainOrder, Watcher, train_bc
 from schemas.errors import UsageError, WorldError
+from schemas.extras import install_command
 from tests.builders.dataset import make_dataset
 from tests.builders.needs_torch import needs_torch
 
@@ -77,9 +79,9 @@ def test_without_torch_the_extra_is_named(root: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "factory", "train", "bc", "--data", str(root), "-o", str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "pip install 'minivla-factory[train]'" in done.stderr
+    assert install_command("train") in done.stderr
     assert not (tmp_path / "out").exists()
-    with pytest.raises(UsageError, match=r"minivla-factory\[train\]"):
+    with pytest.raises(UsageError, match=re.escape(install_command("train"))):
         make_policy(f"bc:{tmp_path}", Outside())
 
 

@@ -12,6 +12,7 @@ import structlog
 
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
+from schemas.extras import require_package
 from schemas.lap import Lap, no_lap
 from schemas.terms import RendererKind
 from workers.render import Renderer
@@ -54,6 +55,7 @@ def open_first(preferred: Callable[[int, Lap], Renderer], size: int, lap: Lap = 
 
 
 def _open_gl(size: int, lap: Lap) -> Renderer:
+    require_package("moderngl", "the renderer gl")
     from workers.render.gl import GlRenderer
 
     return GlRenderer(size, lap)

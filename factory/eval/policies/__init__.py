@@ -15,8 +15,8 @@ from factory.eval.policies.recorded import PlaybackPolicy, ReplayPolicy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import RandomPolicy, StopPolicy
 from factory.eval.policy import Policy, is_built_in
-from factory.extras import require_package
 from schemas.errors import UsageError
+from schemas.extras import require_package
 from schemas.meant import did_you_mean
 from schemas.terms import ExpertName
 
@@ -48,11 +48,11 @@ class Entry(NamedTuple):
     reads_instruction: bool = False
     file_of: Callable[[str], Path] | None = None
     """Returns the file that it is made of, from what stands behind the first colon."""
-    needs: tuple[tuple[str, str], ...] = ()
-    """Modules that it needs, each with the extra that brings it."""
+    needs: tuple[str, ...] = ()
+    """Optional packages that it imports, as top-level modules."""
 
 
-_WIRE = (("websockets", "eval"), ("msgpack", "eval"))
+_WIRE = ("websockets", "msgpack")
 POLICIES: Mapping[str, Entry] = MappingProxyType(
     {
         "expert": Entry(lambda rest, _: ExpertPolicy(_expert_name(rest)), "expert[:NAME]"),
@@ -61,7 +61,7 @@ POLICIES: Mapping[str, Entry] = MappingProxyType(
         "stop": Entry(lambda _rest, _: StopPolicy(), "stop"),
         "replay": Entry(lambda _rest, _: ReplayPolicy(), "replay", needs_recording=True),
         "playback": Entry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
-        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, (("torch", "train"),)),
+        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",)),
         "ws": Entry(
             lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True, None, _WIRE
         ),
@@ -117,8 +117,8 @@ def require_at_hand(name: str) -> None:
         UsageError: a package, its file or its module is not there.
     """
     entry = find_policy(name)
-    for module, extra in entry.needs:
-        require_package(module, extra, f"policy {name}")
+    for module in entry.needs:
+        require_package(module, f"policy {name}")
     file_of(name)
     if entry is _FOREIGN:
         require_module(name)

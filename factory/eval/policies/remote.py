@@ -13,6 +13,7 @@ from factory.eval.policies.outside import Outside
 from factory.eval.policies.wire import MAX_ANSWER_BYTES, WireError, pack, unpack
 from factory.eval.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
 from schemas.errors import UsageError
+from schemas.extras import missing_package
 
 __all__ = ["RemotePolicy"]
 
@@ -130,5 +131,5 @@ def _client() -> tuple[Any, type[Exception], type[Exception]]:
         from websockets.exceptions import InvalidURI, WebSocketException
         from websockets.sync.client import connect
     except ImportError as error:
-        raise UsageError("remote policies need websockets: pip install 'minivla-factory[eval]'") from error
+        raise missing_package("websockets", "a remote policy") from error
     return connect, WebSocketException, InvalidURI

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from schemas.errors import UsageError
+from schemas.extras import missing_package
 
 __all__ = ["MAX_ANSWER_BYTES", "WireError", "pack", "unpack"]
 
@@ -86,5 +86,5 @@ def _msgpack() -> Any:
     try:
         import msgpack
     except ImportError as error:
-        raise UsageError("remote policies need msgpack: pip install 'minivla-factory[eval]'") from error
+        raise missing_package("msgpack", "a remote policy") from error
     return msgpack

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from coordinator.dataset.meta import DatasetMeta
 from factory.episode import Episode
-from factory.export.base import Exporter, Finish, Requirement
+from factory.export.base import Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.card import card_text
 from factory.export.lerobot.features import LeRobotOptions, features_of
@@ -28,7 +28,7 @@ OptionsT = TypeVar("OptionsT", bound=Decimated)
 class LeRobotBase(Exporter[OptionsT, LeRobotFacts]):
     """Videos and columns of an episode are a piece; a version says how pieces are laid out."""
 
-    requires = (Requirement("av", "lerobot"),)
+    requires = ("av",)
     assembles = True
     facts = LeRobotFacts
 

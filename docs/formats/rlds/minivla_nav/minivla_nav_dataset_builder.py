@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import tensorflow_datasets as tfds
 
-from factory import Dataset
 from factory.export.rlds import rlds_metadata, rlds_steps
+from minivla import Dataset
 
 _IMAGE_PX = int(os.environ.get("MINIVLA_IMAGE_PX", "256"))
 _FPS = int(os.environ["MINIVLA_FPS"]) if "MINIVLA_FPS" in os.environ else None

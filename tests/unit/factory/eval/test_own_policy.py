@@ -11,7 +11,6 @@ import pytest
 from factory.eval.policies import make_policy, require_at_hand
 from factory.eval.policies.foreign import load_class
 from factory.eval.policies.outside import Outside
-from factory.extras import require_package
 from schemas.errors import UsageError
 
 ROOT = Path(__file__).parents[4]
@@ -63,13 +62,6 @@ def test_a_module_that_cannot_be_imported_is_told_by_its_own_line(folder: Path, 
 def test_a_module_of_the_working_directory_is_found_without_importing_it(folder: Path) -> None:
     (folder / "loud_pilot.py").write_text("raise SystemExit('imported')")
     require_at_hand("loud_pilot:Policy")
-
-
-def test_a_package_that_is_missing_is_named_with_its_extra() -> None:
-    said = r"policy bc:out needs the package nowhere_torch: pip install 'minivla-factory\[train\]'"
-    with pytest.raises(UsageError, match=said):
-        require_package("nowhere_torch", "train", "policy bc:out")
-    require_at_hand("expert")
 
 
 def test_every_page_names_a_class_that_the_example_has(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,58 @@
+"""Public API of minivla-factory: read datasets, feed them to PyTorch, and drive episodes as a Gymnasium environment.
+
+>>> from minivla import Dataset
+>>> dataset = Dataset("dataset").filter(split="train_id")  # doctest: +SKIP
+>>> dataset[0].frame(0).rgb.shape  # doctest: +SKIP
+(640, 640, 3)
+
+Importing this package imports nothing heavy; each name is loaded at its first use. It keeps working when another
+distribution overwrites `factory/__init__.py`, as factory_boy does. `minivla.gym` registers the Gymnasium environment.
+A foreign package named `factory`, `schemas`, `workers` or `coordinator` that hides the product's own one raises
+`ImportError`, which names it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+from minivla.packages import require_own_packages
+
+if TYPE_CHECKING:
+    from factory.dataset import Dataset, Episode, Frame
+    from factory.torch_dataset import FrameDataset, collate
+
+__all__ = ["Dataset", "Episode", "Frame", "FrameDataset", "collate"]
+
+_HOMES = {
+    "Dataset": "factory.dataset",
+    "Episode": "factory.dataset",
+    "Frame": "factory.dataset",
+    "FrameDataset": "factory.torch_dataset",
+    "collate": "factory.torch_dataset",
+}
+
+if "gymnasium" in sys.modules:  # then the id `minivla:MiniVLANav-v0` works too
+    importlib.import_module("minivla.gym")
+
+
+def __getattr__(name: str) -> Any:
+    """Loads a public name, or the version of the installed distribution.
+
+    Raises:
+        ImportError: a foreign package hides one of the product's.
+    """
+    if name == "__version__":
+        return metadata.version("minivla-factory")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    require_own_packages()
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,21 @@
+"""Entry point of the command `factory`: checks the product's packages, then runs the command line."""
+
+from __future__ import annotations
+
+import sys
+
+from minivla.packages import require_own_packages
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Runs the command line and exits with its code; exit code 2 when a foreign package hides one of the product's."""
+    try:
+        require_own_packages()
+    except ImportError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(2)
+    from factory.cli.main import main as run
+
+    run()

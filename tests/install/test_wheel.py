@@ -1,0 +1,145 @@
+"""The wheel in fresh environments of each supported Python: what the base install does, and what the extras add.
+
+Runs with `make test-install`; it installs packages, which takes minutes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from schemas.extras import EXTRA_OF
+from tests.builders.dataset import make_dataset
+from tests.install.interpreters import VERSIONS, Installed, build_wheel, find_python, install
+
+READER = Path(__file__).with_name("reader.py")
+SIMULATING = (
+    ("run", "demo", "--out", "made"),
+    ("worker",),
+    ("coordinator", "start", "demo", "--out", "made"),
+    ("gate", "--scene", "office"),
+    ("jobs", "list", "dataset"),
+    ("eval", "--data", "dataset", "--policy", "stop", "-o", "made"),
+)
+FOREIGN = "factory_boy==3.3.3"
+
+pytestmark = pytest.mark.timeout(1200)
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="session")
+def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Installed]:
+    """Returns the environment of a version with the base install, made at its first use."""
+    made: dict[str, Installed] = {}
+
+    def environment(version: str) -> Installed:
+        python = find_python(version)
+        if python is None:
+            pytest.skip(f"Python {version} is not installed")
+        if version not in made:
+            made[version] = install(python, version, tmp_path_factory.mktemp(f"base-{version}") / "venv", wheel)
+        return made[version]
+
+    return environment
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A user's directory that holds a dataset."""
+    make_dataset(tmp_path / "dataset")
+    return tmp_path
+
+
+every_version = pytest.mark.parametrize("version", VERSIONS)
+
+
+@every_version
+def test_base_install_reads_exports_and_shows(base: Callable[[str], Installed], folder: Path, version: str) -> None:
+    environment = base(version)
+    assert "read 3 episodes" in environment.run("python", READER, "dataset", cwd=folder).stdout
+    environment.run("factory", "--help", cwd=folder)
+    environment.run("factory", "stats", "dataset", cwd=folder)
+    environment.run("factory", "verify", "dataset", cwd=folder)
+    for name in ("sheet.png", "film.mp4"):
+        environment.run("factory", "show", "dataset", "1", "-o", name, cwd=folder)
+        assert (folder / name).stat().st_size > 1000
+    for export in ("lerobot", "mcap", "webdataset", "paper"):
+        environment.run("factory", "export", "dataset", "--to", export, "-o", f"out-{export}", cwd=folder)
+    installed = environment.run("python", "-m", "pip", "list", "--format", "freeze", cwd=folder).stdout.lower()
+    assert not [name for name in ("pybullet", "eclipse-zenoh", "moderngl", "sqlalchemy") if name in installed]
+
+
+@every_version
+def test_commands_that_simulate_name_the_command_that_installs_what_they_need(
+    base: Callable[[str], Installed], wheel: Path, folder: Path, version: str
+) -> None:
+    for words in SIMULATING:
+        said = base(version).run("factory", *words, cwd=folder, expect=2).stderr
+        if "PyBullet" in said and version != "3.11":
+            assert f"this is Python {version}" in said
+        else:
+            assert "-m pip install 'minivla-factory[sim] @ file://" in said, f"{words}: {said}"
+            assert str(wheel) in said
+    assert not (folder / "made").exists()
+
+
+@pytest.mark.parametrize("name", ["schemas", "workers", "coordinator", "factory"])
+def test_foreign_package_on_the_path_is_named(base: Callable[[str], Installed], folder: Path, name: str) -> None:
+    mine = folder / "project" / name
+    mine.mkdir(parents=True)
+    (mine / "__init__.py").touch()
+    code = "from minivla import Dataset"
+    project = str(mine.parent)
+    said = base("3.11").run("python", "-c", code, cwd=folder, expect=1, PYTHONPATH=project).stderr
+    assert f"needs its package '{name}'" in said
+    assert str(mine) in said
+    said = base("3.11").run("factory", "stats", "dataset", cwd=folder, expect=2, PYTHONPATH=project).stderr
+    assert str(mine) in said
+    assert "Traceback" not in said
+
+
+def test_sim_is_enough_to_generate_data(wheel: Path, tmp_path: Path) -> None:
+    python = find_python("3.11")
+    if python is None:
+        pytest.skip("Python 3.11 is not installed")
+    environment = install(python, "3.11", tmp_path / "venv", wheel, "[sim]")
+    made = "run", "demo", "--scene", "office", "--episodes", "1", "--workers", "1", "--out", "made"
+    environment.run("factory", *made, cwd=tmp_path)
+    assert "sound" in environment.run("factory", "verify", "made", "--deep", cwd=tmp_path).stdout
+
+
+def test_sim_on_a_python_without_pybullet_says_which_python_to_use(wheel: Path, tmp_path: Path) -> None:
+    python = find_python("3.13")
+    if python is None:
+        pytest.skip("Python 3.13 is not installed")
+    environment = install(python, "3.13", tmp_path / "venv", wheel, "[sim]")
+    said = environment.run("factory", "run", "demo", "--out", "made", cwd=tmp_path, expect=2).stderr
+    assert "`factory run` needs PyBullet" in said
+    assert "python3.11 -m venv" in said
+    assert not (tmp_path / "made").exists()
+
+
+def test_each_extra_that_a_message_names_is_declared(wheel: Path, base: Callable[[str], Installed]) -> None:
+    code = "from importlib.metadata import metadata; print(*metadata('minivla-factory').get_all('Provides-Extra'))"
+    declared = base("3.11").run("python", "-c", code, cwd=wheel.parent).stdout.split()
+    assert set(EXTRA_OF.values()) <= set(declared)
+
+
+@every_version
+def test_public_package_works_after_factory_boy_overwrote_ours(
+    base: Callable[[str], Installed], folder: Path, version: str
+) -> None:
+    environment = base(version)
+    environment.add(FOREIGN)
+    foreign = "import factory; assert factory.Factory; assert not hasattr(factory, 'Dataset')"
+    environment.run("python", "-c", foreign, cwd=folder)
+    for first in ("", "import factory; "):
+        code = f"{first}from minivla import Dataset; print(len(Dataset('dataset')))"
+        assert environment.run("python", "-c", code, cwd=folder).stdout.strip() == "3"
+    environment.run("factory", "stats", "dataset", cwd=folder)
