@@ -23,6 +23,7 @@ from factory.cli.places import DIRECTORY
 from factory.dataset import Dataset
 from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
+from factory.eval.publish import evaluation_of, require_publishable
 from factory.eval.run import run_campaign
 from factory.eval.score import Evaluation
 from factory.eval.store import Store
@@ -80,6 +81,8 @@ def command(
     if context.invoked_subcommand is not None:
         return None
     configure_logs()
+    if out:
+        require_publishable(videos)
     door = _door(listen, connect, tls, out, options["workers"])
     campaign = draw_up(Asked(**options), drives_here=door is None)
     with ExitStack() as stack:
@@ -89,7 +92,7 @@ def command(
             kept = f"run the same command to go on; {out} holds what is done" if out else "give -o to keep what is done"
             click.echo(f"interrupted: {kept}", err=True)
             return 130
-        evaluation = published(campaign, store, videos if out else 0)
+        evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)
         if as_json:
             print_json(evaluation.model_dump(mode="json"))
         else:

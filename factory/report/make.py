@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from coordinator.archive.place import Place
+from factory.extras import require_package
 from factory.report.compare import compare
 from factory.report.drawers import DRAWERS
 from factory.report.exhibit import Drawer, Exhibit
@@ -31,10 +32,11 @@ def make_report(
         on_progress: called with what is being done, how many are done and their total.
 
     Raises:
-        UsageError: `out` is no place for a report.
+        UsageError: `out` is no place for a report, or Jinja2 is not installed.
         WorldError: there is no dataset, or the disk is full.
         ArchiveCorrupt: the dataset's description or table of episodes cannot be read at all.
     """
+    require_package("jinja2", "report", "the page of the report")
     require_usable(out, force)
     material = gather(root, lambda done, total: on_progress("episodes", done, total))
     files, summary = render_report(material, lambda done, total: on_progress("figures", done, total))
