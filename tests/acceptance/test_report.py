@@ -7,6 +7,8 @@ import shutil
 import subprocess
 import sys
 
+import pytest
+
 
 def test_a_report_is_written_and_read_again(factory, calm, tmp_path):
     found = factory.json("report", calm, "-o", tmp_path / "out")
@@ -34,8 +36,9 @@ def test_damage_is_told_by_the_exit_code_and_a_full_folder_is_refused(factory, c
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
 
-def test_without_matplotlib_the_remedy_is_named(calm, tmp_path):
-    code = "import sys; sys.modules['matplotlib'] = None; from factory.cli.main import main; main()"
+@pytest.mark.parametrize("module", ["matplotlib", "jinja2"])
+def test_without_a_package_of_the_extra_the_remedy_is_named(calm, tmp_path, module):
+    code = f"import sys; sys.modules['{module}'] = None; from factory.cli.main import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "report", str(calm), "-o", str(tmp_path / "out")],
         capture_output=True,

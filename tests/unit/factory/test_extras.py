@@ -6,6 +6,7 @@ import importlib.util
 import os
 import re
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -43,6 +44,31 @@ def test_a_verb_that_lacks_its_package_makes_nothing(
     with pytest.raises(UsageError, match=said):
         cli.main([places.get(word, word) for word in words], standalone_mode=False)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def run_without(module: str, *words: object) -> subprocess.CompletedProcess[str]:
+    """Runs `factory` in a process that cannot import a module."""
+    code = f"import sys; sys.modules['{module}'] = None; from factory.cli.main import main; main()"
+    call = [sys.executable, "-c", code, *map(str, words)]
+    return subprocess.run(call, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("module", ["av", "jinja2"])
+def test_an_evaluation_that_cannot_write_its_page_drives_nothing(tmp_path: Path, module: str) -> None:
+    make_dataset(tmp_path / "data")
+    words = ("eval", "--data", tmp_path / "data", "--policy", "stop", "--split", "all")
+    refused = run_without(module, *words, "-o", tmp_path / "out")
+    assert refused.returncode == 2
+    assert "pip install 'minivla-factory[eval]'" in refused.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_films_are_the_only_thing_that_an_evaluation_needs_pyav_for(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data")
+    words = ("eval", "--data", tmp_path / "data", "--policy", "nothing_here", "-o", tmp_path / "out", "--videos", 0)
+    refused = run_without("av", *words)
+    assert "nothing_here" in refused.stderr
+    assert "minivla-factory[eval]" not in refused.stderr
 
 
 def test_every_extra_that_a_message_or_a_page_names_exists() -> None:
