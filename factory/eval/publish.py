@@ -40,7 +40,7 @@ def require_publishable(videos: int) -> None:
     """
     require_package("jinja2", "eval", "the page of an evaluation (-o)")
     if videos:
-        require_package("av", "eval", "the page's films of failures (--videos 0 leaves them out)")
+        require_package("av", "eval", "showing failures as films (--videos 0 shows none)")
 
 
 def publish(campaign: Campaign, store: Store, videos: int, tell: Tell = lambda _done, _total: None) -> Evaluation:
