@@ -72,8 +72,14 @@ def require_mp4() -> None:
     require_package("av", "an MP4 film")
 
 
-def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
+def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction, crf: int = 20) -> None:
     """Writes H.264 in yuv420p, which every player and browser shows; `path` is replaced as a whole.
+
+    Args:
+        path: of the file.
+        pictures: (H, W, 3) sRGB of even size.
+        rate: pictures a second.
+        crf: constant rate factor of x264; a larger one gives a smaller file.
 
     Raises:
         UsageError: PyAV is not installed.
@@ -88,9 +94,10 @@ def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
             stream: Any = None
             for picture in _held(pictures, rate):
                 if stream is None:
-                    stream = container.add_stream("libx264", rate=rate, options={"crf": "20", "preset": "veryfast"})
+                    stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf), "preset": "veryfast"})
                     stream.height, stream.width = picture.shape[:2]
                     stream.pix_fmt = "yuv420p"
+                    stream.codec_context.thread_count = 1  # the bytes do not depend on the number of cores
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
             container.mux(stream.encode())
         beside.replace(path)

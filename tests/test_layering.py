@@ -36,6 +36,7 @@ DOORS = {
     "huggingface_hub": {"factory/push/hub.py"},
     "av": {"factory/export/video.py", "factory/film.py"},
     "matplotlib": {"factory/report/canvas.py"},
+    "jinja2": {"factory/html/"},
     "mcap": {"factory/export/mcap.py"},
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},

@@ -23,6 +23,7 @@ from factory.cli.places import DIRECTORY
 from factory.dataset import Dataset
 from factory.eval.campaign import Campaign
 from factory.eval.fleet import Door, run_fleet
+from factory.eval.publish import evaluation_of
 from factory.eval.run import run_campaign
 from factory.eval.score import Evaluation
 from factory.eval.store import Store
@@ -89,7 +90,7 @@ def command(
             kept = f"run the same command to go on; {out} holds what is done" if out else "give -o to keep what is done"
             click.echo(f"interrupted: {kept}", err=True)
             return 130
-        evaluation = published(campaign, store, videos if out else 0)
+        evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)
         if as_json:
             print_json(evaluation.model_dump(mode="json"))
         else:

@@ -12,7 +12,7 @@ __all__ = ["ablation_rows", "deaf_policies", "ends_of", "faults_in_words"]
 
 
 def ablation_rows(
-    policies: Sequence[PolicyScores], share: Callable[[Share], str], estimate: Callable[[Estimate, int], str]
+    policies: Sequence[PolicyScores], share: Callable[[Share], object], estimate: Callable[[Estimate, int], object]
 ) -> Iterator[tuple[object, ...]]:
     """Yields policy, words, episodes, n, success, gap to the true words and McNemar's p, for each set of other words.
 

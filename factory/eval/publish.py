@@ -14,7 +14,8 @@ from factory.eval.page import Failure, write_page
 from factory.eval.result import EpisodeResult, Variant
 from factory.eval.score import Evaluation, score_policy
 from factory.eval.store import Store
-from factory.eval.video import choose_failures, draw_video
+from factory.eval.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_poster
+from factory.film import write_mp4
 from schemas.errors import WorldError
 from workers.stage import Stage
 
@@ -67,12 +68,14 @@ def _failures(campaign: Campaign, store: Store, videos: int, tell: Tell) -> dict
             folder = store.folder(name) / _VIDEOS
             folder.mkdir(exist_ok=True)
             for row in rows:
-                path = folder / f"{row.spec_id}.webp"
-                if not path.exists():
+                film, poster = folder / f"{row.spec_id}.mp4", folder / f"{row.spec_id}.jpg"
+                if not (film.exists() and poster.exists()):
                     scene = places.load(row.scene, shas[row.scene]).scene
                     radius_m = settings.task.success_radius_m
-                    _write(path, draw_video(row, scene, radius_m, stage.renderer, settings.camera))
-                found[name].append((row, path.read_bytes()))
+                    pictures = list(draw_frames(row, scene, radius_m, stage.renderer, settings.camera))
+                    _write(poster, draw_poster(pictures[-1]))
+                    write_mp4(film, pictures, FILM_RATE, FILM_CRF)
+                found[name].append(Failure(row, film.read_bytes(), poster.read_bytes()))
                 tell(sum(map(len, found.values())), total)
     return found
 

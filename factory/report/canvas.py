@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factory.report.palette import colour
+from factory.html.palette import colour
 from schemas.extras import missing_package
 
 try:

@@ -1,50 +1,63 @@
-"""Tables of the page as HTML, everything in them escaped. Pure text."""
+"""Tables of the page as text: numbers beside the paper's, and tables of exhibits. Pure; escapes nothing."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from html import escape
+from dataclasses import dataclass
 
 from factory.report.comparison import Comparison
 from factory.report.exhibit import Table
 from factory.report.exhibits.words import DASH, number, percent
 
-__all__ = ["prose", "write_comparisons", "write_table"]
+__all__ = ["ComparisonCells", "TableCells", "spell_comparison", "spell_table"]
 
 _TIMES = 2.0
 """Ratio from which on per cent are hard to read."""
-_UNIT = re.compile(r"(\d) (?=(?:m|mm|m²|%|pp|Hz)\b|%)")
 _ROWS_SHOWN = 8
 """Longer tables are folded."""
+Cells = Sequence[tuple[str, bool]]
+"""Text of each cell, and whether its column holds numbers, which are aligned right."""
 
 
-def write_comparisons(rows: Sequence[Comparison]) -> str:
-    """Returns the table of numbers beside the paper's, each with its reason below; nothing of none."""
-    if not rows:
-        return ""
-    body = "".join(_comparison(row) for row in rows)
-    return (
-        '<div class="table compare"><table><caption>Beside the paper</caption><thead><tr><th>measure</th><th>here</th>'
-        f"<th>paper</th><th>difference</th></tr></thead><tbody>{body}</tbody></table></div>"
-    )
+@dataclass(frozen=True)
+class ComparisonCells:
+    """One number beside the paper's, as text."""
+
+    what: str
+    ours: str
+    published: str
+    source: str
+    difference: str
+    reason: str
 
 
-def _comparison(row: Comparison) -> str:
+@dataclass(frozen=True)
+class TableCells:
+    """A table of an exhibit, cell by cell."""
+
+    title: str
+    head: Cells
+    rows: Sequence[Cells]
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is short enough to be shown unfolded."""
+        return len(self.rows) <= _ROWS_SHOWN
+
+
+def spell_comparison(row: Comparison) -> ComparisonCells:
+    """Returns the cells of a comparison."""
     published = _spell(row, row.published)
     if row.published_high is not None:
         published = f"{number(100 * row.published, 0)}–{number(100 * row.published_high, 0)} %"
-    cells = (
-        f'<th scope="row">{escape(row.what)}</th><td>{_spell(row, row.ours)}</td>'
-        f'<td class="paper" title="{escape(row.source)}">{published}</td><td>{_difference(row)}</td>'
-    )
-    why = f'<tr class="why"><td colspan="4">{prose(row.reason)}</td></tr>' if row.reason else ""
-    return f"<tr{' class=off' if row.reason else ''}>{cells}</tr>{why}"
+    return ComparisonCells(row.what, _spell(row, row.ours), published, row.source, _difference(row), row.reason)
 
 
-def prose(text: str) -> str:
-    """Returns text whose numbers stay on one line with their units."""
-    return _UNIT.sub("\\1\u00a0", escape(text))
+def spell_table(table: Table) -> TableCells:
+    """Returns the cells of a table; columns of numbers are marked."""
+    right = [_is_numeric([row[place] for row in table.rows]) for place in range(len(table.columns))]
+    head, *rows = (list(zip(row, right, strict=True)) for row in (table.columns, *table.rows))
+    return TableCells(table.title, head, rows)
 
 
 def _spell(row: Comparison, value: float | None) -> str:
@@ -69,23 +82,6 @@ def _difference(row: Comparison) -> str:
 def _signed(value: float, digits: int) -> str:
     text = f"{value:+.{digits}f}"
     return ("±" + text[1:] if float(text) == 0 else text).replace("-", "−")
-
-
-def write_table(table: Table) -> str:
-    """Returns a table under its title, folded when it is long; columns of numbers stand to the right."""
-    numeric = [_is_numeric([row[place] for row in table.rows]) for place in range(len(table.columns))]
-    head = "".join(_cell("th", text, right) for text, right in zip(table.columns, numeric, strict=True))
-    body = "".join(
-        "<tr>" + "".join(_cell("td", text, right) for text, right in zip(row, numeric, strict=True)) + "</tr>"
-        for row in table.rows
-    )
-    whole = f'<div class="table"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-    is_open = " open" if len(table.rows) <= _ROWS_SHOWN else ""
-    return f"<details{is_open}><summary>{escape(table.title)}</summary>{whole}</details>"
-
-
-def _cell(tag: str, text: str, right: bool) -> str:
-    return f"<{tag}{' class=n' if right else ''}>{escape(text)}</{tag}>"
 
 
 def _is_numeric(cells: Sequence[str]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from pathlib import Path
 
@@ -54,9 +55,19 @@ def test_the_files_are_what_they_are_called(out: Path) -> None:
     assert table.num_rows == 4
     assert {"spec_id", "policy", "success", "spl", "final_ne_m", "track_x_m"} <= set(table.column_names)
     page = (out / "index.html").read_text()
-    assert page.count("data:image/webp;base64,") == 1
+    assert page.count("<video controls") == page.count("data:video/mp4;base64,") == 1
+    assert page.count("data:image/jpeg;base64,") == 1
     assert "http" not in page.replace("http-equiv", "")
     assert "Failures of stop" in page
+
+
+def test_the_page_is_written_again_byte_for_byte(factory: FactoryCli, drives: Path, out: Path) -> None:
+    before = (out / "index.html").read_bytes()
+    shutil.rmtree(out / "policies" / "stop" / "videos")
+    specs = out.parent / "specs.json"
+    words = ("eval", "--data", drives, "--specs", specs, "--policy", "replay", "--policy", "stop", "-o", out)
+    factory(*words, "--videos", "1")
+    assert (out / "index.html").read_bytes() == before
 
 
 def test_the_same_command_drives_nothing_twice(factory: FactoryCli, drives: Path, out: Path) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from factory.eval.note import PolicyNote
 from factory.eval.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.score import Evaluation, score_policy
 from factory.eval.spec import EvalSettings, EvalSpec, SpecSet
 from schemas.language import instruction
 from schemas.terms import Split, Tier
 
-__all__ = ["result_of", "spec_of", "specs_of"]
+__all__ = ["evaluation_of", "result_of", "spec_of", "specs_of"]
 
 
 def spec_of(number: int = 1, **changes: Any) -> EvalSpec:
@@ -80,3 +82,25 @@ def result_of(number: int = 1, *, success: bool = True, **changes: Any) -> Episo
         "track": ((0.0, 0.0, 0.0),),
     }
     return EpisodeResult(**values | changes)
+
+
+def evaluation_of(*names: str) -> Evaluation:
+    """Returns tables of policies that succeed in three of six episodes, and in none without an instruction."""
+    rows = [result_of(n, success=n % 2 == 0, instruction="<b>Go</b>") for n in range(1, 7)]
+    rows += [result_of(n, success=False, variant=Variant.EMPTY, instruction="") for n in range(1, 7)]
+    scores = tuple(
+        score_policy(
+            name, rows, PolicyNote(policy=name, knows="nothing", reads_instruction=True, renderer="", software={})
+        )
+        for name in names
+    )
+    return Evaluation(
+        run="test-00000000",
+        source="a test",
+        specs_digest="a" * 64,
+        episodes=6,
+        success_radius_m=1.0,
+        complete=True,
+        policies=scores,
+        remarks=("one & only",),
+    )

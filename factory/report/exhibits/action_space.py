@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.palette import colour
 from factory.report.canvas import Axes, draw_panel
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, number, percent
 from factory.report.material import Material
-from factory.report.palette import colour
 from schemas.tokens import GRID_POINTS, V_GRID_MPS, W_GRID_RPS
 
 __all__ = ["draw"]

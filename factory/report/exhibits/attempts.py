@@ -6,11 +6,11 @@ from collections import Counter
 
 import numpy as np
 
+from factory.html.palette import REASON_COLOURS, colour
 from factory.report.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import DASH, count, name, percent, scene_label
 from factory.report.material import Material
-from factory.report.palette import REASON_COLOURS, colour
 from factory.stats.model import AttemptRow, Share
 
 __all__ = ["draw"]

@@ -6,12 +6,12 @@ from collections import Counter
 
 import numpy as np
 
+from factory.html.palette import colour, scene_colours
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import DASH, count, name, percent
 from factory.report.material import Material
-from factory.report.palette import colour, scene_colours
 
 __all__ = ["draw"]
 

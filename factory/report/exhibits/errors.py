@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.palette import DASHES, colour, scene_colours
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, name, number, percent
 from factory.report.material import Material
-from factory.report.palette import DASHES, colour, scene_colours
 from factory.stats import paper
 
 __all__ = ["draw"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.palette import TIER_COLOURS, TIER_MARKERS, colour
 from factory.report.canvas import Axes, draw_panel, mark, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import DASH, count, name, number
 from factory.report.material import Material
-from factory.report.palette import TIER_COLOURS, TIER_MARKERS, colour
 from factory.stats.model import Fit
 from schemas.terms import Tier
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from coordinator.summary import EpisodeSummary
+from factory.html.palette import colour
 from factory.report.canvas import WIDTH_IN, Axes, fill_outlines, mark
 from factory.report.material import FloorMap
-from factory.report.palette import colour
 
 __all__ = ["draw_floor", "draw_targets", "floor_height_in", "title_floor"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.palette import colour, scene_colours
 from factory.report.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.words import count, name, number
 from factory.report.material import Material
-from factory.report.palette import colour, scene_colours
 from factory.stats import paper
 
 __all__ = ["draw"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from factory.html.palette import colour
 from factory.report.canvas import Axes, mark
-from factory.report.palette import colour
 
 __all__ = ["mark_paper"]
 

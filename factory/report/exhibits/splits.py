@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.palette import SPLIT_COLOURS, colour
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, name, number, percent, scene_label
 from factory.report.material import Material
-from factory.report.palette import SPLIT_COLOURS, colour
 from schemas.terms import Split
 
 __all__ = ["draw"]

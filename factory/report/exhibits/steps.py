@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.palette import colour, scene_colours
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count, name, number, scene_label
 from factory.report.facts import facts_of
 from factory.report.material import Material
-from factory.report.palette import colour, scene_colours
 from factory.stats import paper
 
 __all__ = ["draw"]

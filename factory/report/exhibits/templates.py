@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from factory.html.palette import colour
 from factory.report.canvas import Axes, Panel, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, percent
 from factory.report.material import Material
-from factory.report.palette import colour
 from factory.stats.model import CountRow
 from schemas.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from factory.html.palette import TIER_COLOURS, colour
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count, name, number
 from factory.report.material import Material
-from factory.report.palette import TIER_COLOURS, colour
 from factory.stats import paper
 from factory.stats.model import RolloutRow
 from schemas.terms import Tier

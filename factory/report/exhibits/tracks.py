@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from factory.html.palette import TIER_COLOURS, colour
 from factory.report.canvas import Axes, Panel, draw_panel, write_legend
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.exhibits.words import count, file_part, name
 from factory.report.material import Material
-from factory.report.palette import TIER_COLOURS, colour
 from schemas.terms import Tier
 
 __all__ = ["draw"]

@@ -8,8 +8,7 @@ from factory.eval.page import write_page
 from factory.eval.phrases import faults_in_words
 from factory.eval.result import EvalEnd, Variant
 from factory.eval.score import score_policy
-from tests.builders.eval_results import result_of
-from tests.unit.factory.eval.test_page import evaluation_of
+from tests.builders.eval_results import evaluation_of, result_of
 
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="", software={})
 

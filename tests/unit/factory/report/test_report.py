@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 import xml.etree.ElementTree as ET
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pyarrow as pa
@@ -21,39 +20,9 @@ from factory.report.gather import gather
 from factory.stats import measure_dataset
 from schemas.errors import ArchiveCorrupt, WorldError
 from tests.builders.dataset import make_dataset
+from tests.builders.html import Outline
 
-_VOID = {"meta", "img", "br", "link", "input"}
 HOSTILE = 'Go to the <script>alert("x")</script> & stop.'
-
-
-class Outline(HTMLParser):
-    """Checks that tags are balanced and collects what matters."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.links: list[str] = []
-        self.tags: set[str] = set()
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        found = dict(attrs)
-        self.ids += [found["id"]] if found.get("id") else []
-        self.links += [value for key, value in attrs if value and key in {"href", "src", "xlink:href"}]
-        if tag not in _VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in _VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +74,15 @@ def test_the_page_asks_nothing_of_a_network_and_runs_nothing(files: dict[str, by
     assert not outline.tags & {"script", "link", "iframe", "object"}
     assert not re.search(r"url\((?!#)|@import", text)
     assert "default-src 'none'" in text
+
+
+def test_tables_scroll_in_containers_that_the_keyboard_reaches(files: dict[str, bytes]) -> None:
+    parents = Outline(files[PAGE_FILE].decode()).table_parents
+    assert len(parents) > len(DRAWERS)
+    for classes, attributes in parents:
+        assert "table" in classes.split()
+        assert attributes["tabindex"] == "0"
+        assert attributes["aria-label"]
 
 
 def test_every_drawing_is_there_as_svg_and_png(files: dict[str, bytes]) -> None:

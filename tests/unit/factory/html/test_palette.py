@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from factory.report.palette import COLOURS, DASHES, TIER_COLOURS, TIER_MARKERS, scene_colours, with_variables
+from factory.html.palette import COLOURS, DASHES, TIER_COLOURS, TIER_MARKERS, scene_colours, with_variables
 from schemas.terms import BUILTIN_CATEGORIES
 
 # Machado, Oliveira and Fernandes (2009), severity 1.0, on linear RGB

@@ -1,4 +1,4 @@
-"""The colours and markers of every figure and of the page, light and dark. Data and text replacement only.
+"""The colours and markers of every figure and page, light and dark. Data and text replacement only.
 
 Chosen after Okabe and Ito so that people who see fewer colours tell them apart; a marker or a dash says the same again.
 """

@@ -1,0 +1,47 @@
+"""Reads a page: whether its tags are balanced, and what tests look for in it."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+
+__all__ = ["Outline"]
+
+_VOID = {"meta", "img", "br", "link", "input"}
+_LINKS = {"href", "src", "poster", "xlink:href"}
+
+
+class Outline(HTMLParser):
+    """Checks that tags are balanced and collects what matters."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[tuple[str, dict[str, str | None]]] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.tags: set[str] = set()
+        self.attributes: set[str] = set()
+        self.table_parents: list[tuple[str, dict[str, str | None]]] = []
+        """Classes and attributes of the element around each table."""
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.tags.add(tag)
+        self.attributes |= found.keys()
+        self.ids += [found["id"]] if found.get("id") else []
+        self.links += [value for key, value in attrs if value and key in _LINKS]
+        if tag == "table":
+            parent = self.open[-1][1]
+            self.table_parents.append((parent.get("class") or "", parent))
+        if tag not in _VOID:
+            self.open.append((tag, found))
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in _VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop()[0] == tag
