@@ -17,18 +17,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from coordinator.archive.place import Place, place_of
-from factory.dataset import Dataset
 from factory.eval import measure
-from factory.eval.from_dataset import Places, specs_of_dataset
+from factory.eval.from_dataset import Places
 from factory.eval.odometry import odometry
 from factory.eval.simulator import Simulator
 from factory.eval.spec import EvalSpec, SpecSet
-from factory.eval.spec_file import read_specs
+from factory.gym.episodes import specs_for
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
-from schemas.meant import did_you_mean
-from schemas.terms import EndReason, RendererKind, Split
+from schemas.terms import EndReason, RendererKind
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.render.process_wire import MAX_SIZE_PX
 from workers.slew import Twist
@@ -111,7 +109,7 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
             raise UsageError(f"render_mode {render_mode!r}: choose rgb_array or None")
         self.render_mode = render_mode
         root = place_of(data)
-        self.specs = _specs(root, split, specs)
+        self.specs = specs_for(root, split, specs)
         self._by_id = {spec.spec_id: spec for spec in self.specs.specs}
         self._actions, self._with_pose, self._size = actions, with_pose, size
         self._instruction = instruction
@@ -253,17 +251,3 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
             if spec.geodesic_m is not None:
                 info["spl"] = measure.spl(is_success, spec.geodesic_m, driven_m)
         return info
-
-
-def _specs(root: Place, split: str, specs: str | Path | SpecSet | None) -> SpecSet:
-    if isinstance(specs, SpecSet):
-        return specs
-    if specs is not None:
-        return read_specs(Path(specs))
-    names = [name.strip() for name in split.split(",")]
-    unknown = [name for name in names if name not in set(Split)]
-    if unknown:
-        raise UsageError(
-            f"no split {', '.join(unknown)}; there are {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
-        )
-    return specs_of_dataset(Dataset(root), [Split(name) for name in names])
