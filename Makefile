@@ -98,15 +98,17 @@ $(JUDGE)-readers/.ready: requirements.txt
 test-install: $(READY)
 	$(VENV)/bin/python -m pytest tests/install --install
 
-# training, recipes and their tests, in an environment of their own: PyTorch is large
+# training, recipes and their tests, in an environment of their own: PyTorch is large. Triton comes with PyTorch's default
+# wheels for Linux, not with the CPU build
 test-train: $(TRAIN)/.ready
 	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/test_dataset.py tests/integration/test_train.py \
-		tests/integration/test_recipes.py
+		tests/integration/test_recipes.py tests/integration/test_training_libraries.py
 
 $(TRAIN)/.ready: requirements.txt
 	$(PYTHON) -m venv $(TRAIN)
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
 	$(TRAIN)/bin/python -m pip install --quiet torch==2.13.0 tensorboard vla-eval
+	$(TRAIN)/bin/python -m pip install --quiet --no-deps triton==3.9.0 stable-baselines3==2.9.2
 	$(TRAIN)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	touch $(TRAIN)/.ready
 

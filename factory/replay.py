@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -42,7 +41,7 @@ class Replay:
 
 
 def replay_episode(root: Place, episode: Place, renderer: RendererKind, on_step: Callable[[int, int], None]) -> Replay:
-    """Simulates the job of an archived episode again.
+    """Simulates the job of an archived episode again; renders in a process of its own, for any program may call this.
 
     Args:
         root: the dataset.
@@ -54,8 +53,7 @@ def replay_episode(root: Place, episode: Place, renderer: RendererKind, on_step:
         InvalidBundle: the archived bundle cannot be read.
         WorldError: the replayed attempt failed.
     """
-    os.environ.setdefault("LP_NUM_THREADS", "0")
-    with episode.open("rb") as file, tempfile.TemporaryFile() as out, Stage(renderer) as stage:
+    with episode.open("rb") as file, tempfile.TemporaryFile() as out, Stage(renderer, apart=True) as stage:
         archived = BundleReader(file)
         job = archived.meta.job
         stage.load(find_package(root, job.scene, job.scene_sha256).path, job.scene_sha256)

@@ -51,15 +51,16 @@ class LoadedScene:
 class Stage:
     """Opens the renderer; loads scenes on demand and keeps the few used last."""
 
-    def __init__(self, renderer_kind: RendererKind = "auto", lap: Lap = no_lap) -> None:
+    def __init__(self, renderer_kind: RendererKind = "auto", lap: Lap = no_lap, apart: bool = False) -> None:
         """Opens the renderer.
 
         Args:
             renderer_kind: which one.
             lap: told the end of every stage of every attempt.
+            apart: whether the renderer runs in a process of its own, as `open_renderer` says.
         """
         self.lap = lap
-        self.renderer: Renderer = open_renderer(renderer_kind, lap=lap)
+        self.renderer: Renderer = open_renderer(renderer_kind, lap=lap, apart=apart)
         self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
         self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
 

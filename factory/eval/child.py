@@ -12,6 +12,7 @@ os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import argparse
 import contextlib
 import faulthandler
 import queue
@@ -37,9 +38,13 @@ Tell = Callable[[Report], None]
 
 
 def main() -> int:
-    """Serves orders until stdin closes; the argument is the descriptor of the sheet."""
+    """Serves orders until stdin closes."""
+    parser = argparse.ArgumentParser(prog="factory.eval.child", description="Drives policies for an evaluation.")
+    parser.add_argument("sheet", type=int, help="File descriptor of the sheet.")
+    parser.add_argument("--render-apart", action="store_true", help="Render in a process of its own.")
+    arguments = parser.parse_args()
     faulthandler.enable()
-    sheet = Sheet(int(sys.argv[1]))
+    sheet = Sheet(arguments.sheet)
     out = take_stdout()
     lines = listen(0)
 
@@ -48,7 +53,10 @@ def main() -> int:
 
     try:
         setup = Setup.model_validate_json(lines.get())
-        with Stage(setup.renderer) as stage, Simulator(stage, setup.settings) as simulator:
+        with (
+            Stage(setup.renderer, apart=arguments.render_apart) as stage,
+            Simulator(stage, setup.settings) as simulator,
+        ):
             driver = _Driver(setup, stage, simulator, sheet, tell)
             tell(Report(kind=ReportKind.READY, detail=stage.renderer.description))
             while driver.serve(Order.model_validate_json(driver.wait(lines))):

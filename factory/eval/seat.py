@@ -17,6 +17,7 @@ import time
 from typing import IO, NamedTuple
 
 from factory.eval.message import Order, Report, ReportKind, Setup, read_report, to_line
+from factory.eval.policies import renders_apart
 from factory.eval.policy import PolicyFault
 from factory.eval.sheet import Busy, Sheet, State
 from workers.one_core import one_core
@@ -47,6 +48,7 @@ class Seat:
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         """What it was made with."""
+        self._renders_apart = False
         self._process: subprocess.Popen[bytes] | None = None
         self._reports: queue.Queue[Report | None] = queue.Queue()
         self._sheet: Sheet | None = None
@@ -69,7 +71,13 @@ class Seat:
         return self._sheet.read().steps if self._sheet is not None else 0
 
     def give(self, order: Order) -> None:
-        """Hands an order over, to a fresh process where there is none; its death is heard from `hear`."""
+        """Hands an order over, to a fresh process where there is none; its death is heard from `hear`.
+
+        A process that renders by itself is replaced where the policy's libraries must not meet OpenGL's.
+        """
+        if renders_apart(order.policy) and not self._renders_apart:
+            self.kill()
+            self._renders_apart = True
         if self._process is None:
             self._start()
         self.order_at_hand = order
@@ -110,8 +118,9 @@ class Seat:
         self._sheet = Sheet.fresh()
         self._stderr = tempfile.TemporaryFile(mode="a+b")  # noqa: SIM115 - closed by kill
         os.set_inheritable(self._sheet.descriptor, True)
+        options = ("--render-apart",) if self._renders_apart else ()
         self._process = subprocess.Popen(
-            (*CHILD, str(self._sheet.descriptor)),
+            (*CHILD, str(self._sheet.descriptor), *options),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,

@@ -6,7 +6,8 @@ Same physics, camera, slew limit and ends as collection and `factory eval`; stan
 from __future__ import annotations
 
 import math
-import string
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,26 +16,25 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from factory.dataset import Dataset
+from coordinator.archive.place import Place, place_of
 from factory.eval import measure
-from factory.eval.from_dataset import Places, specs_of_dataset
+from factory.eval.from_dataset import Places
 from factory.eval.odometry import odometry
 from factory.eval.simulator import Simulator
 from factory.eval.spec import EvalSpec, SpecSet
-from factory.eval.spec_file import read_specs
+from factory.gym.episodes import specs_for
+from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
 from schemas.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
-from schemas.meant import did_you_mean
-from schemas.terms import EndReason, RendererKind, Split
+from schemas.terms import EndReason, RendererKind
 from schemas.tokens import GRID_POINTS, actions_of
+from workers.render.process_wire import MAX_SIZE_PX
 from workers.slew import Twist
 from workers.stage import Stage
 from workers.view import View
 
 __all__ = ["MiniVLANavEnv"]
 
-MAX_INSTRUCTION = 256
-_CHARSET = "".join(sorted(set(string.printable)))
 _FAR_AWAY_M = 10_000.0
 _SUCCESS_REWARD = 10.0
 
@@ -45,21 +45,24 @@ Info = dict[str, Any]
 class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
     """Drive to the named object and stop within the success radius.
 
-    Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) metres, 0 where nothing was hit; `instruction`;
-    and with `with_pose` also `pose`, x, y in metres and yaw in radians in the frame of the start.
+    Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) float32 metres, 0 where nothing was hit;
+    `instruction`, as the argument of that name says; and with `with_pose` also `pose`, x, y in metres and yaw in
+    radians in the frame of the start.
 
     Actions: `(v, w)` in m/s and rad/s; with `actions="scaled"` the same over their limits, in [0, 1] x [-1, 1], as
     learning libraries like them; with `actions="tokens"` two tokens 0..6. Reward: the metres come nearer to the target,
     and 10 for success. Terminated by success and collision, truncated by the limit of steps.
 
-    `AsyncVectorEnv` needs `shared_memory=False`: Gymnasium 1.4 never reads texts from its shared memory again.
+    A process that each environment starts renders the frames, because OpenGL's libraries crash others (triton, which
+    PyTorch brings) and do not survive a fork. It uses one core, or as many threads as `LP_NUM_THREADS` says. An
+    environment works in the process that made it; vector environments work with every multiprocessing context.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012 - the way of Gymnasium
 
     def __init__(
         self,
-        data: str | Path,
+        data: str | Place | None = None,
         split: str = "train_id",
         specs: str | Path | SpecSet | None = None,
         actions: Literal["continuous", "scaled", "tokens"] = "continuous",
@@ -67,46 +70,66 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
         size: int = FRAME_SIZE_PX,
         renderer: RendererKind = "auto",
         render_mode: str | None = None,
+        instruction: InstructionKind = "text",
+        vocabulary: Sequence[str] | None = None,
     ) -> None:
-        """Opens a renderer; scenes are loaded as episodes want them.
+        """Starts a rendering process; scenes are loaded as episodes want them.
 
         Args:
-            data: a dataset directory, for its scenes and, without `specs`, its episodes.
+            data: a dataset directory, for its scenes and, without `specs`, its episodes. Required.
             split: one or several of its splits, `a,b`.
             specs: a file of `factory eval specs`, or the set itself, in the place of `split`.
             actions: `continuous`, `scaled` or `tokens`.
             with_pose: whether observations have the pose.
-            size: pixels of a side of the images; a divisor of 640, by taking every n-th pixel.
+            size: width and height at which `rgb` and `depth` are rendered, pixels. The field of view, the physics and
+                the ends of episodes do not depend on it; small frames take a fraction of the time. They are not the
+                frames of 640 pixels shrunk: each pixel shows one ray, and textures are smoothed for the size.
             renderer: `auto`, `gl` or `tiny`.
             render_mode: `rgb_array` or `None`.
+            instruction: `text`, a string of up to 256 characters; `tokens`, (16,) int64 numbers of words in
+                `vocabulary`: 0 pads behind the last word, 1 is a word that is not in the vocabulary; `none`, no
+                instruction. Stable-Baselines3 needs `tokens` or `none`.
+            vocabulary: the words by number, for `tokens`; for another dataset than that of the training, pass the
+                training's. `None` is the vocabulary of `data`, which is the same for all its splits.
 
         Raises:
-            UsageError: there is no such kind of actions, size or split.
+            UsageError: `data` is missing, or there is no such kind of actions or instruction, size or split.
             WorldError: the dataset cannot be read.
         """
+        if data is None:
+            raise UsageError(
+                "data is missing: pass the directory of a dataset, gymnasium.make(ID, data='dataset'); "
+                "`factory run demo --out dataset` makes one"
+            )
         if actions not in {"continuous", "scaled", "tokens"}:
             raise UsageError(f"actions {actions!r}: choose continuous, scaled or tokens")
-        if size < 1 or FRAME_SIZE_PX % size:
-            raise UsageError(f"size {size}: choose a divisor of {FRAME_SIZE_PX}, such as 320, 160 or 128")
+        if not 1 <= size <= MAX_SIZE_PX:
+            raise UsageError(f"size {size}: choose 1 to {MAX_SIZE_PX} pixels, such as 64, 128 or {FRAME_SIZE_PX}")
         if render_mode not in {None, "rgb_array"}:
             raise UsageError(f"render_mode {render_mode!r}: choose rgb_array or None")
         self.render_mode = render_mode
-        self.specs = _specs(Path(data), split, specs)
+        root = place_of(data)
+        self.specs = specs_for(root, split, specs)
         self._by_id = {spec.spec_id: spec for spec in self.specs.specs}
-        self._actions, self._with_pose, self._stride = actions, with_pose, FRAME_SIZE_PX // size
-        self._places = Places(Path(data))
-        self._stage = Stage(renderer)
-        self._simulator = Simulator(self._stage, self.specs.settings)
-        self._view: View | None = None
+        self._actions, self._with_pose, self._size = actions, with_pose, size
+        self._instruction = instruction
+        self.vocabulary: tuple[str, ...] = words_for(instruction, vocabulary, root)
+        """The words by their number in `tokens`; empty for other kinds of instruction."""
         self.observation_space = self._make_observation_space(size)
         self.action_space = self._make_action_space()
+        self._places = Places(root)
+        self._pid = os.getpid()
+        self._stage = Stage(renderer, apart=True)
+        self._simulator = Simulator(self._stage, self.specs.settings)
+        self._view: View | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
         """Begins an episode: drawn by the environment's generator, or `options={"episode": ID}`.
 
         Raises:
-            UsageError: there is no such episode.
+            UsageError: there is no such episode, or the environment was made before this process was forked.
         """
+        self._require_own_process()
         super().reset(seed=seed)
         spec = self._choose((options or {}).get("episode"))
         place = self._places.load(spec.scene, spec.scene_sha256)
@@ -119,6 +142,7 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
         Raises:
             ValueError: the action has another shape, or is not finite.
         """
+        self._require_own_process()
         before = self._view
         if before is None:
             raise RuntimeError("step() before reset()")
@@ -147,12 +171,22 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
         """The running episode, goal and all: for evaluation, not for a policy."""
         return self._simulator.spec
 
+    def _require_own_process(self) -> None:
+        if self._pid != os.getpid():
+            raise UsageError(
+                f"this environment was made by process {self._pid}, which was forked since: make it in the process "
+                "that uses it. gymnasium.make_vec(ID, num_envs=4, vectorization_mode='async', data=DIR) does so, as do "
+                "AsyncVectorEnv and SubprocVecEnv with functions that call gymnasium.make"
+            )
+
     def _make_observation_space(self, size: int) -> spaces.Dict:
         members: dict[str, spaces.Space[Any]] = {
             "rgb": spaces.Box(0, 255, (size, size, 3), np.uint8),
             "depth": spaces.Box(0.0, self.specs.settings.camera.far_m, (size, size), np.float32),
-            "instruction": spaces.Text(MAX_INSTRUCTION, min_length=0, charset=_CHARSET),
         }
+        words = instruction_space(self._instruction, self.vocabulary)
+        if words is not None:
+            members["instruction"] = words
         if self._with_pose:
             reach = np.array((_FAR_AWAY_M, _FAR_AWAY_M, math.pi))
             members["pose"] = spaces.Box(-reach, reach, dtype=np.float64)
@@ -189,12 +223,12 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
         return Twist(float(numbers[0]), float(numbers[1]))
 
     def _observe(self, view: View) -> Observation:
-        frame, every = view.frame, self._stride
-        observation: Observation = {
-            "rgb": np.ascontiguousarray(frame.rgb[every // 2 :: every, every // 2 :: every]),
-            "depth": np.ascontiguousarray(frame.depth[every // 2 :: every, every // 2 :: every]),
-            "instruction": self._simulator.spec.instruction,
-        }
+        is_whole = self._size == FRAME_SIZE_PX
+        frame = view.frame if is_whole else self._stage.renderer.render(view.pose, self._size)
+        observation: Observation = {"rgb": frame.rgb, "depth": frame.depth}
+        if self._instruction != "none":
+            spec = self._simulator.spec
+            observation["instruction"] = encode_instruction(self._instruction, spec.instruction, self.vocabulary)
         if self._with_pose:
             observation["pose"] = odometry(self._simulator.track)
         return observation
@@ -217,17 +251,3 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
             if spec.geodesic_m is not None:
                 info["spl"] = measure.spl(is_success, spec.geodesic_m, driven_m)
         return info
-
-
-def _specs(root: Path, split: str, specs: str | Path | SpecSet | None) -> SpecSet:
-    if isinstance(specs, SpecSet):
-        return specs
-    if specs is not None:
-        return read_specs(Path(specs))
-    names = [name.strip() for name in split.split(",")]
-    unknown = [name for name in names if name not in set(Split)]
-    if unknown:
-        raise UsageError(
-            f"no split {', '.join(unknown)}; there are {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
-        )
-    return specs_of_dataset(Dataset(root), [Split(name) for name in names])

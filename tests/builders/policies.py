@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Dies", "Hangs", "Listens", "NoMethods", "Raises", "RefusesToBeMade", "Tokens", "Truant"]
+__all__ = [
+    "Compiles",
+    "Dies",
+    "Guards",
+    "Hangs",
+    "Listens",
+    "NoMethods",
+    "Raises",
+    "RefusesToBeMade",
+    "Tokens",
+    "Truant",
+]
 
 
 class _Quiet:
@@ -93,3 +106,24 @@ class RefusesToBeMade(_Quiet):
 
     def __init__(self) -> None:
         raise FileNotFoundError("weights.pt")
+
+
+class Guards(_Quiet):
+    """Stands still where its process has loaded no graphics driver, and trips otherwise."""
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        mapped = Path("/proc/self/maps").read_text()
+        found = [name for name in ("libEGL", "libLLVM", "_dri.so", "libgallium") if name in mapped]
+        assert not found, found
+        assert observation["rgb"].any()
+        return 0.0, 0.0
+
+
+class Compiles(_Quiet):
+    """Loads PyTorch's compiler and Triton, with the LLVM that they bring, in the middle of an episode."""
+
+    def act(self, observation: dict[str, Any]) -> Any:
+        if observation["step"] == 2:
+            importlib.import_module("torch._dynamo")
+            importlib.import_module("triton")
+        return 0.0, 0.0

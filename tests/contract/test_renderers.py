@@ -26,7 +26,12 @@ from workers.render.choose import open_renderer
 CAMERA = CameraConfig()
 ORIGIN = Pose.planar(0.0, 0.0, 0.0)
 RED, BLUE = (200, 30, 30), (30, 30, 200)
-KINDS = [pytest.param(kind, marks=[pytest.mark.gl] if kind == "gl" else []) for kind in ("gl", "tiny")]
+KINDS = [
+    pytest.param(("gl", False), id="gl", marks=pytest.mark.gl),
+    pytest.param(("tiny", False), id="tiny"),
+    pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
+]
+"""Which renderer, and whether it runs in a process of its own."""
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +42,8 @@ def _one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(params=KINDS)
 def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
     """Every renderer in turn, open."""
-    with open_renderer(request.param) as opened:
+    kind, apart = request.param
+    with open_renderer(kind, apart=apart) as opened:
         yield opened
 
 
@@ -216,6 +222,28 @@ def test_frames_belong_to_the_caller(renderer: Renderer) -> None:
     before = digest(first)
     renderer.render(Pose.planar(1.0, 1.0, 2.0))
     assert digest(first) == before
+
+
+@pytest.mark.parametrize("size", [80, 128, 640, 1000])
+def test_a_frame_of_any_size_has_the_same_field_of_view(renderer: Renderer, size: int) -> None:
+    renderer.load(furnished_room(), CAMERA)
+    pose = Pose.planar(-0.5, -0.3, 0.7)
+    whole, frame = renderer.render(pose), renderer.render(pose, size)
+    assert (frame.rgb.shape, frame.depth.shape, frame.ids.shape) == ((size, size, 3), (size, size), (size, size))
+    nearest = ((np.arange(size) + 0.5) * 640 / size).astype(int)
+    rows_columns = np.ix_(nearest, nearest)
+    inner = ~is_edge(whole.ids)[rows_columns]
+    assert (frame.ids == whole.ids[rows_columns])[inner].mean() >= 0.995
+    assert (np.abs(frame.depth - whole.depth[rows_columns]) <= 0.05 + 0.02 * frame.depth)[inner].mean() >= 0.99
+
+
+def test_a_frame_of_another_size_leaves_the_next_one_as_it_is(renderer: Renderer) -> None:
+    renderer.load(furnished_room(), CAMERA)
+    first, relief = digest(renderer.render(ORIGIN)), renderer.render_relief(ORIGIN)
+    small = digest(renderer.render(ORIGIN, 64))
+    assert digest(renderer.render(ORIGIN)) == first
+    np.testing.assert_array_equal(renderer.render_relief(ORIGIN).depth, relief.depth)
+    assert digest(renderer.render(ORIGIN, 64)) == small
 
 
 def test_scenes_can_be_switched_back_and_forth(renderer: Renderer) -> None:

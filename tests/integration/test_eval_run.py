@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from factory.eval.ablation import donors
 from factory.eval.campaign import Campaign
 from factory.eval.from_dataset import Places, specs_of_dataset
 from factory.eval.message import Setup
+from factory.eval.policies import renders_apart
 from factory.eval.publish import publish
 from factory.eval.result import EpisodeResult, EvalEnd, Variant
 from factory.eval.rollout import thin_track
@@ -112,6 +114,20 @@ def test_a_policy_that_fails_as_a_program_fails_its_episodes_and_nothing_else(
     assert (raised.num_steps, hung.num_steps) == (3, 5)
     assert 0.0 < hung.trajectory_length_m < 0.05
     assert hung.final_ne_m < hung.spawn_dist_m
+
+
+@pytest.mark.gl
+def test_policies_that_bring_libraries_drive_in_a_process_without_a_graphics_driver(
+    drives: Dataset, specs: SpecSet, tmp_path: Path
+) -> None:
+    """Also after a built-in policy, whose process renders by itself."""
+    names = ("expert", f"{MINE}:Guards", "stop")
+    campaign = campaign_of(drives, short(specs, 12).only(None, 2), *names)
+    setup = campaign.setup.model_copy(update={"renderer": "gl"})
+    found = drive(tmp_path, dataclasses.replace(campaign, setup=setup))
+    assert {row.end for rows in found.values() for row in rows} == {EvalEnd.TIMEOUT}, found
+    assert renders_apart("bc:somewhere")
+    assert not any(renders_apart(name) for name in ("expert:depth", "planner", "replay", "random", "ws://h:1"))
 
 
 def test_answers_that_are_no_action_are_named_for_what_they_were(

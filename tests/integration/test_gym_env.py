@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import functools
+import multiprocessing
+import subprocess
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -37,7 +40,14 @@ def env(drives: Dataset, specs: SpecSet) -> Iterator[MiniVLANavEnv]:
     opened.close()
 
 
-@pytest.mark.parametrize("changes", [{"actions": "scaled", "with_pose": True}, {"actions": "tokens"}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"actions": "scaled", "with_pose": True},
+        {"actions": "tokens", "instruction": "none"},
+        {"actions": "scaled", "instruction": "tokens"},
+    ],
+)
 def test_gymnasiums_own_checker_has_nothing_to_say(drives: Dataset, specs: SpecSet, changes: dict[str, Any]) -> None:
     opened = make(drives, specs=specs, render_mode="rgb_array", **changes)
     try:
@@ -119,11 +129,159 @@ def test_what_is_no_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) ->
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"size": 100}, "divisor of 640"), ({"actions": "joints"}, "tokens"), ({"split": "test"}, "no split test")],
+    [
+        ({"size": 0}, "choose 1 to 2048 pixels"),
+        ({"size": 4096}, "choose 1 to 2048 pixels"),
+        ({"actions": "joints"}, "tokens"),
+        ({"split": "test"}, "no split test"),
+        ({"instruction": "words"}, "choose text, tokens, none"),
+        ({"vocabulary": ("<pad>", "<unknown>", "<any>", "go")}, "needs instruction='tokens'"),
+        ({"instruction": "tokens", "vocabulary": ("go", "to")}, "not a vocabulary"),
+    ],
 )
 def test_wrong_settings_are_named(drives: Dataset, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         MiniVLANavEnv(drives.root, **changes)
+
+
+def test_without_data_the_error_names_the_argument() -> None:
+    with pytest.raises(UsageError, match=r"data is missing: pass .* gymnasium\.make\(ID, data="):
+        gymnasium.make("factory.gym:MiniVLANav-v0")
+
+
+def test_frames_of_any_size_show_what_the_camera_sees_and_change_no_episode(drives: Dataset, specs: SpecSet) -> None:
+    actions = drives["ep_000002"].actions[:15]
+    seen: dict[int, tuple[Any, list[float]]] = {}
+    for size in (640, 100):
+        opened = MiniVLANavEnv(drives.root, specs=specs, size=size, render_mode="rgb_array")
+        observation, info = opened.reset(options={"episode": "ep_000002"})
+        assert opened.observation_space.contains(observation)
+        track = [info["distance_m"], *(opened.step(action)[4]["distance_m"] for action in actions)]
+        assert np.asarray(opened.render()).shape == (640, 640, 3)
+        opened.close()
+        seen[size] = observation, track
+    (whole, at_640), (small, at_100) = seen[640], seen[100]
+    assert at_640 == at_100
+    np.testing.assert_array_equal(whole["rgb"], drives["ep_000002"].frame(0).rgb)
+    nearest = ((np.arange(100) + 0.5) * 6.4).astype(int)
+    shrunk = whole["depth"][np.ix_(nearest, nearest)]
+    assert np.median(np.abs(small["depth"] - shrunk)) < 0.02
+
+
+def test_tokens_are_numbers_of_words_and_alike_in_all_splits(drives: Dataset) -> None:
+    found = []
+    for split in ("train_id", "test_id"):
+        opened = MiniVLANavEnv(drives.root, split=split, size=SMALL, instruction="tokens")
+        observation, info = opened.reset(seed=0)
+        numbers, words = observation["instruction"], opened.vocabulary
+        assert (numbers.dtype, numbers.shape) == (np.int64, (16,))
+        assert opened.observation_space.contains(observation)
+        read = [words[number] for number in numbers if number]
+        assert read == info["instruction"].lower().rstrip(".").split()
+        assert not numbers[len(read) :].any()
+        found.append(words)
+        opened.close()
+    assert found[0] == found[1]
+    assert found[0][:2] == ("<pad>", "<unknown>")
+    assert {"crate", "red", "halt"} <= set(found[0])
+
+
+def test_a_vocabulary_of_the_training_is_kept_and_words_outside_of_it_are_unknown(drives: Dataset) -> None:
+    words = ("<pad>", "<unknown>", "<any>", "go", "to")
+    opened = MiniVLANavEnv(drives.root, size=SMALL, instruction="tokens", vocabulary=words)
+    observation, info = opened.reset(seed=0)
+    opened.close()
+    assert info["instruction"].startswith("Go to the ")
+    assert observation["instruction"].tolist()[:5] == [3, 4, 1, 1, 0]
+    assert opened.observation_space.contains(observation)
+
+
+def test_without_an_instruction_it_is_in_the_info_alone(drives: Dataset) -> None:
+    opened = MiniVLANavEnv(drives.root, size=SMALL, instruction="none")
+    observation, info = opened.reset(seed=0)
+    opened.close()
+    assert set(observation) == {"rgb", "depth"}
+    assert info["instruction"].startswith("Go to the ")
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("context", [None, "forkserver", "spawn"])
+@pytest.mark.parametrize("instruction", ["text", "tokens", "none"])
+def test_make_vec_works_with_every_way_to_start_processes(
+    drives: Dataset, specs: SpecSet, context: str | None, instruction: str
+) -> None:
+    """`None`, Gymnasium's default, forks a process that has already made an environment, for its spaces."""
+    vector = gymnasium.make_vec(
+        "factory.gym:MiniVLANav-v0",
+        num_envs=2,
+        vectorization_mode="async",
+        vector_kwargs={} if context is None else {"context": context},
+        data=drives.root,
+        specs=specs,
+        size=SMALL,
+        instruction=instruction,
+    )
+    try:
+        for episode in ("ep_000002", "ep_000003"):  # to the barrel, to the crate
+            first, info = vector.reset(options={"episode": episode})
+            assert first["rgb"].shape == (2, SMALL, SMALL, 3)
+            if instruction == "text":
+                assert first["instruction"] == tuple(info["instruction"])
+            elif instruction == "tokens":
+                assert first["instruction"].shape == (2, 16)
+        after, *_ = vector.step(np.array([[1.0, 0.0]] * 2, np.float32))
+        assert after["depth"].any()
+        if instruction == "text":
+            assert after["instruction"] == tuple(info["instruction"])
+    finally:
+        vector.close(terminate=True)
+
+
+def test_texts_in_shared_memory_that_is_not_copied_are_current(drives: Dataset, specs: SpecSet) -> None:
+    makers = [functools.partial(open_one, drives.root, specs)]
+    vector = gymnasium.vector.AsyncVectorEnv(makers, copy=False)
+    try:
+        for episode in ("ep_000002", "ep_000003"):
+            observation, info = vector.reset(options={"episode": episode})
+            assert list(observation["instruction"]) == list(info["instruction"])
+    finally:
+        vector.close(terminate=True)
+
+
+@pytest.mark.timeout(120)
+def test_an_environment_from_before_a_fork_names_what_works(env: MiniVLANavEnv) -> None:
+    env.reset(seed=0)
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe(duplex=False)
+
+    def use() -> None:
+        for act in (lambda: env.reset(seed=0), lambda: env.step(np.zeros(2))):
+            try:
+                act()
+            except UsageError as error:
+                theirs.send(str(error))
+
+    process = context.Process(target=use)
+    process.start()
+    said = [ours.recv() if ours.poll(60) else "hangs" for _ in range(2)]
+    process.join(30)
+    assert ["make_vec(ID, num_envs=4, vectorization_mode='async'" in each for each in said] == [True, True]
+    env.step(np.zeros(2))  # the environment itself goes on
+
+
+@pytest.mark.gl
+def test_the_process_of_an_environment_never_loads_a_graphics_driver(drives: Dataset) -> None:
+    """So that it can load any library with an LLVM, or another OpenGL, at any time."""
+    program = f"""
+import gymnasium, numpy
+env = gymnasium.make("factory.gym:MiniVLANav-v0", data={str(drives.root)!r}, size=64, renderer="gl")
+env.reset(seed=0)
+env.step(numpy.zeros(2, numpy.float32))
+mapped = open("/proc/self/maps").read()
+print([name for name in ("libEGL", "libLLVM", "_dri.so", "libgallium") if name in mapped])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]"]
 
 
 def open_one(root: Any, specs: SpecSet) -> gymnasium.Env[Any, Any]:

@@ -51,8 +51,13 @@ class Renderer(Protocol):
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Makes `scene` the one that `camera` shows. Scenes shown lately stay ready, so that going back is cheap."""
 
-    def render(self, pose: Pose) -> Frame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns what the camera sees when base_link stands at `pose` in the world.
+
+        Args:
+            pose: of base_link in the world.
+            size: width and height of the frame, pixels; `None` is the size that the renderer was opened with. The
+                field of view does not depend on it.
 
         Raises:
             UsageError: no scene was loaded.

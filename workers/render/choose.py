@@ -24,13 +24,17 @@ _REMEDY = "20 times slower than OpenGL; on Debian: apt-get install libegl1 libgl
 _log = structlog.get_logger(__name__)
 
 
-def open_renderer(kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> Renderer:
+def open_renderer(
+    kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: Lap = no_lap, apart: bool = False
+) -> Renderer:
     """Opens a renderer; the caller closes it.
 
     Args:
         kind: which one.
         size: width and height of the frames, pixels.
         lap: told the end of the stages `render` and `read-back` of every frame.
+        apart: whether it runs in a process of its own. Needed where this process loads libraries of the user's, which
+            OpenGL's may crash, and where it may be forked; the frames are the same.
 
     Raises:
         UsageError: there is no renderer of that kind.
@@ -38,6 +42,8 @@ def open_renderer(kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: L
     """
     if kind not in get_args(RendererKind):
         raise UsageError(f"no renderer {kind!r}; choose one of {', '.join(get_args(RendererKind))}")
+    if apart:
+        return _open_apart(kind, size, lap)
     if kind == "tiny":
         return _open_tiny(size, lap)
     if kind == "gl":
@@ -52,6 +58,12 @@ def open_first(preferred: Callable[[int, Lap], Renderer], size: int, lap: Lap = 
     except WorldError as error:
         _log.warning("renderer_fallback", renderer="tiny", reason=str(error), remedy=_REMEDY)
         return _open_tiny(size, lap)
+
+
+def _open_apart(kind: RendererKind, size: int, lap: Lap) -> Renderer:
+    from workers.render.process import ProcessRenderer
+
+    return ProcessRenderer(kind, size, lap)
 
 
 def _open_gl(size: int, lap: Lap) -> Renderer:

@@ -6,6 +6,7 @@ the process that opens it, before it is opened.
 
 from __future__ import annotations
 
+import os
 from types import TracebackType
 from typing import Any, Self
 
@@ -31,6 +32,10 @@ __all__ = ["GlRenderer"]
 _KEPT_SCENES = 2
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
 """libEGL hands out every function of OpenGL by itself; asking for no libGL spares the user a package."""
+_AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
+"""A fork has the driver's memory without its threads: drawing would wait for them for ever."""
+_used_by: set[int] = set()
+"""The process that has opened a context; after a fork, its number is not that of this process."""
 
 
 class GlRenderer:
@@ -44,19 +49,22 @@ class GlRenderer:
             lap: told the end of the stages `render` and `read-back` of every frame.
 
         Raises:
+            UsageError: OpenGL was used before this process was forked.
             WorldError: this machine has no usable EGL driver.
         """
         self._camera = CameraConfig()
         self._projection = projection_matrix(self._camera)
         self._lap = lap
+        self._size = size
         self._context = _open_context()
+        self._pid = os.getpid()
         self._is_open = True
         self.description = _describe(self._context)
         self._shelf = SceneShelf(self._prepare, _KEPT_SCENES)
         self._scene: GpuScene | None = None
         with self._context:
             self._programs = Programs(self._context)
-            self._target = GlTarget(self._context, size)
+            self._targets = {size: GlTarget(self._context, size)}
             self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
             self._context.front_face = "cw"  # because `onto_target` mirrors the image
 
@@ -72,33 +80,41 @@ class GlRenderer:
         """Frees the context and all in it; closing twice is harmless."""
         if self._is_open:
             self._is_open = False
+            self._scene = None
+            if self._pid != os.getpid():
+                return  # the context belongs to the process that this one was forked from
             with self._context:
                 self._shelf.clear()
-            self._scene = None
             self._context.release()
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Makes `scene` the one that `camera` shows; the last few scenes stay on the device."""
+        self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
         with self._context:
             self._scene = self._shelf.take(scene)
 
-    def render(self, pose: Pose) -> Frame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns what the camera sees when base_link stands at `pose` in the world.
 
+        Args:
+            pose: of base_link in the world.
+            size: width and height of the frame, pixels; `None` is that of the renderer.
+
         Raises:
-            UsageError: no scene was loaded.
+            UsageError: no scene was loaded, or this process was forked after the renderer was opened.
         """
         scene = self._loaded()
         clip, parts = self._look(scene, pose)
         with self._context:
-            self._target.begin()
+            target = self._target(size or self._size)
+            target.begin()
             scene.draw(parts, clip)
             self._context.finish()  # reading would wait just as long; so the wait is told apart from the copy
             self._lap("render")
-            rgb = self._target.read_colour()
-            relief = self._target.read_relief(self._camera, rgb)
+            rgb = target.read_colour()
+            relief = target.read_relief(self._camera, rgb)
         self._lap("read-back")
         return Frame(rgb, relief.depth, relief.ids)
 
@@ -111,15 +127,27 @@ class GlRenderer:
         scene = self._loaded()
         clip, parts = self._look(scene, pose)
         with self._context:
-            self._target.begin()
+            target = self._target(self._size)
+            target.begin()
             scene.draw_bare(parts, clip)
             self._context.finish()
             self._lap("render")
-            relief = self._target.read_relief(self._camera)
+            relief = target.read_relief(self._camera)
         self._lap("read-back")
         return relief
 
+    def _target(self, size: int) -> GlTarget:
+        """Returns the images of a size; those of the sizes used so far are kept."""
+        if size not in self._targets:
+            self._targets[size] = GlTarget(self._context, size)
+        return self._targets[size]
+
+    def _require_own_process(self) -> None:
+        if self._pid != os.getpid():
+            raise UsageError(f"this renderer was opened by process {self._pid}, which was forked since; {_AFTER_FORK}")
+
     def _loaded(self) -> GpuScene:
+        self._require_own_process()
         if self._scene is None:
             raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
         return self._scene
@@ -136,10 +164,14 @@ class GlRenderer:
 
 
 def _open_context() -> moderngl.Context:
+    if _used_by and os.getpid() not in _used_by:
+        raise UsageError(f"OpenGL was used before this process was forked, and would hang; {_AFTER_FORK}")
     try:
-        return moderngl.create_context(require=450, standalone=True, **_EGL)
+        context = moderngl.create_context(require=450, standalone=True, **_EGL)
     except Exception as error:  # glcontext raises nothing more specific
         raise WorldError(f"no OpenGL 4.5 through EGL on this machine: {error}") from error
+    _used_by.add(os.getpid())
+    return context
 
 
 def _describe(context: moderngl.Context) -> str:

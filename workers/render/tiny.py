@@ -69,8 +69,12 @@ class TinyRenderer:
         self._camera = camera
         self._scene = self._shelf.take(scene)
 
-    def render(self, pose: Pose) -> Frame:
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
         """Returns what the camera sees when base_link stands at `pose` in the world.
+
+        Args:
+            pose: of base_link in the world.
+            size: width and height of the frame, pixels; `None` is that of the renderer.
 
         Raises:
             UsageError: no scene was loaded.
@@ -78,8 +82,9 @@ class TinyRenderer:
         if self._scene is None:
             raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
         view = view_matrix(optical_pose(pose, self._camera))
-        projection = _at_pixel_centres(projection_matrix(self._camera), self._size)
-        image = self._scene.client.camera_image(self._size, view, projection)
+        size = size or self._size
+        projection = _at_pixel_centres(projection_matrix(self._camera), size)
+        image = self._scene.client.camera_image(size, view, projection)
         self._lap("render")
         frame = self._frame(image, self._scene.instance_of_body)
         self._lap("read-back")

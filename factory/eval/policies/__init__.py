@@ -30,6 +30,7 @@ __all__ = [
     "find_policy",
     "is_foreign",
     "make_policy",
+    "renders_apart",
     "require_at_hand",
 ]
 
@@ -50,6 +51,9 @@ class Entry(NamedTuple):
     """Returns the file that it is made of, from what stands behind the first colon."""
     needs: tuple[str, ...] = ()
     """Optional packages that it imports, as top-level modules."""
+    renders_apart: bool = False
+    """Whether frames are rendered in a separate process, because the policy loads libraries that crash in one process with
+    those of OpenGL: PyTorch, or whatever a class of the user's imports."""
 
 
 _WIRE = ("websockets", "msgpack")
@@ -61,7 +65,7 @@ POLICIES: Mapping[str, Entry] = MappingProxyType(
         "stop": Entry(lambda _rest, _: StopPolicy(), "stop"),
         "replay": Entry(lambda _rest, _: ReplayPolicy(), "replay", needs_recording=True),
         "playback": Entry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
-        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",)),
+        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",), True),
         "ws": Entry(
             lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True, None, _WIRE
         ),
@@ -71,7 +75,7 @@ POLICIES: Mapping[str, Entry] = MappingProxyType(
     }
 )
 """By the word before the first colon; any other name is taken for `package.module:Class`."""
-_FOREIGN = Entry(lambda name, _: load_class(name), "package.module:Class", reads_instruction=True)
+_FOREIGN = Entry(lambda name, _: load_class(name), "package.module:Class", reads_instruction=True, renders_apart=True)
 
 
 def find_policy(name: str) -> Entry:
@@ -96,6 +100,11 @@ def is_foreign(name: str) -> bool:
         UsageError: nothing is called that.
     """
     return find_policy(name) is _FOREIGN
+
+
+def renders_apart(name: str) -> bool:
+    """Returns whether frames are rendered in a process of their own while the policy of that name drives."""
+    return POLICIES.get(name.partition(":")[0], _FOREIGN).renders_apart
 
 
 def check_name(name: str) -> None:

@@ -1,0 +1,41 @@
+"""Which episodes an environment has: those of splits of a dataset, or of a set of specs. Opens no renderer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from coordinator.archive.place import Place
+from factory.dataset import Dataset
+from factory.eval.from_dataset import specs_of_dataset
+from factory.eval.spec import SpecSet
+from factory.eval.spec_file import read_specs
+from schemas.errors import UsageError
+from schemas.meant import did_you_mean
+from schemas.terms import Split
+
+__all__ = ["specs_for"]
+
+
+def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> SpecSet:
+    """Returns the episodes of an environment.
+
+    Args:
+        root: the dataset.
+        split: one or several of its splits, `a,b`.
+        specs: a file of specs, or the set itself, in the place of `split`.
+
+    Raises:
+        UsageError: there is no such split, or it has no episodes.
+        WorldError: the dataset or the file cannot be read.
+    """
+    if isinstance(specs, SpecSet):
+        return specs
+    if specs is not None:
+        return read_specs(Path(specs))
+    names = [name.strip() for name in split.split(",")]
+    unknown = [name for name in names if name not in set(Split)]
+    if unknown:
+        raise UsageError(
+            f"no split {', '.join(unknown)}; there are {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
+        )
+    return specs_of_dataset(Dataset(root), [Split(name) for name in names])

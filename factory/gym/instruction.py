@@ -1,0 +1,122 @@
+"""How an observation carries the instruction: as text, as numbers of a vocabulary, or not at all.
+
+Knows Gymnasium's spaces and no simulation.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Sequence
+from typing import Any, Literal, cast, get_args, overload
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector.utils import read_from_shared_memory
+from numpy.typing import NDArray
+
+from coordinator.archive.place import Place
+from factory.dataset import Dataset
+from factory.train.words import MAX_WORDS, encode, vocabulary
+from schemas.errors import UsageError
+from schemas.terms import COLOUR_NAMES
+
+__all__ = [
+    "MAX_INSTRUCTION",
+    "InstructionKind",
+    "InstructionText",
+    "encode_instruction",
+    "instruction_space",
+    "words_for",
+]
+
+InstructionKind = Literal["text", "tokens", "none"]
+MAX_INSTRUCTION = 256
+_CHARSET = "".join(sorted(set(string.printable)))
+
+
+class InstructionText(spaces.Text):
+    """Texts of up to `MAX_INSTRUCTION` characters, current in the shared memory of `AsyncVectorEnv` too.
+
+    Gymnasium 1.4 reads the texts of a `Text` space from its shared memory once, when the environments are made.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(MAX_INSTRUCTION, min_length=0, charset=_CHARSET)
+
+
+class _SharedTexts(Sequence[str]):
+    """The present texts in shared memory; a deep copy, which `AsyncVectorEnv` returns, is a tuple of strings."""
+
+    def __init__(self, space: InstructionText, memory: Any, count: int) -> None:
+        self._space, self._memory, self._count = space, memory, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, place: int) -> str: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> tuple[str, ...]: ...
+
+    def __getitem__(self, place: int | slice) -> str | tuple[str, ...]:
+        return self._read()[place]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> tuple[str, ...]:
+        return self._read()
+
+    def _read(self) -> tuple[str, ...]:
+        read = read_from_shared_memory.dispatch(spaces.Text)
+        return cast("tuple[str, ...]", read(self._space, self._memory, self._count))
+
+
+@read_from_shared_memory.register(InstructionText)
+def _read_texts(space: InstructionText, shared_memory: Any, n: int = 1) -> _SharedTexts:
+    return _SharedTexts(space, shared_memory, n)
+
+
+def instruction_space(kind: InstructionKind, words: Sequence[str]) -> spaces.Space[Any] | None:
+    """Returns the space of the instruction; `None` where an observation has none.
+
+    Args:
+        kind: how it is carried.
+        words: the vocabulary, for `tokens`.
+
+    Raises:
+        UsageError: there is no such kind.
+    """
+    if kind == "text":
+        return InstructionText()
+    if kind == "tokens":
+        return spaces.MultiDiscrete(np.full(MAX_WORDS, len(words), np.int64))
+    if kind == "none":
+        return None
+    raise UsageError(f"instruction {kind!r}: choose {', '.join(get_args(InstructionKind))}")
+
+
+def encode_instruction(kind: InstructionKind, instruction: str, words: Sequence[str]) -> str | NDArray[np.int64]:
+    """Returns the instruction as a member of its space."""
+    return encode(instruction, words) if kind == "tokens" else instruction
+
+
+def words_for(kind: InstructionKind, words: Sequence[str] | None, root: Place) -> tuple[str, ...]:
+    """Returns the vocabulary: the words given, or those of templates, categories, colours and a dataset's instructions.
+
+    Args:
+        kind: how the instruction is carried; only `tokens` has a vocabulary.
+        words: the words by number, as an environment's `vocabulary` has them; `None` for those of the dataset.
+        root: the dataset. The instructions of all its episodes count, so that every split has the same vocabulary.
+
+    Raises:
+        UsageError: there are words for another kind, or they are those of no environment.
+        WorldError: the dataset cannot be read.
+    """
+    if kind != "tokens":
+        if words is not None:
+            raise UsageError(f"a vocabulary needs instruction='tokens', found instruction={kind!r}")
+        return ()
+    if words is None:
+        return vocabulary((*COLOUR_NAMES, *Dataset(root).metadata["instruction"].to_pylist()))
+    if tuple(words[:2]) != vocabulary()[:2]:
+        raise UsageError(f"not a vocabulary: it begins with {tuple(words[:2])}; pass `env.unwrapped.vocabulary`")
+    return tuple(words)

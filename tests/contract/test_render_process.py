@@ -1,0 +1,247 @@
+"""A renderer in a process of its own: the same bytes, no graphics library here, and how it fails and ends."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from schemas.config import CameraConfig
+from schemas.errors import UsageError, WorldError
+from schemas.terms import RendererKind
+from tests.builders.scene import Box, box_room, build_scene
+from workers.pose import Pose
+from workers.render import Frame, Renderer
+from workers.render.choose import open_renderer
+
+CAMERA = CameraConfig()
+POSES = [Pose.planar(0.1 * k - 0.3, 0.05 * k, 0.9 * k) for k in range(6)]
+KINDS = [pytest.param("gl", marks=pytest.mark.gl), pytest.param("tiny")]
+LIBRARIES = ("libEGL", "libLLVM", "_dri.so", "libgallium")
+REMEDIES = "'spawn' or 'forkserver'|open it in the process that uses it"
+
+
+def digest(frame: Frame) -> str:
+    return hashlib.sha256(b"".join(array.tobytes() for array in (frame.rgb, frame.depth, frame.ids))).hexdigest()
+
+
+def children_of(pid: int) -> set[int]:
+    """Returns the processes whose parent a process is."""
+    found = set()
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid and fields[0] != "Z":
+            found.add(int(status.parent.name))
+    return found
+
+
+@contextmanager
+def opened_with_pid(kind: RendererKind = "tiny") -> Iterator[tuple[Renderer, int]]:
+    """Opens a renderer in a process of its own; yields it and that process."""
+    before = children_of(os.getpid())
+    with open_renderer(kind, apart=True) as renderer:
+        (pid,) = children_of(os.getpid()) - before
+        yield renderer, pid
+
+
+def wait_until(is_so: Callable[[], bool]) -> bool:
+    for _ in range(600):
+        if is_so():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frames_are_those_of_the_renderer_in_this_process_bit_for_bit(kind: RendererKind) -> None:
+    boxes = [Box((2, -1, 0), (3, 1, 1), (200, 30, 30)), Box((1, 0, 0), (2, 1, 2), (30, 30, 200))]
+    scenes = [box_room(), *(build_scene([box]) for box in boxes)]
+    with open_renderer(kind) as here, open_renderer(kind, apart=True) as apart:
+        assert apart.description == here.description
+        for scene in (*scenes, *scenes):  # more than are kept
+            for renderer in (here, apart):
+                renderer.load(scene, CAMERA)
+            for pose in POSES[:3]:
+                assert digest(apart.render(pose)) == digest(here.render(pose))
+                assert digest(apart.render(pose, 48)) == digest(here.render(pose, 48))
+                found, wanted = apart.render_relief(pose), here.render_relief(pose)
+                np.testing.assert_array_equal(found.depth, wanted.depth)
+                np.testing.assert_array_equal(found.ids, wanted.ids)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(("apart", "loaded"), [(True, False), (False, True)])
+def test_only_a_renderer_in_this_process_loads_the_graphics_driver_into_it(apart: bool, loaded: bool) -> None:
+    """What is not mapped can neither be bound to by other libraries nor break in a fork."""
+    program = f"""
+from schemas.config import CameraConfig
+from tests.builders.scene import box_room
+from workers.pose import Pose
+from workers.render.choose import open_renderer
+with open_renderer("gl", apart={apart}) as renderer:
+    renderer.load(box_room(), CameraConfig())
+    renderer.render(Pose.planar(0.0, 0.0, 0.0))
+    mapped = open("/proc/self/maps").read()
+print(any(name in mapped for name in {LIBRARIES}))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(loaded)]
+
+
+def test_a_process_that_dies_is_reported_with_its_signal() -> None:
+    with opened_with_pid() as (renderer, pid):
+        renderer.load(box_room(), CAMERA)
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(WorldError, match="rendering process died: killed by SIGKILL"):
+            renderer.render(POSES[0])
+        with pytest.raises(UsageError, match="closed: open another one"):
+            renderer.render(POSES[0])
+
+
+def test_after_close_nothing_is_left_and_nothing_is_drawn() -> None:
+    with opened_with_pid() as (renderer, pid):
+        renderer.load(box_room(), CAMERA)
+        renderer.close()
+        assert is_gone(pid)
+        renderer.close()
+        with pytest.raises(UsageError, match="closed"):
+            renderer.render(POSES[0])
+
+
+def test_a_renderer_that_nobody_closed_ends_with_the_last_reference_to_it() -> None:
+    before = children_of(os.getpid())
+    renderer = open_renderer("tiny", apart=True)
+    (pid,) = children_of(os.getpid()) - before
+    del renderer
+    assert is_gone(pid)
+
+
+@pytest.mark.parametrize("forks", [False, True])
+def test_the_process_ends_with_a_caller_that_was_killed_even_where_a_fork_of_it_lives_on(forks: bool) -> None:
+    program = f"""
+import os, time
+from workers.render.choose import open_renderer
+renderer = open_renderer("tiny", apart=True)
+fork = os.fork() if {forks} else 0
+if {forks} and fork == 0:
+    time.sleep(600)
+print(fork, flush=True)
+time.sleep(600)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as caller:
+        assert caller.stdout is not None
+        fork = int(caller.stdout.readline())
+        (pid,) = children_of(caller.pid) - {fork}
+        caller.kill()
+        try:
+            assert wait_until(lambda: is_gone(pid))
+            assert not forks or not is_gone(fork)
+        finally:
+            for each in {pid, fork} - {0}:
+                if not is_gone(each):
+                    os.kill(each, signal.SIGKILL)
+
+
+def test_no_driver_is_an_error_for_gl_and_the_fallback_for_auto(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json")
+    with pytest.raises(WorldError, match=r"no OpenGL 4\.5 through EGL"):
+        open_renderer("gl", apart=True)
+    with open_renderer("auto", apart=True) as renderer:
+        assert "Tiny" in renderer.description
+
+
+@pytest.mark.parametrize("size", [0, -1, 2049])
+def test_a_size_that_no_frame_has_is_refused(size: int) -> None:
+    with pytest.raises(UsageError, match=f"frame size {size}: choose 1 to 2048"):
+        open_renderer("tiny", size, apart=True)
+
+
+def test_an_interrupted_frame_does_not_answer_for_the_next_one() -> None:
+    def interrupt(_signal: int, _frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    former = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with open_renderer("tiny", apart=True) as renderer, open_renderer("tiny") as here:
+            for each in (renderer, here):
+                each.load(box_room(), CAMERA)
+            signal.setitimer(signal.ITIMER_REAL, 0.02)
+            with pytest.raises(KeyboardInterrupt):
+                renderer.render(POSES[1], 2048)  # takes seconds
+            assert digest(renderer.render(POSES[2], 96)) == digest(here.render(POSES[2], 96))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, former)
+
+
+def in_a_fork(act: Callable[[], object]) -> str:
+    """Returns what an action in a fork of this process raises, or what it returns."""
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe(duplex=False)
+
+    def run() -> None:
+        try:
+            theirs.send(str(act()))
+        except Exception as error:  # noqa: BLE001 - told to the test
+            theirs.send(f"{type(error).__name__}: {error}")
+
+    process = context.Process(target=run)
+    process.start()
+    assert ours.poll(120), "hangs"
+    said = str(ours.recv())
+    process.join(30)
+    assert process.exitcode == 0
+    return said
+
+
+@pytest.mark.parametrize("apart", [True, pytest.param(False, marks=pytest.mark.gl)])
+def test_a_renderer_from_before_a_fork_is_refused_there_and_goes_on_here(apart: bool) -> None:
+    with open_renderer("tiny" if apart else "gl", apart=apart) as renderer:
+        renderer.load(box_room(), CAMERA)
+        before = digest(renderer.render(POSES[1]))
+        for act in (
+            lambda: renderer.render(POSES[1]),
+            lambda: renderer.render_relief(POSES[1]),
+            lambda: renderer.load(box_room(), CAMERA),
+        ):
+            said = in_a_fork(act)
+            assert said.startswith("UsageError: this renderer was opened by process"), said
+            assert any(remedy in said for remedy in REMEDIES.split("|"))
+        assert in_a_fork(renderer.close) == "None"
+        assert digest(renderer.render(POSES[1])) == before
+
+
+@pytest.mark.gl
+def test_after_a_fork_of_a_process_that_drew_only_a_process_of_its_own_draws() -> None:
+    with open_renderer("gl") as renderer:
+        renderer.load(box_room(), CAMERA)
+        before = digest(renderer.render(POSES[1]))
+
+    def draw(apart: bool) -> str:
+        with open_renderer("gl", apart=apart) as mine:
+            mine.load(box_room(), CAMERA)
+            return digest(mine.render(POSES[1]))
+
+    assert "multiprocessing context 'spawn'" in in_a_fork(lambda: draw(apart=False))
+    assert in_a_fork(lambda: draw(apart=True)) == before

@@ -1,0 +1,121 @@
+"""A renderer in a process of its own, for programs that run the user's code beside the simulation.
+
+Mesa loads its driver, and with it LLVM, with RTLD_GLOBAL. A library with another LLVM that is loaded into the same
+process later, such as triton, is bound to Mesa's LLVM and crashes. The driver's threads do not survive a fork either.
+A process that has not loaded the driver has neither problem. This module loads no graphics library.
+"""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from schemas.arrays import FRAME_SIZE_PX
+from schemas.config import CameraConfig
+from schemas.errors import UsageError
+from schemas.lap import Lap, no_lap
+from schemas.scene import CompiledScene, encode_scene
+from schemas.terms import RendererKind
+from workers.pose import Pose
+from workers.render import Frame, Relief
+from workers.render.process_link import RenderingProcess
+from workers.render.process_wire import MAX_SIZE_PX, RequestKind
+from workers.render.shelf import SceneShelf
+
+__all__ = ["ProcessRenderer"]
+
+_KEPT_SCENES = 2
+
+
+class ProcessRenderer:
+    """A `Renderer` whose frames equal, bit for bit, those of the renderer that its process opens."""
+
+    def __init__(self, kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
+        """Starts the process and waits until its renderer is open.
+
+        Args:
+            kind: the renderer to open there.
+            size: width and height of the frames, pixels.
+            lap: told the end of the stages `render` and `read-back` of every frame.
+
+        Raises:
+            UsageError: the size is not 1 to `MAX_SIZE_PX`.
+            WorldError: the process cannot be started, or the machine has no such renderer.
+        """
+        self._size, self._lap = _checked(size), lap
+        self._process = RenderingProcess(kind, size)
+        self._shelf = SceneShelf(_Storage(self._process).store, _KEPT_SCENES)
+        self.description = self._process.description
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the process; closing twice is harmless."""
+        self._process.close()
+
+    def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
+        """Makes `scene` the one that `camera` shows; the last scenes stay ready."""
+        stored = self._shelf.take(scene)
+        self._process.ask(RequestKind.LOAD, scene=stored.number, camera=camera)
+
+    def render(self, pose: Pose, size: int | None = None) -> Frame:
+        """Returns what the camera sees when base_link stands at `pose` in the world.
+
+        Args:
+            pose: of base_link in the world.
+            size: width and height of the frame, pixels; `None` is that of the renderer.
+
+        Raises:
+            UsageError: no scene was loaded, or this process was forked after the renderer was opened.
+            WorldError: the rendering process died.
+        """
+        size = _checked(size or self._size)
+        self._process.ask(RequestKind.RENDER, pose=pose, size=size)
+        self._lap("render")
+        frame = self._process.frames.take_frame(size)
+        self._lap("read-back")
+        return frame
+
+    def render_relief(self, pose: Pose) -> Relief:
+        """Returns depth and ids of what `render` returns; raises as it does."""
+        self._process.ask(RequestKind.RELIEF, pose=pose)
+        self._lap("render")
+        relief = self._process.frames.take_relief(self._size)
+        self._lap("read-back")
+        return relief
+
+
+def _checked(size: int) -> int:
+    if not 1 <= size <= MAX_SIZE_PX:
+        raise UsageError(f"frame size {size}: choose 1 to {MAX_SIZE_PX} pixels")
+    return size
+
+
+class _Storage:
+    """Sends scenes to the process, each under a number of its own."""
+
+    def __init__(self, process: RenderingProcess) -> None:
+        self._process, self._count = process, 0
+
+    def store(self, scene: CompiledScene) -> _Stored:
+        self._count += 1
+        self._process.send_scene(encode_scene(scene, level=1))
+        self._process.ask(RequestKind.STORE, scene=self._count)
+        return _Stored(self._process, self._count)
+
+
+class _Stored:
+    """A scene that the process keeps."""
+
+    def __init__(self, process: RenderingProcess, number: int) -> None:
+        self._process, self.number = process, number
+
+    def close(self) -> None:
+        """Makes the process forget it."""
+        self._process.ask(RequestKind.DROP, scene=self.number)

@@ -1,0 +1,93 @@
+"""The rendering process (`python -P -m workers.render.process_child`): opens a renderer and serves one caller.
+
+It ends with its caller, whatever it is doing. It simulates nothing and imports no code of the user's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import os
+import sys
+import traceback
+
+from schemas.errors import FactoryError, UsageError
+from schemas.scene import CompiledScene, decode_scene
+from workers.pipe import listen, take_stdout
+from workers.render import Renderer
+from workers.render.choose import open_renderer
+from workers.render.process_wire import FrameMemory, Reply, ReplyKind, Request, RequestKind, to_line
+
+__all__ = ["main"]
+
+
+def main() -> int:
+    """Serves requests until the caller closes its end or dies."""
+    parser = argparse.ArgumentParser(prog="workers.render.process_child", description="Draws frames for one process.")
+    parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), required=True)
+    parser.add_argument("--size", type=int, required=True, help="Default width and height of frames, pixels.")
+    parser.add_argument("--frames", type=int, required=True, help="File descriptor of the frame memory.")
+    parser.add_argument("--scenes", type=int, required=True, help="File descriptor of the scene memory.")
+    arguments = parser.parse_args()
+    faulthandler.enable()
+    out, lines = take_stdout(), listen(0)
+    try:
+        with open_renderer(arguments.renderer, arguments.size) as renderer:
+            server = _Server(renderer, FrameMemory(arguments.frames), arguments.scenes)
+            out.write(to_line(Reply(number=0, detail=renderer.description)))
+            while True:
+                out.write(to_line(server.serve(Request.model_validate_json(lines.get()))))
+    except (BrokenPipeError, ConnectionResetError):
+        return 0  # the caller is gone
+    except FactoryError as error:
+        out.write(to_line(_failure(0, error)))
+        return 1
+
+
+class _Server:
+    """Answers requests with a renderer; keeps the scenes that the caller has not dropped."""
+
+    def __init__(self, renderer: Renderer, frames: FrameMemory, scene_descriptor: int) -> None:
+        self._renderer, self._frames, self._scene_descriptor = renderer, frames, scene_descriptor
+        self._scenes: dict[int, CompiledScene] = {}
+
+    def serve(self, request: Request) -> Reply:
+        """Does what is asked; an error goes back to the caller."""
+        try:
+            self._do(request)
+        except Exception as error:  # noqa: BLE001 - the worker loop: the caller raises it
+            if not isinstance(error, FactoryError):
+                traceback.print_exc()
+            return _failure(request.number, error)
+        return Reply(number=request.number)
+
+    def _do(self, request: Request) -> None:
+        match request.kind:
+            case RequestKind.STORE:
+                self._scenes[request.scene] = self._read_scene()
+            case RequestKind.DROP:
+                self._scenes.pop(request.scene, None)
+            case RequestKind.LOAD:
+                self._renderer.load(self._scenes[request.scene], request.camera)
+            case RequestKind.RENDER:
+                self._frames.put(self._renderer.render(request.pose, request.size))
+            case RequestKind.RELIEF:
+                self._frames.put(self._renderer.render_relief(request.pose))
+
+    def _read_scene(self) -> CompiledScene:
+        with os.fdopen(self._scene_descriptor, "rb", closefd=False) as file:
+            return decode_scene(file)
+
+
+def _failure(number: int, error: Exception) -> Reply:
+    if not isinstance(error, FactoryError):
+        detail = traceback.format_exception_only(error)[-1].strip()
+        return Reply(number=number, kind=ReplyKind.DEFECT, detail=detail)
+    kind = ReplyKind.USAGE if isinstance(error, UsageError) else ReplyKind.WORLD
+    return Reply(number=number, kind=kind, detail=str(error))
+
+
+if __name__ == "__main__":
+    status = main()
+    sys.stderr.flush()
+    os._exit(status)  # the thread that waits for requests would keep the interpreter from ending

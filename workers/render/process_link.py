@@ -1,0 +1,178 @@
+"""The caller's side of the rendering process: starts it, asks it, reports its death, ends it.
+
+Knows requests and frames, but no scene: those are the renderer's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import weakref
+
+from schemas.config import CameraConfig
+from schemas.errors import UsageError, WorldError
+from schemas.terms import RendererKind
+from workers.one_core import one_core
+from workers.pose import Pose
+from workers.render.process_wire import FrameMemory, Reply, ReplyKind, Request, RequestKind, to_line
+
+__all__ = ["RenderingProcess"]
+
+_ANSWER_S = 300.0
+_REAP_S = 3.0
+_CAMERA, _ORIGIN = CameraConfig(), Pose(0.0, 0.0, 0.0)
+_CHILD = (sys.executable, "-P", "-m", "workers.render.process_child")
+
+
+class RenderingProcess:
+    """A handle on it: it answers one request at a time, and ends with this handle or with this process."""
+
+    def __init__(self, kind: RendererKind, size: int) -> None:
+        self._pid, self._number, self._unread = os.getpid(), 0, b""
+        self._scene = os.fdopen(os.memfd_create("minivla-scene"), "wb")
+        self._socket, theirs = socket.socketpair()
+        self._socket.settimeout(_ANSWER_S)
+        memory = FrameMemory.create()
+        self.frames = FrameMemory(memory)
+        with theirs, os.fdopen(memory), contextlib.ExitStack() as held:
+            for each in (self._socket, self._scene, self.frames):
+                held.callback(each.close)
+            self._process = _start(kind, size, theirs, memory, self._scene.fileno())
+            self._end = weakref.finalize(self, _end, self._process, held.pop_all())
+        _running.add(self)
+        try:
+            self.description = self._receive(0)
+        except BaseException:
+            self.close()
+            raise
+
+    def send_scene(self, package: bytes) -> None:
+        """Replaces what the scene memory holds."""
+        self._require_open()
+        self._scene.seek(0)
+        self._scene.truncate()
+        self._scene.write(package)
+        self._scene.flush()
+
+    def ask(
+        self, kind: RequestKind, *, scene: int = 0, camera: CameraConfig = _CAMERA, pose: Pose = _ORIGIN, size: int = 0
+    ) -> None:
+        """Waits until the process has done what is asked.
+
+        Raises:
+            UsageError: the process's renderer refused, or it was closed or belongs to the process before a fork.
+            WorldError: the process's renderer failed, or the process died or did not answer.
+        """
+        self._require_open()
+        self._number += 1
+        request = Request(number=self._number, kind=kind, scene=scene, camera=camera, pose=pose, size=size)
+        with contextlib.suppress(ConnectionError):  # the death of the process is found when reading
+            self._socket.sendall(to_line(request))
+        self._receive(self._number)
+
+    def close(self) -> None:
+        """Ends the process; closing twice is harmless."""
+        self._end()
+
+    def disown(self) -> None:
+        """Lets go of the process in a fork of its owner, where it must not be ended."""
+        self._end.detach()
+        self._process.returncode = 0  # not our child: nothing to wait for
+        self._socket.close()
+        self._scene.close()
+
+    def _require_open(self) -> None:
+        if self._pid != os.getpid():
+            raise UsageError(
+                f"this renderer was opened by process {self._pid}, which was forked since: open it in the process that "
+                "uses it (Gymnasium: create the environment there, as `make_vec(..., vectorization_mode='async')` does)"
+            )
+        if not self._end.alive:
+            raise UsageError("this renderer is closed: open another one")
+
+    def _receive(self, number: int) -> str:
+        """Returns the detail of the reply to a request; replies to requests that were interrupted are passed over."""
+        while True:
+            reply = Reply.model_validate_json(self._read_line())
+            if reply.number == number:
+                break
+        if reply.kind is ReplyKind.USAGE:
+            raise UsageError(reply.detail)
+        if reply.kind is ReplyKind.WORLD:
+            raise WorldError(reply.detail)
+        if reply.kind is ReplyKind.DEFECT:
+            raise RuntimeError(f"the rendering process failed: {reply.detail}")
+        return reply.detail
+
+    def _read_line(self) -> bytes:
+        while b"\n" not in self._unread:
+            try:
+                received = self._socket.recv(1 << 16)
+            except TimeoutError as error:
+                self.close()
+                raise WorldError(
+                    f"the rendering process did not answer within {_ANSWER_S:g} s; it was ended"
+                ) from error
+            except ConnectionError:
+                received = b""
+            if not received:
+                raise WorldError(f"the rendering process died: {self._how_it_ended()}")
+            self._unread += received
+        line, _, self._unread = self._unread.partition(b"\n")
+        return line
+
+    def _how_it_ended(self) -> str:
+        self.close()
+        status = self._process.poll()
+        if status is None:
+            return "it closed its end and cannot be killed"
+        how = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        return f"{how}; its messages are on stderr"
+
+
+_running: weakref.WeakSet[RenderingProcess] = weakref.WeakSet()
+
+
+def _disown_all() -> None:
+    for process in list(_running):
+        process.disown()
+
+
+os.register_at_fork(after_in_child=_disown_all)
+
+
+def _start(kind: RendererKind, size: int, theirs: socket.socket, frames: int, scenes: int) -> subprocess.Popen[bytes]:
+    options = {"--renderer": kind, "--size": size, "--frames": frames, "--scenes": scenes}
+    command = (*_CHILD, *(str(word) for option in options.items() for word in option))
+    try:
+        return subprocess.Popen(
+            command,
+            stdin=theirs.fileno(),
+            stdout=theirs.fileno(),
+            pass_fds=(frames, scenes),
+            env=_environment(),
+            start_new_session=True,  # Ctrl-C is for the caller, which closes the renderer
+        )
+    except OSError as error:
+        raise WorldError(f"cannot start the rendering process `{' '.join(command)}`: {error}") from error
+
+
+def _environment() -> dict[str, str]:
+    """Returns the environment of a process that draws on one core, or on the threads that the user has set for Mesa."""
+    chosen = {name: os.environ[name] for name in ("LP_NUM_THREADS",) if name in os.environ}
+    return {**one_core(os.environ), **chosen}
+
+
+def _end(process: subprocess.Popen[bytes], held: contextlib.ExitStack) -> None:
+    """Ends the process, which does so by itself once its caller's end is closed."""
+    held.close()
+    try:
+        process.wait(_REAP_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_REAP_S)
