@@ -27,6 +27,11 @@ __all__ = ["write_page"]
 
 _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
+_ABOUT_PAPER = (
+    "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances: where a reason needs one, it is "
+    "TL + NE, which holds for straight drives. A difference needs a reason from 5 % in lengths and steps, 5 mm in "
+    "NE (1 mm in its spread) and 2 percentage points in shares on."
+)
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
@@ -99,7 +104,7 @@ def _remarks(statistics: Statistics) -> str:
 
 def _overview(material: Material, comparisons: Sequence[Comparison]) -> str:
     everything, fit = material.statistics.scenes[-1], material.statistics.correlation[0]
-    said = paper.OVERALL
+    said, beside = paper.OVERALL, material.statistics.beside_paper
     tiles = (
         ("episodes", str(everything.n), str(said.n)),
         ("success, of attempts", _success(material), "40–90 %"),
@@ -110,17 +115,24 @@ def _overview(material: Material, comparisons: Sequence[Comparison]) -> str:
     )
     cards = "".join(
         f'<div class="tile"><dt>{escape(what)}</dt><dd><strong>{escape(ours)}</strong>'
-        f"<span>paper {escape(theirs)}</span></dd></div>"
+        f"{f'<span>paper {escape(theirs)}</span>' if beside else ''}</dd></div>"
         for what, ours, theirs in tiles
     )
-    away = [row for row in comparisons if row.reason]
-    verdict = (
-        f"<p>{len(comparisons)} numbers of the paper can be asked of this dataset; {len(away)} differ noticeably, and "
-        "each says why beside its figure. Means of NE, TL and steps; tables give the rest.</p>"
-        if comparisons
-        else "<p>There are no episodes yet, so there is nothing to compare with the paper.</p>"
-    )
+    verdict = _verdict(material, comparisons)
     return f'<section id="overview"><h2>Overview</h2><dl class="tiles">{cards}</dl>{verdict}</section>'
+
+
+def _verdict(material: Material, comparisons: Sequence[Comparison]) -> str:
+    if not material.statistics.episodes:
+        return "<p>There are no episodes yet.</p>"
+    means = "Means of NE, TL and steps; tables give the rest."
+    if not comparisons:
+        return f"<p>{means}</p>"
+    away = [row for row in comparisons if row.reason]
+    return (
+        f"<p>{len(comparisons)} numbers of the paper can be asked of this dataset; {len(away)} differ noticeably, and "
+        f"each says why beside its figure. {means}</p>"
+    )
 
 
 def _success(material: Material) -> str:
@@ -141,9 +153,9 @@ def _section(place: int, exhibit: Exhibit, material: Material, comparisons: Sequ
         figure = "".join(_inline(panel.svg, panel.alt) for panel in exhibit.panels)
     kind = "wide" if exhibit.wide or not (beside or tables) else "paired"
     caption = f"<figcaption><b>Figure {place}.</b> {prose(exhibit.caption)}</figcaption>"
+    source = f' <span class="source">{escape(exhibit.source)}</span>' if material.statistics.beside_paper else ""
     return (
-        f'<section id="{exhibit.name}" class="{kind}"><h2>{escape(exhibit.title)} '
-        f'<span class="source">{escape(exhibit.source)}</span></h2><div class="body">'
+        f'<section id="{exhibit.name}" class="{kind}"><h2>{escape(exhibit.title)}{source}</h2><div class="body">'
         f'<figure><div class="panels">{figure}</div>{caption}</figure>'
         + (f'<div class="beside">{beside}{tables}</div>' if beside or tables else "")
         + "</div></section>"
@@ -182,9 +194,7 @@ def _method(material: Material) -> str:
         "NE is the planar distance between base_link and the target's centroid at the end, TL the length driven; the "
         "distance of a start is planar too. Detour is TL less the straight line from start to end; the shortest way is "
         "measured along the floor to the success circle.",
-        "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances: where a reason needs one, it is "
-        "TL + NE, which holds for straight drives. A difference needs a reason from 5 % in lengths and steps, 5 mm in "
-        "NE (1 mm in its spread) and 2 percentage points in shares on.",
+        *((_ABOUT_PAPER,) if material.statistics.beside_paper else ()),
         f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Made with {software}.",
         "The same dataset gives the same page, byte for byte, with the same software.",
     )
