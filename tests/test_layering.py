@@ -36,6 +36,7 @@ DOORS = {
     "av": {"factory/export/video.py", "factory/film.py"},
     "matplotlib": {"factory/report/canvas.py"},
     "mcap": {"factory/export/mcap.py"},
+    "rosbags": {"factory/export/ros2_cdr.py"},
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},
     "obstore": {"coordinator/archive/object_store.py"},
