@@ -296,5 +296,5 @@ class Coordinator(Closing):
 
     def _write_split_tables(self) -> None:
         """At the end only, as it reads a frame of each new episode; a run that is stopped early does not wait long."""
-        if self._terms.errands is None:
+        if self._terms.errands is None and not self._changed.is_set():  # else what they are made from is missing
             write_split_tables(self._archive, None if self.is_finished() else _THUMBNAILS_S)
