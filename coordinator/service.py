@@ -20,6 +20,7 @@ from coordinator.book import LedgerBook
 from coordinator.check.validator import Validator
 from coordinator.dataset.checkpoint import is_checkpoint_owed, write_checkpoint
 from coordinator.dataset.meta import GateOutcome
+from coordinator.dataset.split_tables import write_split_tables
 from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
@@ -48,6 +49,8 @@ __all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 _WAIT_S = 0.5
+_THUMBNAILS_S = 2.0
+"""Time for thumbnails at the end of a run that is not finished."""
 
 log = structlog.get_logger(__name__)
 
@@ -124,6 +127,7 @@ class Coordinator(Closing):
             require_ledger(self._archive, url)
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
+            stack.callback(self._write_split_tables)
             stack.callback(self._write_tables)
             self._pullers = stack.enter_context(self._open_pullers(checker, nearby))
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
@@ -289,3 +293,8 @@ class Coordinator(Closing):
             except Exception:
                 self._changed.set()  # they are still owed
                 raise
+
+    def _write_split_tables(self) -> None:
+        """At the end only, as it reads a frame of each new episode; a run that is stopped early does not wait long."""
+        if self._terms.errands is None and not self._changed.is_set():  # else what they are made from is missing
+            write_split_tables(self._archive, None if self.is_finished() else _THUMBNAILS_S)

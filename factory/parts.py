@@ -6,12 +6,13 @@ from pathlib import Path
 
 from coordinator.archive.contract import EPISODES, LEDGER_FILE, QUARANTINE, SCENES
 from coordinator.dataset.card import CARD_FILE
+from coordinator.dataset.card_configs import SPLITS_FOLDER
 from coordinator.dataset.meta import META_FILE
 from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
 
 __all__ = ["is_dataset", "is_part"]
 
-_PARTS = frozenset({EPISODES, SCENES, META_FILE, METADATA_FILE, ATTEMPTS_FILE, CARD_FILE, QUARANTINE})
+_PARTS = frozenset({EPISODES, SCENES, SPLITS_FOLDER, META_FILE, METADATA_FILE, ATTEMPTS_FILE, CARD_FILE, QUARANTINE})
 
 
 def is_part(name: str) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from factory.scenes.build import load_edits
+from factory.scenes.stage_file import find_fault
 from schemas.errors import InvalidPlan, UsageError
 from schemas.plan import Plan, ScenePlan
 
@@ -30,8 +31,9 @@ def require_files(plan: Plan, kept: Collection[str] = ()) -> None:
 
 
 def _missing_of(scene: ScenePlan) -> Iterator[str]:
-    if scene.usd is not None and not Path(scene.usd).is_file():
-        yield f"usd: no USD file at {scene.usd}; give the path of the stage's root layer, from the plan's folder on"
+    fault = find_fault(Path(scene.usd)) if scene.usd is not None else ""
+    if fault:
+        yield f"usd: {fault}"
     if scene.rules is not None:
         yield from (f"rules: {line}" for line in _refusal(scene, Path(scene.rules), None))
     if scene.targets is not None:

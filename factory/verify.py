@@ -9,6 +9,7 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from types import MappingProxyType
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -17,7 +18,9 @@ from pydantic import ValidationError
 from coordinator.archive.contract import EPISODES, SCENES, index_of_file
 from coordinator.archive.place import Place, at_hand, children, table_of
 from coordinator.dataset.card import CARD_FILE
+from coordinator.dataset.card_configs import SPLITS_FOLDER, names_split_tables
 from coordinator.dataset.meta import META_FILE, DatasetMeta
+from coordinator.dataset.split_faults import FaultKind, find_faults
 from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.plan.catalog import SceneEntry, read_entry
 from coordinator.plan.draw import cells
@@ -35,6 +38,14 @@ __all__ = ["Finding", "Kind", "Report", "verify"]
 Progress = Callable[[int, int], None]
 Rows = dict[str, EpisodeSummary]
 _ROWS_AT_A_TIME = 2000
+_KIND_OF_FAULT = MappingProxyType(
+    {
+        FaultKind.ABSENT: Kind.MISSING,
+        FaultKind.SURPLUS: Kind.SURPLUS,
+        FaultKind.DAMAGED: Kind.DAMAGED,
+        FaultKind.OUTDATED: Kind.CONTRADICTION,
+    }
+)
 _CHECKS_AT_A_TIME = 4
 
 
@@ -145,8 +156,22 @@ def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
     else:
         if attempts != meta.failed_attempts:
             report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} says {meta.failed_attempts}")
-    if not (dataset.root / CARD_FILE).is_file():
+    _check_split_tables(dataset, report)
+
+
+def _check_split_tables(dataset: Dataset, report: Report) -> None:
+    """Compares them with `metadata.parquet` once the run is complete; they may be absent if the card names none."""
+    try:
+        card = (dataset.root / CARD_FILE).read_text(encoding="utf-8")
+    except FileNotFoundError:
         report.add(Kind.MISSING, CARD_FILE, "is not there")
+        card = ""
+    lags = not dataset.meta.complete
+    if not names_split_tables(card) and not children(dataset.root / SPLITS_FOLDER):
+        return
+    for fault in find_faults(dataset.root, report.deep):
+        if not (lags and fault.kind in (FaultKind.ABSENT, FaultKind.OUTDATED)):
+            report.add(_KIND_OF_FAULT[fault.kind], fault.name, f"{fault.text}; `factory repair` writes it anew")
 
 
 def _check_scenes(root: Place, meta: DatasetMeta, report: Report) -> dict[str, SceneEntry]:

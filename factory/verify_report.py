@@ -14,7 +14,7 @@ class Kind(StrEnum):
     """What is wrong, in one word."""
 
     MISSING = "missing"  # a table names it, the disk does not have it
-    SURPLUS = "surplus"  # an episode file that no table names
+    SURPLUS = "surplus"  # an episode file or split table that no row of the metadata names
     FOREIGN = "foreign"  # a file that is no part of a dataset
     TRUNCATED = "truncated"  # shorter or longer than recorded
     CHANGED = "changed"  # other bytes than recorded

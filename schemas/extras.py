@@ -32,6 +32,7 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "pxr": "sim",
         "moderngl": "render",
         "matplotlib": "report",
+        "rosbags": "ros2",
         "huggingface_hub": "hub",
         "rerun": "view",
         "gymnasium": "eval",

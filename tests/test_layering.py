@@ -38,10 +38,11 @@ DOORS = {
     "matplotlib": {"factory/report/canvas.py"},
     "jinja2": {"factory/html/"},
     "mcap": {"factory/export/mcap.py"},
+    "rosbags": {"factory/export/ros2_cdr.py"},
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},
     "obstore": {"coordinator/archive/object_store.py"},
-    "pyarrow": {"coordinator/dataset/tables.py", "coordinator/dataset/table_reader.py", "factory/"},
+    "pyarrow": {"coordinator/dataset/", "factory/"},
 }
 
 

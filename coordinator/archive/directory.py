@@ -129,18 +129,22 @@ class DirectoryArchive(Listing[Path], Closing):
         """Yields the path of a part file that replaces a table of the dataset once the block is left without error.
 
         Args:
-            name: of a file in the dataset's own directory, e.g. `metadata.parquet`.
+            name: of a file below the dataset's directory, e.g. `metadata.parquet` or `data/train_id-00000.parquet`.
 
         Raises:
             WorldError: the disk is full or gone; the former file is still there, whole.
         """
-        part = self._staging.part(name)
+        final = self.root / name
+        part = self._staging.part(final.name)
         try:
-            with translated("write", self.root / name):
+            with translated("write", final):
+                if not final.parent.is_dir():
+                    final.parent.mkdir()
+                    sync_directory(self.root)
                 yield part
                 sync_file(part)
-                part.replace(self.root / name)
-                sync_directory(self.root)
+                part.replace(final)
+                sync_directory(final.parent)
         finally:
             part.unlink(missing_ok=True)
 

@@ -141,7 +141,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
     @contextlib.contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
         """See `Archive.replacing`."""
-        part = self._staging.part(name)
+        part = self._staging.part(name.rpartition("/")[2])
         try:
             with translated("write", part):
                 yield part

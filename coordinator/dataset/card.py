@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
+from coordinator.dataset.card_configs import spell_configs, split_configs
 from coordinator.dataset.meta import DatasetMeta
 from coordinator.dataset.tally import Sums, Tally
 from schemas.language import TEMPLATES
@@ -45,12 +46,7 @@ tags:
 - segmentation
 size_categories:
 - {size}
-configs:
-- config_name: default
-  data_files: metadata.parquet
-- config_name: attempts
-  data_files: attempts.parquet
----
+{configs}---
 # {run}
 
 {episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter is told in
@@ -81,20 +77,25 @@ Categories: {categories}.
   `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
   table in `meta.json`), `actions_continuous.npy` (v in m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy`
   (x, y, z, qw, qx, qy, qz of base_link in the world), `meta.json`. Frame t is what the robot saw before action t.
+- `data/<split>-*.parquet`: the same rows by split, with a `thumbnail` (frame 0, JPEG, 160 x 160), written when
+  the run ends.
 - `attempts.parquet`: every failed attempt ({failed}) with its reason.
 - `scenes/`: the compiled scenes. `dataset_meta.json`: plan, seed, versions, digest.
 
 ## How to load it
-Rows alone, with no software of ours:
+Rows and thumbnails by split, with no software of ours:
 
 ```python
 from datasets import load_dataset
 
-rows = load_dataset("PATH_OR_REPOSITORY", split="train").filter(lambda row: row["split"] == "train_id")
+splits = load_dataset("PATH_OR_REPOSITORY")  # train_id, val_id, test_id, ...: each split that has episodes
+splits["train_id"][0]["instruction"], splits["train_id"][0]["thumbnail"]  # a PIL image
 ```
 
-(`datasets` calls the one table `train`; the split of an episode is the column `split`.) With frames and actions,
-where minivla-factory is installed:
+Until the run has ended once, `datasets` finds one table, calls it `train`, and the column `split` tells the split.
+`load_dataset(PATH, "metadata")` is that table of all splits at any time, `"attempts"` the failed attempts. All frames
+are in `episodes/`; `factory export --to webdataset` writes them for `datasets`. With frames and actions, where
+minivla-factory is installed:
 
 ```python
 from minivla import Dataset
@@ -123,14 +124,16 @@ _STRAIGHT = (
 _PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
 
 
-def dataset_card(meta: DatasetMeta, tally: Tally) -> str:
+def dataset_card(meta: DatasetMeta, tally: Tally, with_tables: Collection[str] = ()) -> str:
     """Returns the card.
 
     Args:
         meta: of the dataset.
         tally: of all its rows.
+        with_tables: splits that have split tables.
     """
     return _CARD.format(
+        configs=spell_configs(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
         size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
         pretty=f"MiniVLA-Nav, {meta.plan.name}",
         run=meta.run,

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from coordinator.archive.contract import Archive
 from coordinator.archive.place import Place
 from coordinator.dataset.card import CARD_FILE, dataset_card
+from coordinator.dataset.card_configs import splits_at
 from coordinator.dataset.meta import (
     META_FILE,
     DatasetMeta,
@@ -99,7 +100,7 @@ def write_tables(
         shared_instances=None if shared is None else dict(shared),
         gate=tuple(gate) or (former.gate if former else ()),
     )
-    _write_text(archive, CARD_FILE, dataset_card(meta, tally))
+    _write_text(archive, CARD_FILE, dataset_card(meta, tally, splits_at(archive.root)))
     _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last: it describes the others
     return meta
 

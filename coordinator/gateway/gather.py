@@ -19,6 +19,7 @@ from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.opening import open_archive
 from coordinator.archive.place import digest_of
 from coordinator.dataset.checkpoint import write_checkpoint
+from coordinator.dataset.split_tables import write_split_tables
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.keepers import all_keepers, bring_home
 from coordinator.ledger.outcomes import lose
@@ -108,6 +109,7 @@ def gather(
             tell(done, len(wanted))
         with engine.connect() as connection:
             write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+        write_split_tables(archive)
         return GatherReport(
             dataset=str(patient.root),
             run=patient.plan.run,

@@ -1,4 +1,4 @@
-"""The plans that ship with the product: `demo`, `paper`, `balanced`. Data only."""
+"""The plans that ship with the product: `demo`, `paper`, `balanced`, and how a shrunk `paper` is told. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from types import MappingProxyType
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
 
-__all__ = ["BUILTIN_PLANS"]
+__all__ = ["BUILTIN_PLANS", "is_paper_plan"]
 
 _DEMO = Plan(
     name="demo",
@@ -41,3 +41,10 @@ _BALANCED = Plan(
 """Equal scenes, equal categories, the planner expert, colours on, instances of training and evaluation kept apart."""
 
 BUILTIN_PLANS = MappingProxyType({plan.name: plan for plan in (_DEMO, _PAPER, _BALANCED)})
+
+
+def is_paper_plan(plan: Plan) -> bool:
+    """Returns whether a plan is `paper`, or `paper` with fewer scenes or episodes, another expert or another seed."""
+    theirs = [ScenePlan(name=scene.name, episodes=part.episodes) for scene in _PAPER.scenes for part in plan.scenes]
+    whole = plan.model_copy(update={"scenes": _PAPER.scenes, "expert": _PAPER.expert, "seed": _PAPER.seed})
+    return whole == _PAPER and all(scene in theirs for scene in plan.scenes)

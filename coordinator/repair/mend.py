@@ -6,7 +6,7 @@ Deletes nothing that could be an episode or a ledger: what it takes away lies in
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -21,6 +21,8 @@ from coordinator.archive.place import Place, relative_name
 from coordinator.dataset.card import CARD_FILE
 from coordinator.dataset.checkpoint import read_failures, write_checkpoint
 from coordinator.dataset.meta import META_FILE, read_dataset_meta
+from coordinator.dataset.split_faults import find_faults
+from coordinator.dataset.split_tables import write_split_tables
 from coordinator.dataset.table_reader import read_column, read_failed_attempts
 from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.ledger.engine import ledger_trouble, open_reader, open_writer, sqlite_files
@@ -33,7 +35,7 @@ from coordinator.puller import Checker
 from coordinator.repair.report import Action, RepairKind, RepairReport
 from coordinator.repair.survey import Survey, Tell, survey_archive
 from coordinator.summary import EpisodeSummary
-from schemas.errors import WorldError
+from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
 
@@ -172,6 +174,8 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
         found[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
         found[CARD_FILE] = "is not there"
+    with suppress(ArchiveCorrupt):  # named above
+        found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
     return found
 
 
@@ -202,6 +206,7 @@ def _carry_out(patient: Patient, archive: Archive, survey: Survey, trouble: str,
             _adopt(engine, patient, archive, summary, now)
         with engine.connect() as connection:
             write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+        write_split_tables(archive, deep=True)
     finally:
         engine.dispose()
 

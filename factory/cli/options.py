@@ -17,6 +17,7 @@ from schemas.plan import Plan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName, RendererKind
 
 __all__ = [
+    "compare_option",
     "dataset_argument",
     "ledger_option",
     "out_option",
@@ -32,6 +33,14 @@ __all__ = [
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+compare_option = click.option(
+    "--compare-paper/--no-compare-paper",
+    default=None,
+    help="Show the paper's published values beside the dataset's.  [default: for plan `paper` and its parts only]",
+)
+"""`--compare-paper`: on, off, or by the dataset's plan."""
 
 
 def plan_argument(default: str | None) -> Callable[[Command], Command]:

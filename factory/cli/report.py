@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
-from factory.cli.options import place_argument
+from factory.cli.options import compare_option, place_argument
 from factory.cli.output import json_option, print_json
 from factory.logs import configure_logs
 
@@ -24,14 +24,15 @@ __all__ = ["command"]
 @place_argument
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the report.")
 @click.option("--force", is_flag=True, help="Write into a folder that is not empty; what else it holds is kept.")
+@compare_option
 @json_option
-def command(root: Place, out: Path, force: bool, as_json: bool) -> int:
+def command(root: Place, out: Path, force: bool, compare_paper: bool | None, as_json: bool) -> int:
     """Draw the paper's figures of the dataset into OUT/figures and the page OUT/report.html.
 
     The page needs no network. Exit 1 when something was left out for damage; the page says what and why.
     """
     configure_logs()
-    summary = _make(root, out, force)
+    summary = _make(root, out, force, compare_paper)
     if as_json:
         print_json({"page": str(out / "report.html"), **summary.model_dump(mode="json")})
     else:
@@ -42,12 +43,16 @@ def command(root: Place, out: Path, force: bool, as_json: bool) -> int:
     return 1 if any(remark.is_damage for remark in summary.remarks) else 0
 
 
-def _make(root: Place, out: Path, force: bool) -> Summary:
+def _make(root: Place, out: Path, force: bool, compare_paper: bool | None) -> Summary:
     from factory.report import make_report  # matplotlib takes half a second and may be missing
 
     columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Bars(*columns) as bar:
         tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}
         return make_report(
-            root, out, force, lambda what, done, total: bar.update(tasks[what], completed=done, total=total)
+            root,
+            out,
+            force,
+            lambda what, done, total: bar.update(tasks[what], completed=done, total=total),
+            compare_paper,
         )

@@ -4,6 +4,7 @@ file of a compiled package.
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Collection
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from factory.imported import find_imported
+from factory.scenes.stage_file import STAGE_SUFFIXES, find_fault
 from factory.settings import scene_cache
 from schemas.errors import UsageError
 from schemas.meant import did_you_mean
@@ -38,13 +40,15 @@ def chosen_scene(scene: str, seed: int) -> CompiledScene:
     """Returns the scene that a user named; of several packages imported under one name the last, and says so.
 
     Raises:
-        UsageError: no such name or file, or a file that is a stage and no package.
+        UsageError: no such name or file, or a file that is not a package.
     """
     path = Path(scene)
-    if path.suffix.lower().startswith(".usd"):
+    if path.suffix.lower() in STAGE_SUFFIXES:
         raise UsageError(f"{scene} is a stage; compile it with `factory scene import {scene}` and give the package")
     if path.suffix and not path.is_file():
         raise UsageError(f"no file {scene}; give a compiled package (*.scene.zip) or the name of a scene")
+    if path.is_file() and path.suffix.lower() != ".zip" and not zipfile.is_zipfile(path):
+        raise UsageError(f"{find_fault(path)}; compile the stage with `factory scene import` and give the package")
     return open_scene(path if path.is_file() else _package_called(scene, seed))
 
 

@@ -1,11 +1,11 @@
-"""`factory stats`: every table of the paper for a dataset, beside what the paper publishes."""
+"""`factory stats`: every table of the paper for a dataset, and beside it what the paper publishes."""
 
 from __future__ import annotations
 
 import click
 
 from coordinator.archive.place import Place
-from factory.cli.options import place_argument
+from factory.cli.options import compare_option, place_argument
 from factory.cli.output import json_option, print_json
 from factory.cli.stats_tables import print_statistics
 from factory.logs import configure_logs
@@ -16,11 +16,12 @@ __all__ = ["command"]
 
 @click.command("stats")
 @place_argument
+@compare_option
 @json_option
-def command(root: Place, as_json: bool) -> int:
+def command(root: Place, compare_paper: bool | None, as_json: bool) -> int:
     """Print the statistics of a dataset; exit 1 when something was left out for damage."""
     configure_logs()
-    statistics = measure_dataset(root)
+    statistics = measure_dataset(root, compare_paper)
     if as_json:
         print_json(statistics.model_dump(mode="json"))
     else:

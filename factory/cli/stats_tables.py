@@ -1,4 +1,4 @@
-"""Statistics as text tables, the paper's values in the last columns. Prints, never computes."""
+"""Statistics as text tables, the paper's values in the last columns where they are compared. Prints only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ def print_statistics(statistics: Statistics) -> None:
     """Prints all tables."""
     found, planned = statistics.episodes, statistics.planned
     click.echo(f"{statistics.dataset}: {found} of {planned} episodes, run {statistics.run}, {statistics.expert} expert")
-    click.echo("NE and TL in metres, means unless said; `paper`: as published; intervals: 95 %")
+    beside = statistics.beside_paper
+    published = "; `paper`: as published" if beside else ""
+    click.echo(f"NE and TL in metres, means unless said{published}; intervals: 95 %")
     for name, rows in (
         ("scene", statistics.scenes),
         ("split", statistics.splits),
@@ -28,14 +30,14 @@ def print_statistics(statistics: Statistics) -> None:
         ("scene / tier", statistics.scene_tiers),
     ):
         _print_rollouts(name, rows)
-    _print_counts("category", statistics.categories)
-    three, published = _percent(statistics.three_largest_share), _percent(paper.THREE_LARGEST_SHARE)
-    click.echo(f"three largest categories: {three} of the episodes (paper {published})")
-    _print_counts("template", statistics.templates)
-    _print_attempts(statistics.attempts)
+    _print_counts("category", statistics.categories, beside)
+    published = f" (paper {_percent(paper.THREE_LARGEST_SHARE)})" if beside else ""
+    click.echo(f"three largest categories: {_percent(statistics.three_largest_share)} of the episodes{published}")
+    _print_counts("template", statistics.templates, beside)
+    _print_attempts(statistics.attempts, beside)
     _print_cells(statistics)
-    _print_errors(statistics.navigation_error, statistics.success_radius_m)
-    _print_fits(statistics.correlation)
+    _print_errors(statistics.navigation_error, statistics.success_radius_m, beside)
+    _print_fits((*statistics.correlation, paper.FIT) if beside else statistics.correlation)
     _print_overlap(statistics)
 
 
@@ -65,15 +67,15 @@ def _published_cells(row: RolloutRow) -> tuple[str, ...]:
     )
 
 
-def _print_counts(name: str, rows: Sequence[CountRow]) -> None:
+def _print_counts(name: str, rows: Sequence[CountRow], beside: bool) -> None:
     body = []
     for row in rows:
         said = (_number(row.paper.n, 0), _percent(row.paper.share)) if row.paper else (_DASH, _DASH)
-        body.append((row.group, row.kind, str(row.n), _percent(row.share), *said))
-    _table((name, "kind", "N", "share", "paper N", "paper share"), body)
+        body.append((row.group, row.kind, str(row.n), _percent(row.share), *(said if beside else ())))
+    _table((name, "kind", "N", "share", *(("paper N", "paper share") if beside else ())), body)
 
 
-def _print_attempts(rows: Sequence[AttemptRow] | None) -> None:
+def _print_attempts(rows: Sequence[AttemptRow] | None, beside: bool) -> None:
     if rows is None:
         return
     body = [
@@ -86,12 +88,18 @@ def _print_attempts(rows: Sequence[AttemptRow] | None) -> None:
             _percent(row.collision.share),
             _percent(row.timeout.share),
             ", ".join(f"{count} {reason}" for reason, count in row.reasons.items()) or _DASH,
-            "-".join(f"{100 * end:.0f}" for end in row.paper.rate) + " %" if row.paper and row.paper.rate else _DASH,
+            *((_published_rate(row),) if beside else ()),
         )
         for row in rows
     ]
     columns = ("scene / tier", "attempts", "won", "success", "first attempts", "collision", "timeout", "failed by")
-    _table((*columns, "paper success"), body)
+    _table((*columns, *(("paper success",) if beside else ())), body)
+
+
+def _published_rate(row: AttemptRow) -> str:
+    if row.paper is None or row.paper.rate is None:
+        return _DASH
+    return "-".join(f"{100 * end:.0f}" for end in row.paper.rate) + " %"
 
 
 def _print_cells(statistics: Statistics) -> None:
@@ -102,22 +110,24 @@ def _print_cells(statistics: Statistics) -> None:
     _table(("scene", "split", "tier", "planned", "archived", "attempts"), body)
 
 
-def _print_errors(rows: Sequence[ErrorRow], radius_m: float) -> None:
+def _print_errors(rows: Sequence[ErrorRow], radius_m: float, beside: bool) -> None:
     levels = next((list(row.quantiles) for row in rows if row.quantiles), [])
     body = []
     for row in rows:
         quantiles = [_number(row.quantiles.get(level), 3) for level in levels]
         said = (_number(row.paper.ne_mean_m, 3), _number(row.paper.ne_std_m, 4)) if row.paper else (_DASH, _DASH)
         within = _percent(row.within_radius.share)
-        body.append((row.group, str(row.n), _number(row.mean, 3), _number(row.std, 4), *quantiles, within, *said))
+        numbers = (_number(row.mean, 3), _number(row.std, 4), *quantiles, within)
+        body.append((row.group, str(row.n), *numbers, *(said if beside else ())))
     within_name = f"<= {radius_m:g} m"
-    _table(("NE by scene", "N", "mean", "std", *levels, within_name, "paper mean", "paper std"), body)
+    published = ("paper mean", "paper std") if beside else ()
+    _table(("NE by scene", "N", "mean", "std", *levels, within_name, *published), body)
 
 
 def _print_fits(fits: Sequence[Fit]) -> None:
     _table(
         ("TL over spawn distance", "N", "r", "95 % interval", "p", "slope m/m", "intercept m", "remark"),
-        [_fit_cells(fit) for fit in (*fits, paper.FIT)],
+        [_fit_cells(fit) for fit in fits],
     )
 
 

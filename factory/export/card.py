@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
+from coordinator.dataset.card_configs import Configs, spell_configs
 from coordinator.dataset.meta import DatasetMeta
 
 __all__ = ["CARD_FILE", "TAGS", "export_card"]
@@ -41,7 +42,7 @@ def export_card(
     meta: DatasetMeta,
     episodes: int,
     text: str,
-    configs: Mapping[str, str] | None = None,
+    configs: Configs | None = None,
     tags: Sequence[str] = (),
 ) -> str:
     """Returns the card.
@@ -50,14 +51,14 @@ def export_card(
         meta: of the dataset.
         episodes: in the export.
         text: Markdown below the title.
-        configs: name -> path or pattern of its files, for the hub's viewer; the first is the default.
+        configs: name -> split -> path or pattern of its files, for the hub's viewer; the first is the default.
         tags: besides the common ones.
     """
     front = _FRONT.format(
         title=meta.run,
         tags="\n".join(f"- {tag}" for tag in (*tags, *TAGS)),
         size=next((name for limit, name in _SIZES if episodes < limit), "n>1M"),
-        configs=_configs(configs or {}),
+        configs=spell_configs(configs) if configs else "",
     )
     origin = (
         f"{episodes} episodes of language-conditioned robot navigation, made with minivla-factory from seed "
@@ -65,13 +66,3 @@ def export_card(
         f"it stops within {meta.plan.task.success_radius_m:g} m of it.\n\n"
     )
     return front + origin + text.strip() + "\n"
-
-
-def _configs(configs: Mapping[str, str]) -> str:
-    if not configs:
-        return ""
-    lines = ["configs:"]
-    for number, (name, path) in enumerate(configs.items()):
-        lines += [f"- config_name: {name}", *(["  default: true"] if number == 0 else [])]
-        lines += ["  data_files:", "  - split: train", f"    path: {path}"]  # one split: `all` is reserved on the hub
-    return "\n".join(lines) + "\n"

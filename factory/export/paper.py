@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import Field
 
+from coordinator.dataset.card_configs import SPLITS_FOLDER
 from coordinator.dataset.meta import META_FILE, DatasetMeta
 from coordinator.dataset.tables import METADATA_FILE
 from coordinator.summary import PUBLISHED_COLUMNS
@@ -32,7 +34,8 @@ _CARD = """
   optical axis, 0 where nothing was hit; `seg_front/000000.png`: 16-bit instance ids, named in `meta.json`.
 - `actions_continuous.npy` (T, 2): v in m/s, w in rad/s; `actions_tokens.npy` (T, 2): 0..6; `poses.npy` (T, 7): x, y, z,
   qw, qx, qy, qz of base_link in the world frame. Frame t is what the robot saw before action t.
-- `metadata.parquet`: one row an episode; `dataset_meta.json`: plan, seed, versions.
+- `metadata.parquet`: one row an episode; `data/<split>.parquet`: the same rows by split;
+  `dataset_meta.json`: plan, seed, versions.
 """
 
 
@@ -67,12 +70,20 @@ class PaperExporter(Exporter[PaperOptions, Facts]):
         return Facts(frames=len(episode))
 
     def finish(self, export: Finish[PaperOptions, Facts]) -> None:
-        """Writes `metadata.parquet`, `dataset_meta.json` and the card."""
+        """Writes `metadata.parquet`, its rows by split, `dataset_meta.json` and the card."""
         table = _metadata(export.dataset.metadata, [piece.position for piece in export.pieces], export.options)
         with export.out.replacing(METADATA_FILE) as part:
             pq.write_table(table, part, compression="zstd")
+        splits = list(dict.fromkeys(table["split"].to_pylist()))
+        for split in splits:
+            with export.out.replacing(f"{SPLITS_FOLDER}/{split}.parquet") as part:
+                pq.write_table(table.filter(pc.equal(table["split"], split)), part, compression="zstd")
         meta = _part_of(export.dataset, [piece.episode_id for piece in export.pieces])
-        card = export_card(meta, len(export.pieces), _CARD, {"default": METADATA_FILE})
+        configs = {
+            "default": {split: f"{SPLITS_FOLDER}/{split}.parquet" for split in splits},
+            "metadata": {"train": METADATA_FILE},
+        }
+        card = export_card(meta, len(export.pieces), _CARD, configs)
         export.out.write_text(CARD_FILE, card)
         export.out.write_text(META_FILE, meta.model_dump_json(indent=1))
 

@@ -108,7 +108,8 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
                         join_members((piece.folder / MEMBERS_FILE for piece in shard.pieces), part)
                 listed.append({"name": shard.name, "split": split, "samples": shard.samples, **_contents(shard)})
         export.out.write_text(SHARDS_FILE, json.dumps({"shards": listed}, indent=1) + "\n")
-        configs = {split: f"{split}-*.tar" for split in splits}
+        files = {split: f"{split}-*.tar" for split in splits}
+        configs = {"default": files} | {split: {"train": path} for split, path in files.items()}
         card = export_card(export.dataset.meta, len(export.pieces), _CARD, configs, tags=("webdataset",))
         export.out.write_text(CARD_FILE, card)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, STAGING
+from coordinator.dataset.card_configs import SPLITS_FOLDER
 from coordinator.dataset.meta import META_FILE
 from schemas.errors import UsageError, WorldError
 
@@ -24,7 +25,7 @@ _MAX_FILES_A_FOLDER = 10_000
 _LEROBOT_INFO = Path("meta/info.json")
 _JSON_BYTES = 16 << 20
 """The largest description that is read."""
-_DATASET_FOLDERS = (EPISODES, SCENES)
+_DATASET_FOLDERS = (EPISODES, SCENES, SPLITS_FOLDER)
 _REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
 _VERSION = re.compile(r"v\d+\.\d+")
 

@@ -26,8 +26,8 @@ _ALIKE_SHARE = 0.02
 
 
 def compare(material: Material) -> tuple[Comparison, ...]:
-    """Returns every number that the paper prints and that this dataset can be asked for."""
-    if not material.episodes:
+    """Returns every number that the paper prints and that this dataset has; none where it is not compared."""
+    if not material.episodes or not material.statistics.beside_paper:
         return ()
     return (
         *_lengths(material),

@@ -32,13 +32,19 @@ _SHARE_WANTED = 0.08
 """Share of the picture that the target of a good sample covers."""
 
 
-def gather(root: Place, on_progress: Progress = lambda _done, _all: None, samples: int = 8) -> Material:
+def gather(
+    root: Place,
+    on_progress: Progress = lambda _done, _all: None,
+    samples: int = 8,
+    compare_paper: bool | None = None,
+) -> Material:
     """Returns all that a report of the dataset shows.
 
     Args:
         root: of the dataset.
         on_progress: called with the number of episodes read and their total.
         samples: frames of the panel.
+        compare_paper: see `measure_dataset`.
 
     Raises:
         WorldError: there is no dataset, or it is of a newer format.
@@ -54,7 +60,7 @@ def gather(root: Place, on_progress: Progress = lambda _done, _all: None, sample
         for done, row in enumerate(chosen, 1):
             _read_drive(root, row, row.episode_id in shown, drives, rows)
             on_progress(done, len(chosen))
-    statistics = compute_statistics(rows.meta.run, rows)
+    statistics = compute_statistics(rows.meta.run, rows, compare_paper)
     return Material(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
 
 

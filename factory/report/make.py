@@ -20,7 +20,11 @@ Progress = Callable[[str, int, int], None]
 
 
 def make_report(
-    root: Place, out: Path, force: bool = False, on_progress: Progress = lambda _what, _done, _all: None
+    root: Place,
+    out: Path,
+    force: bool = False,
+    on_progress: Progress = lambda _what, _done, _all: None,
+    compare_paper: bool | None = None,
 ) -> Summary:
     """Writes the report of a dataset: `report.html`, `figures/*.svg`, `figures/*.png` and `report.json`.
 
@@ -29,6 +33,7 @@ def make_report(
         out: a folder that is empty, absent or holds an earlier report.
         force: whether to write into a folder that holds something else; nothing of it is deleted.
         on_progress: called with what is being done, how many are done and their total.
+        compare_paper: see `measure_dataset`.
 
     Raises:
         UsageError: `out` is no place for a report.
@@ -36,7 +41,7 @@ def make_report(
         ArchiveCorrupt: the dataset's description or table of episodes cannot be read at all.
     """
     require_usable(out, force)
-    material = gather(root, lambda done, total: on_progress("episodes", done, total))
+    material = gather(root, lambda done, total: on_progress("episodes", done, total), compare_paper=compare_paper)
     files, summary = render_report(material, lambda done, total: on_progress("figures", done, total))
     write_files(out, files, summary)
     return summary

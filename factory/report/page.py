@@ -24,6 +24,11 @@ __all__ = ["write_page"]
 
 _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
+_ABOUT_PAPER = (
+    "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances: where a reason needs one, it is "
+    "TL + NE, which holds for straight drives. A difference needs a reason from 5 % in lengths and steps, 5 mm in "
+    "NE (1 mm in its spread) and 2 percentage points in shares on."
+)
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,7 @@ def write_page(material: Material, exhibits: Sequence[Exhibit], comparisons: Seq
         contents=[("overview", "Overview"), *anchors, ("method", "Method")],
         remarks=material.statistics.remarks,
         tiles=_tiles(material),
-        verdict=_verdict(comparisons),
+        verdict=_verdict(material, comparisons),
         sections=[_section(exhibit, material, comparisons) for exhibit in exhibits],
         method=_method(material),
     )
@@ -88,16 +93,30 @@ def _badges(material: Material) -> Iterator[str]:
 
 
 def _tiles(material: Material) -> Sequence[tuple[str, str, str]]:
-    """What, ours and the paper's."""
+    """Measure, value here, and the paper's value where it is compared."""
     everything, fit = material.statistics.scenes[-1], material.statistics.correlation[0]
-    said = paper.OVERALL
-    return (
+    said, beside = paper.OVERALL, material.statistics.beside_paper
+    tiles = (
         ("episodes", str(everything.n), str(said.n)),
         ("success, of attempts", _success(material), "40–90 %"),
         ("navigation error", _with_unit(everything.ne_mean_m, 3, "m"), _with_unit(said.ne_mean_m, 3, "m")),
         ("trajectory length", _with_unit(everything.tl_mean_m, 2, "m"), _with_unit(said.tl_mean_m, 2, "m")),
         ("steps", number(everything.steps_mean, 1), number(said.steps_mean, 1)),
         ("r, distance and length", number(fit.r, 3), number(paper.FIT.r, 2)),
+    )
+    return [(what, ours, f"paper {theirs}" if beside else "") for what, ours, theirs in tiles]
+
+
+def _verdict(material: Material, comparisons: Sequence[Comparison]) -> str:
+    if not material.statistics.episodes:
+        return "There are no episodes yet."
+    means = "Means of NE, TL and steps; the tables give the rest."
+    if not comparisons:
+        return means
+    away = [row for row in comparisons if row.reason]
+    return (
+        f"{len(comparisons)} numbers of the paper are compared with this dataset; {len(away)} differ noticeably, each "
+        f"with its reason beside the figure. {means}"
     )
 
 
@@ -110,23 +129,13 @@ def _with_unit(value: float | None, digits: int, unit: str) -> str:
     return DASH if value is None else f"{number(value, digits)} {unit}"
 
 
-def _verdict(comparisons: Sequence[Comparison]) -> str:
-    if not comparisons:
-        return "There are no episodes yet, so there is nothing to compare with the paper."
-    away = sum(bool(row.reason) for row in comparisons)
-    return (
-        f"{len(comparisons)} numbers of the paper can be asked of this dataset; {away} differ noticeably, and each "
-        "says why beside its figure. Means of NE, TL and steps; tables give the rest."
-    )
-
-
 def _section(exhibit: Exhibit, material: Material, comparisons: Sequence[Comparison]) -> _Section:
     beside = [spell_comparison(row) for row in comparisons if row.exhibit == exhibit.name]
     shows_samples = exhibit.name == "samples"
     return _Section(
         name=exhibit.name,
         title=exhibit.title,
-        source=exhibit.source,
+        source=exhibit.source if material.statistics.beside_paper else "",
         caption=exhibit.caption,
         drawings=[] if shows_samples else [_inline(panel) for panel in exhibit.panels],
         samples=list(_pictures(material.drives.samples)) if shows_samples else [],
@@ -166,9 +175,7 @@ def _method(material: Material) -> Sequence[str]:
         "NE is the planar distance between base_link and the target's centroid at the end, TL the length driven; the "
         "distance of a start is planar too. Detour is TL less the straight line from start to end; the shortest way is "
         "measured along the floor to the success circle.",
-        "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances: where a reason needs one, it is "
-        "TL + NE, which holds for straight drives. A difference needs a reason from 5 % in lengths and steps, 5 mm in "
-        "NE (1 mm in its spread) and 2 percentage points in shares on.",
+        *((_ABOUT_PAPER,) if material.statistics.beside_paper else ()),
         f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Made with {software}.",
         "The same dataset gives the same page, byte for byte, with the same software.",
     )

@@ -16,6 +16,7 @@ from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene
 from factory.scenes.cached import mark_as_last, package_name, recall_package, remember_package, write_whole
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, load_rules
+from factory.scenes.stage_file import require_stage
 from factory.scenes.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import UsageError
@@ -111,9 +112,11 @@ def import_scene(
         The path of the package; its name carries the first digits of its content's SHA-256.
 
     Raises:
-        UsageError: no such file, a name that cannot be used, or a list that names prims the stage lacks.
+        UsageError: no such file, another format than USD, a name that cannot be used, or a list that names prims the
+            stage lacks.
         WorldError: the stage cannot become a scene; the message says why.
     """
+    require_stage(path)
     if not _NAME.fullmatch(name):
         raise UsageError(f"{name!r} cannot name a scene; use lower-case letters, digits and _, a letter first")
     if name in BUILTIN_SCENES:

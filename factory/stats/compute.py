@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from coordinator.archive.place import Place
+from coordinator.plan.builtin import is_paper_plan
 from factory.stats import attempts, counts, rollouts
 from factory.stats.model import Statistics
 from factory.stats.rows import Rows, read_rows
@@ -10,20 +11,40 @@ from factory.stats.rows import Rows, read_rows
 __all__ = ["compute_statistics", "measure_dataset"]
 
 _LARGEST = 3
+_WITH_PAPER = ("scenes", "splits", "tiers", "categories", "templates", "attempts", "navigation_error")
+"""Tables whose rows may have the paper's values."""
 
 
-def measure_dataset(root: Place) -> Statistics:
-    """Returns every table of a dataset directory; what is left out stands in the remarks.
+def measure_dataset(root: Place, compare_paper: bool | None = None) -> Statistics:
+    """Returns every table of a dataset directory; the remarks name what is left out.
+
+    Args:
+        root: of the dataset.
+        compare_paper: whether to put the paper's values beside; `None` does so for the plan `paper` and its parts.
 
     Raises:
         WorldError: there is no dataset, or it is of a newer format.
         ArchiveCorrupt: its description or its table of episodes cannot be read at all.
     """
-    return compute_statistics(str(root), read_rows(root))
+    return compute_statistics(str(root), read_rows(root), compare_paper)
 
 
-def compute_statistics(name: str, rows: Rows) -> Statistics:
-    """Returns every table of the rows of a dataset called `name`."""
+def compute_statistics(name: str, rows: Rows, compare_paper: bool | None = None) -> Statistics:
+    """Returns every table of the rows of a dataset called `name`; see `measure_dataset`."""
+    found = _all_tables(name, rows)
+    is_wanted = is_paper_plan(rows.meta.plan) if compare_paper is None else compare_paper
+    return found if is_wanted else _without_paper(found)
+
+
+def _without_paper(found: Statistics) -> Statistics:
+    changes: dict[str, object] = {"beside_paper": False}
+    for table in _WITH_PAPER:
+        rows = getattr(found, table)
+        changes[table] = rows and tuple(row.model_copy(update={"paper": None}) for row in rows)
+    return found.model_copy(update=changes)
+
+
+def _all_tables(name: str, rows: Rows) -> Statistics:
     plan, episodes, failures = rows.meta.plan, rows.episodes, rows.failures
     scenes = [scene.name for scene in plan.scenes]
     radius_m = plan.task.success_radius_m

@@ -177,6 +177,8 @@ class Statistics(Model):
     planned: Count
     complete: bool
     success_radius_m: float
+    beside_paper: bool = True
+    """Whether the rows below have the paper's values beside them."""
     remarks: tuple[Remark, ...]
     scenes: tuple[RolloutRow, ...]
     splits: tuple[RolloutRow, ...]

@@ -55,6 +55,30 @@ def test_showing_a_plan_whose_stage_is_missing_says_where_it_was_looked_for(fact
     assert f"no USD file at {tmp_path}/lab/w.usda" in factory("plan", "show", plan, expect=2).stderr
 
 
+def test_every_verb_that_takes_a_stage_refuses_a_gltf_file_before_anything_is_built(factory, tmp_path):
+    (tmp_path / "shop.glb").write_bytes(b"glTF\x02\x00\x00\x00")
+    plan = tmp_path / "mine.toml"
+    plan.write_text(
+        '[splits]\ntrain_id = 1.0\n[[scenes]]\nname = "office"\nepisodes = 1\n'
+        '[[scenes]]\nname = "shop"\nusd = "shop.glb"\nseen = ["chair"]\nepisodes = 2\n'
+    )
+    for verb in (
+        ("scene", "import", tmp_path / "shop.glb", "--cache", tmp_path / "cache"),
+        ("scene", "inspect", tmp_path / "shop.glb"),
+        ("scene", "survey", tmp_path / "shop.glb"),
+        ("plan", "show", plan),
+        ("plan", "nearest", plan),
+        ("run", plan, "--out", tmp_path / "x"),
+        ("gate", "--plan", plan, "--scene", "shop"),
+        ("coordinator", "start", plan, "--out", tmp_path / "x"),
+    ):
+        err = factory(*verb, expect=2).stderr
+        assert "shop.glb is glTF, not a USD stage; supported are USD stages: .usd, .usda, .usdc, .usdz" in err, verb
+        assert "bpy.ops.import_scene.gltf(filepath='shop.glb')" in err
+        assert "building" not in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.toml", "shop.glb"]
+
+
 def test_an_own_scene_is_compiled_once_and_then_compared_with_what_is_asked_of_it(factory, tmp_path):
     StageText().write(tmp_path / "room.usda", room_body(StageText()))
     plan = tmp_path / "mine.toml"

@@ -6,6 +6,8 @@ import signal
 import socket
 from pathlib import Path
 
+import pyarrow.parquet as pq
+
 from tests.acceptance.factory_cli import FactoryCli, episodes_in, kill_group, wait_for
 
 
@@ -20,6 +22,17 @@ def free_endpoint() -> str:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def test_a_finished_run_has_a_table_with_thumbnails_for_each_split_that_has_episodes(calm):
+    rows = [row for path in sorted((calm / "data").iterdir()) for row in pq.read_table(path).to_pylist()]
+    assert sorted(path.name for path in (calm / "data").iterdir()) == [
+        "test_ood_obj-00000.parquet",
+        "train_id-00000.parquet",
+    ]
+    assert sorted(row["index"] for row in rows) == [1, 2, 3, 4, 5]
+    assert all(row["thumbnail"]["bytes"].startswith(b"\xff\xd8") for row in rows)
+    assert "path: data/train_id-*.parquet" in (calm / "README.md").read_text()
 
 
 def test_two_workers_make_the_same_dataset_as_one(factory, plan, calm, tmp_path):

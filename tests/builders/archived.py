@@ -9,6 +9,7 @@ from pathlib import Path
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.dataset.checkpoint import write_checkpoint
+from coordinator.dataset.split_tables import write_split_tables
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import ledger_url_of, planned_of
@@ -103,3 +104,4 @@ class ArchivedRun:
     def _write_tables(self, archive: Archive) -> None:
         with self.desk.engine.connect() as connection:
             write_checkpoint(archive, connection, self.plan, self.catalog, self.desk.now)
+        write_split_tables(archive)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
+from coordinator.dataset.split_tables import write_split_tables
 from coordinator.dataset.tables import write_tables
 from coordinator.failed_attempt import FailedAttempt
 from coordinator.summary import EpisodeSummary, summary_of
@@ -50,8 +52,15 @@ def office_package() -> bytes:
     return encode_scene(dataclasses.replace(scene, info=info, spawn_sees=sees))
 
 
-def make_dataset(root: Path, episodes: int = 3, planned: int | None = None) -> Plan:
-    """Writes a dataset of the smallest episodes; complete unless more are planned."""
+def make_dataset(
+    root: Path,
+    episodes: int = 3,
+    planned: int | None = None,
+    splits: Sequence[Split] = (Split.TRAIN_ID,),
+    failures: Sequence[FailedAttempt] | None = None,
+    with_split_tables: bool = True,
+) -> Plan:
+    """Writes a dataset of the smallest episodes, the splits by turns; complete unless more are planned."""
     plan = small_plan(planned or episodes)
     package = office_package()
     sha256 = hashlib.sha256(package).hexdigest()
@@ -60,15 +69,22 @@ def make_dataset(root: Path, episodes: int = 3, planned: int | None = None) -> P
     with open_archive(root) as archive:
         archive.add_scene(source, "office", sha256)
         rows = [
-            archive_episode(archive, episode_of(plan, index, sha256, len(package))) for index in range(1, episodes + 1)
+            archive_episode(archive, episode_of(plan, index, sha256, len(package), splits[(index - 1) % len(splits)]))
+            for index in range(1, episodes + 1)
         ]
-        write_tables(archive, plan, {"office": sha256}, rows, [failure(1)], NOW)
+        lost = [failure(1)] if failures is None else failures
+        write_tables(archive, plan, {"office": sha256}, rows, lost, NOW)
+        if with_split_tables:
+            write_split_tables(archive)
     return plan
 
 
-def episode_of(plan: Plan, index: int, scene_sha256: str, scene_bytes: int) -> BundleParts:
+def episode_of(
+    plan: Plan, index: int, scene_sha256: str, scene_bytes: int, split: Split = Split.TRAIN_ID
+) -> BundleParts:
     """Returns the parts of an episode of the plan."""
-    job = job_for(index, run=plan.run, plan_digest=plan.digest, scene_sha256=scene_sha256, scene_bytes=scene_bytes)
+    made_with = {"plan_digest": plan.digest, "scene_sha256": scene_sha256, "scene_bytes": scene_bytes}
+    job = job_for(index, run=plan.run, split=split, **made_with)
     return parts_for(job)
 
 

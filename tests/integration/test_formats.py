@@ -95,7 +95,8 @@ DATASETS_READER = """
 import json, sys
 import datasets
 found = []
-data = datasets.load_dataset(sys.argv[1], "train_id", streaming=True, split="train")
+config, split = sys.argv[2:]
+data = datasets.load_dataset(sys.argv[1], config, streaming=True, split=split)
 for sample in data:
     image = sample["rgb.png"]
     found.append([sample["__key__"], image.size, int(sample["seg.npy.gz"][0][0]), len(sample["depth.npy.gz"]),
@@ -127,12 +128,26 @@ def test_webdataset_reads_the_shards(dataset, shards):
         assert (sample["action"]["v_mps"], sample["action"]["w_rps"]) == pytest.approx(tuple(mean), abs=1e-6)
 
 
-def test_datasets_streams_the_shards_by_the_card(shards):
-    found = run_reader(DATASETS_READER, shards)
+@pytest.mark.parametrize(("config", "split"), [("default", "train_id"), ("train_id", "train")])
+def test_datasets_streams_the_shards_by_the_card(shards, config, split):
+    found = run_reader(DATASETS_READER, shards, config, split)
     assert len(found) == 8
     assert {tuple(size) for _, size, _, _, _, _ in found} == {(640, 640)}
     assert {corner for _, _, corner, _, _, _ in found} == {0}
     assert {rows for _, _, _, rows, _, _ in found} == {640}
+
+
+def test_datasets_finds_each_split_of_the_papers_tree(dataset, tmp_path):
+    out = export(dataset, tmp_path / "out", "paper", split_names="published")
+    code = (
+        "import json, sys, datasets; loaded = datasets.load_dataset(sys.argv[1], cache_dir=sys.argv[2]); "
+        "told = {split: [(row['episode_id'], row['split']) for row in rows] for split, rows in loaded.items()}; "
+        "print(json.dumps(told))"
+    )
+    assert run_reader(code, out, tmp_path / "cache") == {
+        "train_id": [["ep_000001", "train_id"], ["ep_000003", "train_id"]],
+        "test_id": [["ep_000002", "test_id"]],
+    }
 
 
 def test_shards_are_plain_tars_that_the_list_describes(dataset, shards):

@@ -15,6 +15,9 @@ from coordinator.archive.objects import ObjectArchive
 from coordinator.archive.opening import open_archive
 from coordinator.archive.place import place_of
 from coordinator.check.validator import Validator
+from coordinator.dataset.card_configs import names_split_tables
+from coordinator.dataset.split_faults import find_faults
+from coordinator.dataset.split_layout import read_pictures, split_tables_of
 from coordinator.repair.mend import Patient, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -223,6 +226,10 @@ def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRela
         until(running.is_finished, 60.0)
     found = Dataset(str(store))
     assert (len(found), found.meta.complete) == (2, True)
+    assert list(find_faults(store, deep=True)) == []
+    pictures = [read_pictures(store / table.name) for table in split_tables_of(store)]
+    assert sum(map(len, pictures)) == 2
+    assert names_split_tables((store / "README.md").read_text())
     assert {finding.file.split("/")[0] for finding in verify(store, deep=True).findings} == {"scenes"}  # no real one
     assert not (store / ".lock").exists()
     assert (tmp_path / "home/ledger.db").is_file()

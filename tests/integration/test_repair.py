@@ -12,6 +12,7 @@ import pytest
 
 from coordinator.archive.opening import open_archive
 from coordinator.check.validator import Validator
+from coordinator.dataset.card_configs import names_split_tables
 from coordinator.ledger.records import read_attempts
 from coordinator.repair.mend import repair
 from coordinator.repair.report import RepairReport
@@ -182,6 +183,27 @@ def test_lost_tables_are_written_anew_from_the_ledger(run, validator):
         (run.root / name).unlink()
     assert kinds(mend(run, validator)) == {"rewrite": 4}
     assert pq.read_table(run.root / "metadata.parquet").equals(before)
+
+
+@pytest.mark.parametrize("how", ["missing", "damaged"])
+def test_a_split_table_is_written_anew_from_the_episodes(run, validator, how):
+    before = tree(run.root)
+    (path,) = (run.root / "data").iterdir()
+    if how == "missing":
+        path.unlink()
+    else:
+        flip(path)
+    (action,) = mend(run, validator).actions
+    assert (str(action.kind), action.what) == ("rewrite", f"data/{path.name}")
+    after = tree(run.root)
+    assert {name for name in before if before[name] != after.get(name)} <= {"dataset_meta.json", "README.md"}
+    assert after.keys() == before.keys()
+
+
+def test_a_dataset_of_former_software_gets_its_split_tables(run, validator):
+    shutil.rmtree(run.root / "data")
+    assert kinds(mend(run, validator)) == {"rewrite": 1}
+    assert names_split_tables((run.root / "README.md").read_text())
 
 
 def test_a_directory_in_use_is_not_touched(run, validator):

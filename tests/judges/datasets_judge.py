@@ -33,11 +33,17 @@ def main() -> None:
 
 
 def judge_rows(paper: Paper, place: Path, cache: str) -> str:
-    """A row an episode, with its instruction."""
-    table = datasets.load_dataset(str(place), split="train", cache_dir=cache)
-    told = {row["episode_id"]: (row["instruction"], row["split"], row["num_steps"]) for row in table}
+    """A row an episode in its split, with its instruction."""
+    splits = datasets.load_dataset(str(place), cache_dir=cache)
+    told = {
+        row["episode_id"]: (row["instruction"], split, row["num_steps"])
+        for split, table in splits.items()
+        for row in table
+    }
     assert told == {path.name: facts(paper, path.name) for path in paper.episodes.iterdir()}
-    return f"{len(table)} rows, {len(table.column_names)} columns"
+    pictures = [row["thumbnail"] for table in splits.values() for row in table if "thumbnail" in row]
+    assert {picture.size for picture in pictures} <= {(160, 160)}
+    return f"{len(told)} rows in {len(splits)} splits, {len(pictures)} thumbnails"
 
 
 def facts(paper: Paper, name: str) -> tuple[str, str, int]:
@@ -55,11 +61,11 @@ def judge_lerobot(paper: Paper, place: Path, cache: str) -> str:
 
 
 def judge_shards(paper: Paper, place: Path, cache: str) -> str:
-    """Every split is a configuration that streams; whole samples of its first episode, the names of all."""
+    """Every split streams; whole samples of its first episode, the names of all."""
     splits = sorted({shard["split"] for shard in json.loads((place / "shards.json").read_text())["shards"]})
     samples = 0
     for split in splits:
-        stream = datasets.load_dataset(str(place), split, streaming=True, split="train", cache_dir=cache)
+        stream = datasets.load_dataset(str(place), streaming=True, split=split, cache_dir=cache)
         for number, sample in enumerate(stream.with_format("numpy")):
             samples += 1
             name, t = str(sample["json"]["episode_id"]), int(sample["json"]["step"])
@@ -70,7 +76,7 @@ def judge_shards(paper: Paper, place: Path, cache: str) -> str:
                 np.testing.assert_array_equal(sample["seg.npy.gz"], paper.ids(name, t))
     expected = sum(len(paper.array(path.name, "poses")) for path in paper.episodes.iterdir())
     assert samples == expected, f"{samples} samples, expected {expected}"
-    return f"{samples} samples streamed from {len(splits)} configurations"
+    return f"{samples} samples streamed from {len(splits)} splits"
 
 
 if __name__ == "__main__":

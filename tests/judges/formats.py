@@ -26,6 +26,7 @@ RUNS: dict[str, tuple[str, ...]] = {
     "lerobot-v2.1-slow": ("lerobot-v2.1", "--fps", "20"),
     "webdataset": ("webdataset",),
     "mcap": ("mcap",),
+    "mcap-ros2": ("mcap", "--ros2"),
     "gnm": ("gnm",),
     "vlnce": ("vlnce",),
 }
@@ -48,6 +49,7 @@ JUDGES: dict[str, Judge] = {
     "lerobot_v21": Judge("lerobot-v2.1", ("paper", "lerobot-v2.1", "lerobot-v2.1-slow")),
     "webdataset": Judge("readers", ("paper", "webdataset")),
     "mcap": Judge("readers", ("paper", "mcap")),
+    "ros2": Judge("readers", ("paper", "mcap-ros2")),
     "gnm": Judge("lerobot", ("paper", "gnm")),
     "habitat": Judge("habitat", ("paper", "vlnce")),
     "rlds": Judge("readers", ("dataset", "paper", "rlds")),

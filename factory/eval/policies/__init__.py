@@ -52,8 +52,8 @@ class Entry(NamedTuple):
     needs: tuple[str, ...] = ()
     """Optional packages that it imports, as top-level modules."""
     renders_apart: bool = False
-    """Whether frames are rendered in a separate process, because the policy loads libraries that crash in one process with
-    those of OpenGL: PyTorch, or whatever a class of the user's imports."""
+    """Whether a separate process renders, because the policy loads libraries that crash in one process with OpenGL's:
+    PyTorch, or whatever a class of the user's imports."""
 
 
 _WIRE = ("websockets", "msgpack")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from coordinator.dataset.card_configs import Configs
 from coordinator.dataset.meta import DatasetMeta
 from factory.episode import Episode
 from factory.export.base import Exporter, Finish
@@ -52,7 +53,7 @@ class Whole:
     """What the camera sees, for the codes of depth."""
     numbering: Numbering
 
-    def write_card(self, version: str, configs: dict[str, str]) -> None:
+    def write_card(self, version: str, configs: Configs) -> None:
         """Writes the card; `configs` are the tables that `datasets` shall open, by name."""
         text = card_text(version, self.options, self.fps, self.stride, self.numbering.splits)
         self.out.write_text(CARD_FILE, export_card(self.meta, len(self.numbering), text, configs, ["LeRobot"]))

@@ -63,7 +63,7 @@ class LeRobotV21Exporter(LeRobotBase[LeRobotV21Options]):
         _write_lists(whole, stats)
         whole.write_stats(_without_counts(stats.result(whole.numbering, whole.options)))
         export.out.write_text("meta/modality.json", json.dumps(MODALITY, indent=4) + "\n")
-        whole.write_card(VERSION, {"frames": "data/*/*.parquet"})
+        whole.write_card(VERSION, {"frames": {"train": "data/*/*.parquet"}})
         whole.write_info(
             VERSION,
             total_videos=len(whole.numbering),

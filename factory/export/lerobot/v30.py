@@ -67,7 +67,9 @@ def write_dataset(export: Finish[LeRobotOptions, LeRobotFacts], limits: FileLimi
     whole.write_stats(stats.result(whole.numbering, whole.options))
     with whole.out.replacing("meta/tasks.parquet") as part:
         pq.write_table(tasks_table(whole.numbering.tasks), part, compression="snappy")
-    whole.write_card(VERSION, {"frames": "data/*/*.parquet", "episodes": "meta/episodes/*/*.parquet"})
+    whole.write_card(
+        VERSION, {"frames": {"train": "data/*/*.parquet"}, "episodes": {"train": "meta/episodes/*/*.parquet"}}
+    )
     whole.write_info(
         VERSION,
         chunks_size=limits.chunk_files,

@@ -27,10 +27,12 @@ def draw(material: Material) -> Exhibit:
     if not everything.attempts:
         return Exhibit("attempts", title, source, "No attempts to show.")
     uncounted = sum(Counter(everything.reasons).values()) - (everything.attempts - everything.success.count)
+    beside = material.statistics.beside_paper
+    marks = ", and the range that the paper tells as a pink band" if beside else ""
     caption = (
         f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. Above: attempts "
         "by scene and outcome. Below: the share that succeeded with its 95 % Wilson interval, first attempts of an "
-        "episode as hollow dots, and the range that the paper tells as a pink band. "
+        f"episode as hollow dots{marks}. "
         f"Crashes and lost leases are no attempts of the world and not counted ({uncounted})."
     )
     height = 1.3 + 0.42 * len(by_scene)

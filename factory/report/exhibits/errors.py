@@ -23,10 +23,11 @@ def draw(material: Material) -> Exhibit:
         return Exhibit("errors", title, source, "No episodes to show.")
     everything = material.statistics.navigation_error[-1]
     within = everything.within_radius
+    said = f" The pink line is the paper's mean, {number(paper.NAVIGATION_ERROR.ne_mean_m, 3)} m."
     caption = (
         f"Share of {count(everything.n, 'episode')} whose planar distance to the target at the end (NE) is at most x. "
         f"The dashed line is the success radius, {material.statistics.success_radius_m:g} m: {within.count} of "
-        f"{within.of} end within. The pink line is the paper's mean, {number(paper.NAVIGATION_ERROR.ne_mean_m, 3)} m."
+        f"{within.of} end within.{said if material.statistics.beside_paper else ''}"
     )
     panel = draw_panel("ne_cdf", "Cumulative navigation error by scene", lambda axes: _paint(axes, material), 3.3)
     return Exhibit("errors", title, source, caption, (panel,), (_table(material),))
@@ -51,7 +52,7 @@ def _paint(axes: Axes, material: Material) -> None:
         )
     axes.axvline(radius, color=colour("ink"), linewidth=1.2, linestyle=(0, (4, 2)), label="success radius")
     said = paper.NAVIGATION_ERROR.ne_mean_m
-    if said is not None:
+    if said is not None and material.statistics.beside_paper:
         axes.axvline(said, color=colour("paper"), linewidth=1.2, label="paper, mean")
     axes.set_xlim(low, high)
     axes.set_ylim(0, 1.02)

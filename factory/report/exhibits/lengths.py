@@ -22,10 +22,11 @@ def draw(material: Material) -> Exhibit:
     if not material.episodes:
         return Exhibit("lengths", title, source, "No episodes to show.")
     everything = material.statistics.scenes[-1]
+    said = f"{number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes"
+    beside = f"; the dashed line is the paper's mean, {said}" if material.statistics.beside_paper else ""
     caption = (
         f"Length driven (TL) of {count(everything.n, 'episode')}, stacked by scene in bins of {_BIN_M:g} m; the "
-        f"outline is the sum. Mean {number(everything.tl_mean_m)} m, median {number(everything.tl_median_m)} m; the "
-        f"dashed line is the paper's mean, {number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes."
+        f"outline is the sum. Mean {number(everything.tl_mean_m)} m, median {number(everything.tl_median_m)} m{beside}."
     )
     panel = draw_panel(
         "tl_histogram", "Histogram of trajectory lengths by scene", lambda axes: _paint(axes, material), 3.2
@@ -51,7 +52,7 @@ def _paint(axes: Axes, material: Material) -> None:
     mean = material.statistics.scenes[-1].tl_mean_m
     if mean is not None:
         axes.axvline(mean, color=colour("ink"), linewidth=1.3, label=f"mean {mean:.2f} m")
-    if paper.OVERALL.tl_mean_m is not None:
+    if material.statistics.beside_paper and paper.OVERALL.tl_mean_m is not None:
         said = paper.OVERALL.tl_mean_m
         axes.axvline(said, color=colour("paper"), linewidth=1.3, linestyle=(0, (4, 2)), label=f"paper {said:.2f} m")
     axes.set_xlim(left=0)

@@ -11,7 +11,6 @@ from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count, name, number, scene_label
 from factory.report.facts import facts_of
 from factory.report.material import Material
-from factory.stats import paper
 
 __all__ = ["draw"]
 
@@ -21,10 +20,11 @@ def draw(material: Material) -> Exhibit:
     title, source = "Steps by scene", "Fig. 9"
     if not material.episodes:
         return Exhibit("steps", title, source, "No episodes to show.")
+    beside = " Diamonds are the paper's medians." if material.statistics.beside_paper else ""
     caption = (
         f"Steps of {count(len(material.episodes), 'episode')} at {material.meta.plan.task.control_hz} Hz. Box: "
         "quartiles with the median; whiskers: 1.5 times the quartiles' distance; dots: outliers; the white dot is the "
-        "mean μ. Diamonds are the paper's medians."
+        f"mean μ.{beside}"
     )
     panel = draw_panel(
         "steps_by_scene",
@@ -62,7 +62,8 @@ def _paint(axes: Axes, material: Material) -> None:
             axes.text(
                 max(group), place + 0.36, f"μ {np.mean(group):.0f}  N {len(group)}", fontsize=8, ha="right", va="top"
             )
-    medians = [paper.SCENES[scene].steps_median if scene in paper.SCENES else None for scene in material.scenes]
+    published = {row.group: row.paper.steps_median for row in material.statistics.scenes if row.paper}
+    medians = [published.get(scene) for scene in material.scenes]
     said = [(median, place) for place, median in enumerate(medians, 1) if median is not None]
     if said:
         mark_paper(axes, said, "paper, median")

@@ -24,9 +24,11 @@ def draw(material: Material) -> Exhibit:
         return Exhibit("tier_statistics", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.tiers}
     counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
+    said = f"; diamonds are the paper's means over {', '.join(f'{paper.TIERS[tier].n} {tier}' for tier in Tier)}"
+    beside = material.statistics.beside_paper
     caption = (
-        f"Means by tier over {count(len(material.episodes), 'episode')} ({counts}); diamonds are the paper's means "
-        f"over {', '.join(f'{paper.TIERS[tier].n} {tier}' for tier in Tier)}.{_ratios(rows)}"
+        f"Means by tier over {count(len(material.episodes), 'episode')} ({counts})"
+        f"{said if beside else ''}.{_ratios(rows, beside)}"
     )
     lengths = draw_panel(
         "tier_lengths",
@@ -40,7 +42,7 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("tier_statistics", title, source, caption, (lengths, steps), (_table(material),))
 
 
-def _ratios(rows: dict[str, RolloutRow]) -> str:
+def _ratios(rows: dict[str, RolloutRow], beside: bool) -> str:
     near = rows[Tier.NEAR]
     parts = []
     for tier in (Tier.MID, Tier.FAR):
@@ -50,16 +52,18 @@ def _ratios(rows: dict[str, RolloutRow]) -> str:
                 f"{tier} is {length / near.tl_mean_m:.1f} times as long as near and takes "
                 f"{steps / near.steps_mean:.1f} times the steps"
             )
-    return f" Here {'; '.join(parts)} (paper, far: 2.9 and 3.2)." if parts else ""
+    said = " (paper, far: 2.9 and 3.2)" if beside else ""
+    return f" Here {'; '.join(parts)}{said}." if parts else ""
 
 
 def _bars(axes: Axes, rows: dict[str, RolloutRow], field: str, label: str, digits: int) -> None:
     places = np.arange(len(Tier))
     values = [getattr(rows[tier], field) for tier in Tier]
-    said = [getattr(paper.TIERS[tier], field) for tier in Tier]
+    said = [getattr(row, field) for tier in Tier if (row := rows[tier].paper)] or [0.0] * len(Tier)
     axes.barh(places, [value or 0 for value in values], 0.6, color=[colour(TIER_COLOURS[tier]) for tier in Tier])
-    mark_paper(axes, np.column_stack([said, places]))
-    top = max([value or 0 for value in values] + said)
+    if any(said):
+        mark_paper(axes, np.column_stack([said, places]))
+    top = max([value or 0 for value in values] + said) or 1.0
     for place, value in enumerate(values):
         beyond = max(value or 0, said[place] or 0) + 0.03 * top
         axes.text(beyond, place, number(value, digits), va="center", fontsize=8.5)
@@ -68,7 +72,8 @@ def _bars(axes: Axes, rows: dict[str, RolloutRow], field: str, label: str, digit
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.set_xlabel(label)
-    write_legend(axes)
+    if any(said):
+        write_legend(axes)
 
 
 def _table(material: Material) -> Table:

@@ -10,7 +10,6 @@ from factory.report.exhibit import Exhibit
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count
 from factory.report.material import Material
-from factory.stats import paper
 from schemas.terms import TIER_RANGE_M, Tier
 
 __all__ = ["draw"]
@@ -26,9 +25,10 @@ def draw(material: Material) -> Exhibit:
         return Exhibit("tiers", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.tiers}
     counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
+    beside = " and what the paper ended with" if material.statistics.beside_paper else ""
     caption = (
-        f"Above: share of each tier among {count(total, 'episode')} ({counts}), with what the plan asks for and what "
-        "the paper ended with. Below: planar distance of the start from the target's centroid; the dotted lines are "
+        f"Above: share of each tier among {count(total, 'episode')} ({counts}), with what the plan asks for{beside}. "
+        "Below: planar distance of the start from the target's centroid; the dotted lines are "
         "the tiers' limits at 1.5, 3.5 and 7.0 m (far starts are surveyed points and have none)."
     )
     shares = draw_panel("spawn_tiers", f"Shares of the tiers: {counts}", lambda axes: _shares(axes, material), 2.6)
@@ -46,8 +46,10 @@ def _shares(axes: Axes, material: Material) -> None:
     planned = [100 * material.meta.plan.tier_share(tier) for tier in Tier]
     plan = {"marker": "|", "s": 260, "color": colour("ink"), "linewidth": 1.6}
     mark(axes, np.column_stack([planned, places]), label="plan", zorder=3, **plan)
-    said = [100 * (paper.TIERS[tier].share or 0) for tier in Tier]
-    mark_paper(axes, np.column_stack([said, places]))
+    published = [row.share or 0 for tier in Tier if (row := rows[tier].paper)]
+    said = [100 * share for share in published] or [0.0] * len(Tier)
+    if published:
+        mark_paper(axes, np.column_stack([said, places]))
     for place, ends in enumerate(zip(ours, planned, said, strict=True)):
         axes.text(max(ends) + 2, place, f"{ours[place]:.1f} %", va="center", fontsize=8.5)
     axes.set_yticks(places, list(Tier))

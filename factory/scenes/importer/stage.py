@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
 from factory.scenes.importer.complaints import say_complaint, say_refusal
-from schemas.errors import UsageError, WorldError
+from factory.scenes.stage_file import require_stage
+from schemas.errors import WorldError
 
 __all__ = ["BROKEN_PRIM", "Placement", "SceneStage", "find_unseen", "matrix_of", "open_stage", "walk_stage"]
 
@@ -78,11 +79,10 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
         notes: receives what USD complained about, one line each.
 
     Raises:
-        UsageError: there is no such file.
+        UsageError: there is no such file, or it is another format.
         WorldError: USD cannot read it, or its units make no sense.
     """
-    if not path.is_file():
-        raise UsageError(f"no USD file at {path}; give the path of the stage's root layer")
+    require_stage(path)
     listener = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         stage = Usd.Stage.Open(str(path))

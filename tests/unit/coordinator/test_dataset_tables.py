@@ -88,9 +88,11 @@ def test_card_has_a_readable_front_matter(tmp_path: Path) -> None:
     assert matter["license"] == "cc-by-4.0"
     assert matter["task_categories"] == ["robotics"]
     assert matter["size_categories"] == ["n<1K"]
+    whole, failed = ([{"split": "train", "path": name}] for name in ("metadata.parquet", "attempts.parquet"))
     assert matter["configs"] == [
-        {"config_name": "default", "data_files": "metadata.parquet"},
-        {"config_name": "attempts", "data_files": "attempts.parquet"},
+        {"config_name": "default", "default": True, "data_files": whole},
+        {"config_name": "metadata", "data_files": whole},
+        {"config_name": "attempts", "data_files": failed},
     ]
     assert "2 of 3 planned episodes so far" in text
     assert "pypi.org" not in text  # the package is on no index, so that a link to it would lead nowhere

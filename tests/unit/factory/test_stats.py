@@ -13,18 +13,21 @@ from click.testing import CliRunner
 from coordinator.archive.opening import open_archive
 from coordinator.dataset.tables import write_tables
 from coordinator.failed_attempt import FailedAttempt
+from coordinator.plan.builtin import BUILTIN_PLANS
+from coordinator.plan.file import shrink
 from factory.cli.stats import command
 from factory.stats import Statistics, compute_statistics, measure_dataset
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.language import TEMPLATES
-from schemas.terms import Split, Tier
+from schemas.plan import ScenePlan
+from schemas.terms import ExpertName, Split, Tier
 from tests.builders.dataset import NOW, failure, make_dataset
 from tests.builders.plan import small_plan
 from tests.builders.statistics import episode_row, rows_of, two_scenes
 
 
 def measure(*args: Any, **more: Any) -> Statistics:
-    return compute_statistics("data", rows_of(*args, **more))
+    return compute_statistics("data", rows_of(*args, **more), compare_paper=True)
 
 
 def failed(reason: str, attempt: int = 1, **changes: Any) -> FailedAttempt:
@@ -264,10 +267,48 @@ def test_a_directory_without_a_dataset_is_refused(tmp_path: Path) -> None:
 
 
 def test_command_prints_every_table_beside_the_paper(own: Path) -> None:
-    done = CliRunner().invoke(command, [str(own)], standalone_mode=False)
+    done = CliRunner().invoke(command, [str(own), "--compare-paper"], standalone_mode=False)
     assert (done.exception, done.return_value) == (None, 0)
     for words in ("paper steps", "also in train_id", "first attempts", "slope m/m", "train_18", "80-90 %"):
         assert words in done.stdout
+
+
+@pytest.mark.parametrize("options", [[], ["--no-compare-paper"]])
+def test_command_prints_the_tables_of_another_plan_without_the_paper(own: Path, options: list[str]) -> None:
+    done = CliRunner().invoke(command, [str(own), *options], standalone_mode=False)
+    assert (done.exception, done.return_value) == (None, 0)
+    for words in ("also in train_id", "first attempts", "slope m/m", "train_18", "three largest categories"):
+        assert words in done.stdout
+    assert "paper" not in done.stdout
+
+
+def test_only_the_plan_paper_and_its_parts_are_compared_by_default() -> None:
+    paper = BUILTIN_PLANS["paper"]
+    parts = [
+        paper,
+        shrink(paper, episodes=60),
+        shrink(paper, scene="office", episodes=2),
+        shrink(paper, expert=ExpertName.PLANNER, seed=3),
+    ]
+    lab = ScenePlan(name="lab", usd="lab.usda", seen=("chair",), held_out=("plant",), episodes=3)
+    others = [
+        BUILTIN_PLANS["demo"],
+        BUILTIN_PLANS["balanced"],
+        two_scenes(),
+        paper.model_copy(update={"scenes": (*paper.scenes, lab)}),
+        paper.model_copy(update={"scenes": (paper.scenes[0].model_copy(update={"seed": 4}),)}),
+        paper.model_copy(update={"tiers": {Tier.NEAR: 1.0}}),
+        paper.model_copy(update={"splits": {Split.TRAIN_ID: 1.0}}),
+        paper.model_copy(update={"name": "mine"}),
+    ]
+    for plan in (*parts, *others):
+        rows = rows_of([episode_row(1)], [failed("collision")], plan)
+        found = compute_statistics("data", rows)
+        published = [row.paper for row in (*found.scenes, *found.tiers, *found.templates, *(found.attempts or ()))]
+        assert found.beside_paper is (plan in parts), plan.name
+        assert any(published) is found.beside_paper
+        assert compute_statistics("data", rows, compare_paper=False).beside_paper is False
+        assert compute_statistics("data", rows, compare_paper=True).beside_paper is True
 
 
 def test_command_prints_json_that_reads_back(own: Path) -> None:

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from coordinator.archive.opening import open_archive
+from coordinator.dataset.split_tables import write_split_tables
 from coordinator.dataset.tables import write_tables
 from coordinator.summary import EpisodeSummary
 from factory.dataset import Dataset
@@ -221,6 +222,7 @@ def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Pat
         archive.unpublish(1)
         rows: list[EpisodeSummary] = [archive_episode(archive, forged), before[1].summary, before[2].summary]
         write_tables(archive, before.meta.plan, before.meta.scenes, rows, [], NOW)
+        write_split_tables(archive)
     assert verify(data).ok
     (finding,) = verify(data, deep=True).findings
     assert (finding.kind, finding.file) == (Kind.INVALID, "episodes/ep_000001.zip")

@@ -19,7 +19,7 @@ from tests.builders.statistics import episode_row, rows_of, two_scenes
 
 def material(episodes: list[Any], failures: list[Any] | None = None) -> Material:
     rows = rows_of(episodes, failures, two_scenes(max(len(episodes), 1)))
-    return Material(rows.meta, compute_statistics("run", rows), episodes, failures, Drives(), {})
+    return Material(rows.meta, compute_statistics("run", rows, compare_paper=True), episodes, failures, Drives(), {})
 
 
 def drive(index: int, spawn: float, length: float, error: float = 0.967, **changes: Any) -> Any:

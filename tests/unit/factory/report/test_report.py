@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from factory.html.palette import colour
 from factory.report import make_report, render_report
 from factory.report.drawers import DRAWERS
 from factory.report.exhibits import action_space, attempts, samples, spawn_maps
@@ -35,7 +36,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def files(data: Path) -> dict[str, bytes]:
-    return render_report(gather(data))[0]
+    return render_report(gather(data, compare_paper=True))[0]
 
 
 @pytest.fixture
@@ -96,7 +97,7 @@ def test_every_drawing_is_there_as_svg_and_png(files: dict[str, bytes]) -> None:
 
 
 def test_the_same_dataset_gives_the_same_bytes(files: dict[str, bytes], data: Path) -> None:
-    again, _ = render_report(gather(data))
+    again, _ = render_report(gather(data, compare_paper=True))
     assert {name for name in files if files[name] != again.get(name)} == set()
     assert again.keys() == files.keys()
 
@@ -111,6 +112,37 @@ def test_numbers_are_those_of_the_statistics(files: dict[str, bytes], data: Path
     assert f"<strong>{found.scenes[-1].tl_mean_m:.2f} m</strong>" in text
     assert f"<strong>{found.scenes[-1].steps_mean:.1f}</strong>" in text
     assert "3 episodes" in text
+
+
+@pytest.fixture(scope="module")
+def alone(data: Path) -> dict[str, bytes]:
+    """The report of the same dataset as it is by default: its plan is not the paper's."""
+    return render_report(gather(data))[0]
+
+
+def test_the_page_of_another_plan_does_not_name_the_paper(files: dict[str, bytes], alone: dict[str, bytes]) -> None:
+    words = re.compile(r"\bpaper|\bFig\.|\bTable [IVX]+|\bSec\. ", re.IGNORECASE)
+    style = re.compile(r"<style>.*?</style>|<svg.*?</svg>", re.DOTALL)
+    assert words.search(style.sub("", files[PAGE_FILE].decode()))
+    assert [found.group() for found in words.finditer(style.sub("", alone[PAGE_FILE].decode()))] == []
+    Outline(alone[PAGE_FILE].decode())
+
+
+def test_the_drawings_of_another_plan_have_no_mark_of_the_paper(
+    files: dict[str, bytes], alone: dict[str, bytes]
+) -> None:
+    ink = colour("paper").encode()
+    marked = {name for name, content in files.items() if name.endswith(".svg") and ink in content}
+    assert {"figures/tl_histogram.svg", "figures/ne_cdf.svg", "figures/success_rates.svg"} <= marked
+    assert not {name for name, content in alone.items() if name.endswith(".svg") and ink in content}
+
+
+def test_numbers_of_another_plan_are_those_of_the_comparison(data: Path) -> None:
+    beside, alone = measure_dataset(data, compare_paper=True), measure_dataset(data)
+    assert (beside.beside_paper, alone.beside_paper) == (True, False)
+    assert '"source"' in beside.model_dump_json()
+    assert '"source"' not in alone.model_dump_json()
+    assert [row.tl_mean_m for row in alone.scenes] == [row.tl_mean_m for row in beside.scenes]
 
 
 def test_instructions_are_shown_as_text_whatever_they_say(own: Path) -> None:

@@ -1,0 +1,72 @@
+"""ROS 2 messages as CDR bytes, and their definitions as text. The door to `rosbags`; knows no episode."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["definition_of", "encode"]
+
+_DTYPES = {"octet": "uint8", "char": "uint8", "byte": "uint8"}
+_BASE, _NAME = 1, 2
+"""`rosbags.interfaces.Nodetype`; 3 is an array, 4 a sequence."""
+
+
+def encode(kind: str, values: Mapping[str, Any]) -> bytes:
+    """Returns the bytes of a message; equal values give equal bytes.
+
+    Args:
+        kind: of the message, e.g. `nav_msgs/msg/Odometry`.
+        values: field -> value; messages as mappings, arrays as sequences. Fields that are left out are zero or empty.
+
+    Raises:
+        KeyError: the message or a field does not exist.
+    """
+    store = _store()
+    return bytes(store.serialize_cdr(_message(store, kind, values), kind))
+
+
+@functools.cache
+def definition_of(kind: str) -> bytes:
+    """Returns the definition of a message and of all that it holds, as `ros2msg` schemas have it."""
+    text, _ = _store().generate_msgdef(kind, ros_version=2)
+    return str(text).encode()
+
+
+@functools.cache
+def _store() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)  # the definitions in use here are those of Jazzy as well
+
+
+def _message(store: Any, kind: str, values: Mapping[str, Any]) -> Any:
+    fields = store.fielddefs[kind][1]
+    stray = values.keys() - {name for name, _ in fields}
+    if stray:
+        raise KeyError(f"{kind} has no field {', '.join(sorted(stray))}")
+    return store.types[kind](**{name: _value(store, field, values.get(name)) for name, field in fields})
+
+
+def _value(store: Any, field: tuple[int, Any], value: Any) -> Any:
+    node, details = field
+    if node == _NAME:
+        return _message(store, details, value or {})
+    if node == _BASE:
+        empty: str | int = "" if details[0] == "string" else 0
+        return empty if value is None else value
+    (of_item, item), length = details
+    if of_item == _NAME:
+        return [_message(store, item, one) for one in value or ()]
+    return _numbers(item[0], value, length)
+
+
+def _numbers(kind: str, value: Sequence[float] | bytes | None, length: int) -> Any:
+    """Returns an array of numbers, which is of zeros when nothing is given."""
+    dtype = np.dtype(_DTYPES.get(kind, kind))
+    if isinstance(value, bytes):
+        return np.frombuffer(value, dtype)
+    return np.zeros(length, dtype) if value is None else np.asarray(value, dtype)

@@ -1,0 +1,162 @@
+"""Tells a USD stage from other 3D files by its first bytes, and names the tool that converts the others.
+
+Reads the beginning of one file. Opens no stage and needs no USD.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from schemas.errors import UsageError
+
+__all__ = ["STAGE_SUFFIXES", "find_fault", "require_stage"]
+
+STAGE_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+_READ_BYTES = 1 << 16
+_SUPPORTED = "supported are USD stages: .usd, .usda, .usdc, .usdz"
+_USD: Mapping[str, tuple[bytes, tuple[str, ...]]] = MappingProxyType(
+    {
+        "a USD text layer": (b"#usda ", (".usd", ".usda")),
+        "a USD crate": (b"PXR-USDC", (".usd", ".usdc")),
+        "a zip archive": (b"PK\x03\x04", (".usdz",)),
+    }
+)
+"""Kind of content -> its first bytes, and the suffixes under which USD opens it, the usual one last."""
+_MAGIC: Mapping[bytes, str] = MappingProxyType(
+    {
+        b"glTF": "glTF",
+        b"Kaydara FBX Binary": "FBX",
+        b"; FBX": "FBX",
+        b"BLENDER": "Blender",
+        b"ply\n": "PLY",
+        b"ply\r\n": "PLY",
+    }
+)
+_ROOT_ELEMENTS: Mapping[str, str] = MappingProxyType(
+    {"COLLADA": "COLLADA", "sdf": "SDF", "world": "SDF", "robot": "URDF", "mujoco": "MJCF", "mujocoinclude": "MJCF"}
+)
+_SUFFIXES: Mapping[str, str] = MappingProxyType(
+    {
+        ".gltf": "glTF",
+        ".glb": "glTF",
+        ".fbx": "FBX",
+        ".obj": "OBJ",
+        ".dae": "COLLADA",
+        ".blend": "Blender",
+        ".ply": "PLY",
+        ".stl": "STL",
+        ".sdf": "SDF",
+        ".world": "SDF",
+        ".urdf": "URDF",
+        ".xacro": "URDF",
+        ".mjcf": "MJCF",
+    }
+)
+_BLENDER_READS: Mapping[str, str] = MappingProxyType(
+    {
+        "glTF": "import_scene.gltf",
+        "FBX": "import_scene.fbx",
+        "OBJ": "wm.obj_import",
+        "COLLADA": "wm.collada_import",
+        "PLY": "wm.ply_import",
+        "STL": "wm.stl_import",
+    }
+)
+"""Kind -> operator of Blender that reads it; `wm.collada_import` is in Blender up to 4.5."""
+_CONVERTERS: Mapping[str, str] = MappingProxyType(
+    {
+        "SDF": "convert it with sdf2usd of gz-usd (Gazebo)",
+        "URDF": "convert it with urdf-usd-converter (PyPI) or the URDF importer of Isaac Sim",
+        "MJCF": "convert it with mujoco-usd-converter (PyPI) or the MJCF importer of Isaac Sim",
+    }
+)
+_COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
+_ELEMENT = re.compile(r"<([A-Za-z_][\w.-]*)")
+
+
+def require_stage(path: Path) -> None:
+    """Makes sure that a file can be a USD stage.
+
+    Raises:
+        UsageError: it is absent, a directory, or another format; the message says how to convert it.
+    """
+    fault = find_fault(path)
+    if fault:
+        raise UsageError(fault)
+
+
+def find_fault(path: Path) -> str:
+    """Returns why a file is not a USD stage and what to do, or an empty text if it can be one.
+
+    Args:
+        path: as the user gave it.
+    """
+    if path.is_dir():
+        return f"{path} is a directory; give the stage's root layer, a file in it ({_SUPPORTED})"
+    if not path.is_file():
+        return f"no USD file at {path}; give the path of the stage's root layer"
+    try:
+        with path.open("rb") as file:
+            head = file.read(_READ_BYTES)
+    except OSError as error:
+        return f"cannot read {path} ({error.strerror}); check its permissions"
+    return _judge(path, head)
+
+
+def _judge(path: Path, head: bytes) -> str:
+    suffix = path.suffix.lower()
+    for kind, (magic, suffixes) in _USD.items():
+        if head.startswith(magic) and (kind != "a zip archive" or suffix in STAGE_SUFFIXES):
+            wanted = path.with_suffix(suffixes[-1]).name
+            return "" if suffix in suffixes else f"{path} holds {kind}, which USD opens as {wanted}; rename the file"
+    foreign = _kind_of(head)
+    if foreign and suffix in STAGE_SUFFIXES:
+        return f"{path} holds {foreign} under the name of a USD stage; {_SUPPORTED}; {_remedy(path, foreign)}"
+    if suffix in STAGE_SUFFIXES:
+        return ""  # USD says what is wrong with it
+    kind = foreign or _SUFFIXES.get(suffix, "")
+    what = f"is {kind}, not a USD stage" if kind else "is not a USD stage"
+    return f"{path} {what}; {_SUPPORTED}; {_remedy(path, kind)}"
+
+
+def _kind_of(head: bytes) -> str:
+    """Returns the format that the first bytes prove, or an empty text."""
+    for magic, kind in _MAGIC.items():
+        if head.startswith(magic):
+            return kind
+    text = head.decode("utf-8-sig", errors="replace").lstrip()
+    if text.startswith("<"):
+        root = _ELEMENT.search(_COMMENT.sub("", text))
+        return _ROOT_ELEMENTS.get(root[1], "XML") if root else "XML"
+    return "glTF" if text.startswith("{") and _names_gltf(text) else ""
+
+
+def _names_gltf(text: str) -> bool:
+    """A glTF document has an `asset` with a `version`; a long one is cut off here and matched as text."""
+    try:
+        document = json.loads(text)
+    except ValueError:
+        return re.search(r'"asset"\s*:\s*\{', text) is not None or '"bufferViews"' in text
+    return isinstance(document, dict) and "asset" in document
+
+
+def _remedy(path: Path, kind: str) -> str:
+    if kind in _CONVERTERS:
+        return _CONVERTERS[kind]
+    if kind not in {*_BLENDER_READS, "Blender"}:
+        return "export it as USD with the program that made it"
+    export = f"bpy.ops.wm.usd_export(filepath={path.stem + '.usdc'!r})"
+    if kind == "Blender":
+        return f"convert it: blender --background {shlex.quote(path.name)} --python-expr {_quoted(export)}"
+    read = f"bpy.ops.{_BLENDER_READS[kind]}(filepath={path.name!r})"
+    script = f"import bpy; bpy.ops.wm.read_factory_settings(use_empty=True); {read}; {export}"
+    return f"convert it: blender --background --python-expr {_quoted(script)}"
+
+
+def _quoted(script: str) -> str:
+    return f'"{script}"' if not set(script) & set('"$`\\!') else shlex.quote(script)

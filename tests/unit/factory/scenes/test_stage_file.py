@@ -1,0 +1,115 @@
+"""A file that is not a USD stage is refused with what is supported and the tool that converts it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from factory.plan_files import require_files
+from factory.scenes.build import import_scene
+from factory.scenes.stage_file import find_fault
+from schemas.errors import InvalidPlan, UsageError
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import Split
+from tests.builders.stage import StageText, room_body
+
+FOREIGN = {
+    "shop.glb": (b"glTF\x02\x00\x00\x00", "glTF", "bpy.ops.import_scene.gltf(filepath='shop.glb')"),
+    "shop.gltf": (json.dumps({"asset": {"version": "2.0"}}).encode(), "glTF", "import_scene.gltf"),
+    "shop.fbx": (b"Kaydara FBX Binary  \x00", "FBX", "import_scene.fbx"),
+    "shop.obj": (b"# exported\nv 0 0 0\n", "OBJ", "wm.obj_import"),
+    "shop.dae": (b'<?xml version="1.0"?>\n<COLLADA version="1.4.1">', "COLLADA", "wm.collada_import"),
+    "shop.blend": (b"BLENDER-v405", "Blender", "blender --background shop.blend"),
+    "shop.ply": (b"ply\nformat ascii 1.0\n", "PLY", "wm.ply_import"),
+    "shop.stl": (b"solid shop\n", "STL", "wm.stl_import"),
+    "shop.sdf": (b'<?xml version="1.0"?><!-- <robot> --><sdf version="1.9"/>', "SDF", "sdf2usd"),
+    "shop.world": (b'<sdf version="1.6"><world name="shop"/></sdf>', "SDF", "sdf2usd"),
+    "robot.urdf": (b'<robot name="carter"/>', "URDF", "urdf-usd-converter"),
+    "scene.xml": (b"\xef\xbb\xbf<!-- MuJoCo -->\n<mujoco model='shop'/>", "MJCF", "mujoco-usd-converter"),
+    "scene.mjcf": (b"<mujoco/>", "MJCF", "mujoco-usd-converter"),
+    "shop.max": (b"\xd0\xcf\x11\xe0", "not a USD stage", "export it as USD"),
+    "empty.xyz": (b"", "not a USD stage", "export it as USD"),
+}
+DISGUISED = {
+    "glTF": b"glTF\x02\x00\x00\x00",
+    "FBX": b"; FBX 7.4.0 project file",
+    "SDF": b"<sdf version='1.9'/>",
+    "XML": b"<html></html>",
+    "Blender": b"BLENDER17-01v0500",
+}
+
+
+def stage(folder: Path) -> Path:
+    text = StageText()
+    return text.write(folder / "room.usda", room_body(text))
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_another_format_is_named_with_what_is_supported_and_its_converter(tmp_path: Path, name: str) -> None:
+    content, kind, remedy = FOREIGN[name]
+    path = tmp_path / name
+    path.write_bytes(content)
+    fault = find_fault(path)
+    assert fault.startswith(f"{path} is ")
+    assert kind in fault
+    assert ".usd, .usda, .usdc, .usdz" in fault
+    assert remedy in fault
+    assert "usdchecker" not in fault
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_importing_it_is_wrong_usage_and_makes_nothing(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(FOREIGN[name][0])
+    with pytest.raises(UsageError, match="supported are USD stages"):
+        import_scene(tmp_path / name, "shop", tmp_path / "cache")
+    assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_plan_that_names_it_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(FOREIGN[name][0])
+    shop = ScenePlan(name="shop", usd=str(tmp_path / name), seen=("chair",), episodes=2)
+    with pytest.raises(InvalidPlan) as caught:
+        require_files(Plan(name="mine", scenes=(shop,), splits={Split.TRAIN_ID: 1.0}))
+    (finding,) = caught.value.findings
+    assert finding.startswith("scenes[0] shop: usd: ")
+    assert FOREIGN[name][2] in finding
+
+
+@pytest.mark.parametrize("suffix", [".usd", ".usda", ".usdc", ".usdz"])
+@pytest.mark.parametrize("kind", DISGUISED)
+def test_another_format_under_the_name_of_a_stage_is_told_by_its_first_bytes(
+    tmp_path: Path, kind: str, suffix: str
+) -> None:
+    path = tmp_path / f"room{suffix}"
+    path.write_bytes(DISGUISED[kind])
+    assert f"holds {kind} under the name of a USD stage" in find_fault(path)
+
+
+def test_a_stage_under_a_wrong_suffix_is_to_be_renamed(tmp_path: Path) -> None:
+    from pxr import Usd, UsdUtils
+
+    text = stage(tmp_path)
+    crate, packed = tmp_path / "c.usdc", tmp_path / "p.usdz"
+    Usd.Stage.Open(str(text)).GetRootLayer().Export(str(crate))
+    assert UsdUtils.CreateNewUsdzPackage(str(crate), str(packed))
+    opens = {text: (".usd", ".usda", ".USDA"), crate: (".usd", ".usdc"), packed: (".usdz",)}
+    for source, suffixes in opens.items():
+        for suffix in (".usd", ".usda", ".USDA", ".usdc", ".usdz", ".txt", ""):
+            if source is packed and suffix in {".txt", ""}:
+                continue  # any zip archive: nothing says that it is a stage
+            path = tmp_path / f"copy{suffix}"
+            path.write_bytes(source.read_bytes())
+            fault = find_fault(path)
+            assert (fault == "") is (suffix in suffixes), (source, suffix, fault)
+            if fault:
+                assert f"USD opens as copy{suffixes[-1].lower()}; rename the file" in fault
+            else:
+                assert Usd.Stage.Open(str(path))
+
+
+def test_a_directory_and_an_absent_file_are_told_apart(tmp_path: Path) -> None:
+    assert "is a directory; give the stage's root layer" in find_fault(tmp_path)
+    assert find_fault(tmp_path / "w.usda").startswith(f"no USD file at {tmp_path}/w.usda")
