@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from coordinator.plan.file import load_plan
@@ -212,8 +211,7 @@ def _nowhere() -> Iterator[Path]:
 @contextmanager
 def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
     """Shows a bar and gives the function that moves it on by one."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bars(*columns, refresh_per_second=1) as bar:
+    with Bars(refresh_per_second=1) as bar:
         task = bar.add_task(f"bench {name}", total=total)
         yield lambda: bar.advance(task)
 

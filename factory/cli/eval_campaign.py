@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from factory.cli.bars import Bars
 from factory.cli.eval_options import splits_of
@@ -96,8 +96,8 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
 @contextmanager
 def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
     """Shows a bar a policy; yields what is told their progress."""
-    with Bars(*_columns(), TextColumn("{task.fields[note]}")) as bar:
-        tasks = {name: bar.add_task(name, total=None, note="") for name in campaign.policies}
+    with Bars(*_counts()) as bar:
+        tasks = {name: bar.add_task(name, total=None) for name in campaign.policies}
 
         def tell(pace: Pace) -> None:
             note = f"{pace.successes} succeeded"
@@ -124,16 +124,10 @@ def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
 
 @contextmanager
 def _one_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    with Bars(*_columns(), transient=True) as bar:
+    with Bars(*_counts(), transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
-def _columns() -> tuple[TextColumn | BarColumn | MofNCompleteColumn | TimeElapsedColumn | TimeRemainingColumn, ...]:
-    return (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
+def _counts() -> tuple[ProgressColumn, ...]:
+    return MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()

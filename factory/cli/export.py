@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 from pydantic import ValidationError
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
@@ -148,13 +147,12 @@ class _ExportBar(Bars):
     """One line: episodes done, frames a second of this call, what it does now."""
 
     def __init__(self, name: str) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        super().__init__(*columns, TextColumn("{task.fields[remark]}"), transient=True)
-        self._task = self.add_task(name, total=None, remark="")
+        super().__init__(transient=True)
+        self._task = self.add_task(name, total=None)
 
     def tell(self, progress: Progress) -> None:
         """Shows where the export stands."""
         elapsed = self.tasks[0].elapsed or 0.0
         rate = f"{progress.frames / elapsed:.0f} frames/s" if progress.frames and elapsed else ""
-        remark = rate if progress.stage == "episodes" else progress.stage
-        self.update(self._task, completed=progress.done, total=progress.total, remark=remark)
+        note = rate if progress.stage == "episodes" else progress.stage
+        self.update(self._task, completed=progress.done, total=progress.total, note=note)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, Literal, TypeVar
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.dataset.meta import GateOutcome
 from coordinator.plan.catalog import Catalog
@@ -87,10 +86,9 @@ def try_scene(
     Raises:
         WorldError: simulations do not start.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     pilot = Pilot.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
     name = plan.scenes[0].name
-    with Bars(*columns) as bar:
+    with Bars() as bar:
         task = bar.add_task(f"gate {name}", total=len(pilot.jobs))
         trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
     return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
+from rich.progress import DownloadColumn, TimeRemainingColumn
 
 from factory.cli.bars import Bars
 from factory.cli.options import dataset_argument
@@ -39,8 +39,7 @@ def command(root: Path, repository: str, private: bool, endpoint: str | None, dr
         _show_plan(plan, repository, as_json)
         return
     click.echo(f"uploading {len(plan.files)} files, {_say_bytes(plan.total_bytes)}, to {repository}", err=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Bars(*columns) as progress:
+    with Bars(DownloadColumn(), TimeRemainingColumn()) as progress:
         task = progress.add_task(repository, total=plan.total_bytes)
         result = push(plan, repository, endpoint, private, lambda _, size: progress.advance(task, size))
     if as_json:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
@@ -45,8 +44,7 @@ def command(root: Place, out: Path, force: bool, as_json: bool) -> int:
 def _make(root: Place, out: Path, force: bool) -> Summary:
     from factory.report import make_report  # matplotlib takes half a second and may be missing
 
-    columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bars(*columns) as bar:
+    with Bars() as bar:
         tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}
         return make_report(
             root, out, force, lambda what, done, total: bar.update(tasks[what], completed=done, total=total)

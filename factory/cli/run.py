@@ -6,7 +6,6 @@ import os
 from typing import Any, cast
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
@@ -89,19 +88,13 @@ class _RunBar(Bars):
     """One line: what is done, how fast, what is left."""
 
     def __init__(self, plan: Plan) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[remark]}"),
-        )
-        self._task = self.add_task(plan.name, total=plan.episodes, remark="")
+        super().__init__()
+        self._task = self.add_task(plan.name, total=plan.episodes)
 
     def tell(self, progress: Progress) -> None:
         """Shows where the run stands."""
         failures = sum(progress.failures.values())
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
         left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
-        remark = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
-        self.update(self._task, completed=progress.jobs.get("archived", 0), remark=remark)
+        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
+        self.update(self._task, completed=progress.jobs.get("archived", 0), note=note)

@@ -9,17 +9,17 @@ from pathlib import Path
 import click
 from rich.console import Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from coordinator.wire.tls import read_credentials
 from factory.cli.options import ledger_option, tls_option
-from factory.cli.output import json_option, print_json, say_duration, stdout
+from factory.cli.output import FittedTable, json_option, print_json, say_duration, stdout
 from factory.cli.places import SITE
 from factory.ledger import progress_of
 from factory.listen import require_endpoints
 from factory.site import Site
 from schemas.errors import TransientError, UsageError
+from schemas.terms import BUILTIN_CATEGORIES
 from schemas.wire import Progress, WorkerStatus
 
 __all__ = ["command", "draw_progress", "watch_progress"]
@@ -27,6 +27,8 @@ __all__ = ["command", "draw_progress", "watch_progress"]
 _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
 """Silence of a coordinator that is watched, seconds: a restart takes a few."""
+_FIRST = max(map(len, BUILTIN_CATEGORIES))
+"""Width of the first columns, so that the numbers of all tables are below each other."""
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 
 
@@ -47,7 +49,7 @@ def command(
     elif watch:
         watch_progress(source)
     else:
-        stdout.print(draw_progress(source()))
+        stdout.print(draw_progress(source()), soft_wrap=False)
 
 
 def _source(site: Site | None, connect: str | None, ledger: str | None, tls: Path | None) -> Callable[[], Progress]:
@@ -100,30 +102,19 @@ def draw_progress(progress: Progress) -> Group:
     foot = f"failed attempts: {tries}{back}; redrawn: {progress.redrawn}"
     kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
     away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
-    parts = [Text(head, style="bold"), *away]
     groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
-    return Group(*parts, *(_group_table(name, rows) for name, rows in groups.items()), _workers(progress), Text(foot))
+    tables = [_group_table(name, rows) for name, rows in groups.items()]
+    return Group(Text(head, style="bold"), *away, *tables, _workers(progress), Text(foot))
 
 
-def _group_table(name: str, rows: dict[str, dict[str, int]]) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(name, min_width=28)
-    for column in _COLUMNS:
-        table.add_column(column, justify="right")
-    for key, counts in rows.items():
-        table.add_row(key, *(str(counts.get(column, 0)) for column in _COLUMNS))
-    return table
+def _group_table(name: str, rows: dict[str, dict[str, int]]) -> FittedTable:
+    body = [(key, *(counts.get(column, 0) for column in _COLUMNS)) for key, counts in rows.items()]
+    return FittedTable("", (name, *_COLUMNS), body, _FIRST)
 
 
-def _workers(progress: Progress) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("worker", min_width=28)
-    for column in ("slots", "leased", "archived", "state"):
-        table.add_column(column, justify="right")
-    for worker in progress.workers:
-        state = _state_of(worker, progress.finished)
-        table.add_row(worker.sid, str(worker.slots), str(worker.leased), str(worker.archived), state)
-    return table
+def _workers(progress: Progress) -> FittedTable:
+    body = [(w.sid, w.slots, w.leased, w.archived, _state_of(w, progress.finished)) for w in progress.workers]
+    return FittedTable("", ("worker", "slots", "leased", "archived", "state"), body, _FIRST)
 
 
 def _state_of(worker: WorkerStatus, is_finished: bool) -> str:

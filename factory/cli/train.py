@@ -8,7 +8,6 @@ from typing import Any, Self
 
 import click
 from pydantic import ValidationError
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
@@ -133,13 +132,7 @@ class _TrainBar:
 
     def __init__(self, epochs: int) -> None:
         self._epochs = epochs
-        self._bar = Bars(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[note]}"),
-        )
+        self._bar = Bars()
         self._decoding: Any = None
         self._task: Any = None
 
@@ -155,13 +148,13 @@ class _TrainBar:
     def caching(self, done: int, of: int) -> None:
         """Shows episodes being decoded."""
         if self._decoding is None or done == 1:
-            self._decoding = self._bar.add_task("decoding", total=of, note="")
+            self._decoding = self._bar.add_task("decoding", total=of)
         self._bar.update(self._decoding, completed=done)
 
     def learning(self, epochs: int, done: int, of: int, loss: float) -> None:
         """Shows batches done in this epoch."""
         if self._task is None:
-            self._task = self._bar.add_task("learning", total=of, note="")
+            self._task = self._bar.add_task("learning", total=of)
         note = f"epoch {epochs + 1} of {self._epochs}, loss {loss:.3f}"
         self._bar.update(self._task, total=of, completed=done, note=note)
 
