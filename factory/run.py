@@ -111,7 +111,7 @@ class _Crew:
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
         self._command = [
-            *(sys.executable, "-m", "factory", "worker", "--cores", "1", "--connect", endpoint, "--until-eof"),
+            *(sys.executable, "-m", "factory", "worker", "--workers", "1", "--connect", endpoint, "--until-eof"),
             *("--renderer", run.renderer, "--spool", str(run.root / _SPOOL)),
             *(("--verbose",) if run.verbose else ()),
         ]

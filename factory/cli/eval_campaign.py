@@ -35,8 +35,8 @@ __all__ = ["Asked", "draw_up", "open_store", "pace_bars", "published"]
 class Asked:
     """The options of an evaluation, as given; their help stands with the command."""
 
-    root: Path | None
-    splits: tuple[Split, ...] | None
+    root: Path
+    splits: tuple[str, ...] | None
     policies: tuple[str, ...]
     specs_path: Path | None
     ablate_language: bool
@@ -58,8 +58,8 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
     Raises:
         UsageError: a policy, a split or the file of specs does not exist, or what a policy needs is not installed.
     """
-    if asked.root is None or not asked.policies:
-        raise UsageError("give the dataset and a policy: factory eval --data DIR --policy expert")
+    if not asked.policies:
+        raise UsageError("give the dataset and a policy: factory eval DIR --policy expert")
     for name in asked.policies:
         check_name(name)
         if drives_here:
@@ -115,7 +115,7 @@ def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
 def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
     """The specs of a file, or made of the dataset."""
     if asked.specs_path is not None:
-        splits = frozenset(asked.splits) if asked.splits else None
+        splits = frozenset(map(Split, asked.splits)) if asked.splits else None
         return read_specs(asked.specs_path).only(splits, asked.episodes)
     chosen = splits_of(dataset, asked.splits)
     with _one_bar("reading starts") as tell:

@@ -10,14 +10,18 @@ from click.shell_completion import CompletionItem
 
 from schemas.meant import did_you_mean
 
-__all__ = ["CommandGroup", "DefaultGroup", "say_no_option"]
+__all__ = ["CommandGroup", "DefaultCommand", "DefaultGroup", "say_no_option"]
 
 _MOST = 2
 """Largest number of suggested names."""
 
 
 class CommandGroup(click.Group):
-    """A group that names the nearest command when a name is misspelled."""
+    """A group that lists its commands in their order, and names the nearest one when a name is misspelled."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Returns the names of the commands."""
+        return list(self.commands)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -34,6 +38,21 @@ class CommandGroup(click.Group):
         return super().resolve_command(ctx, args)
 
 
+class _GroupContext(click.Context):
+    """The context of a default command, which usage and errors call by the name of its group."""
+
+    @property
+    def command_path(self) -> str:
+        """The path of the group."""
+        return self.parent.command_path if self.parent is not None else super().command_path
+
+
+class DefaultCommand(click.Command):
+    """The default command of a `DefaultGroup`."""
+
+    context_class = _GroupContext
+
+
 class DefaultGroup(CommandGroup):
     """A group with a default command, which runs when the first argument names no other command.
 
@@ -41,6 +60,11 @@ class DefaultGroup(CommandGroup):
     """
 
     default: click.Command
+
+    def set_default(self, command: DefaultCommand) -> None:
+        """Adds the default command."""
+        self.default = command
+        self.add_command(command)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Puts the name of the default command before arguments that name no command."""

@@ -15,6 +15,7 @@ from coordinator.plan.file import load_plan
 from coordinator.plan.nearest import find_nearest
 from coordinator.plan.spelling import spell_plan
 from factory.catalog import collect_scenes, find_built
+from factory.cli.groups import CommandGroup
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
 from factory.cli.output import json_option, print_json, print_table
 from factory.plan_files import require_files
@@ -26,9 +27,9 @@ from schemas.terms import Tier
 __all__ = ["command"]
 
 
-@click.group("plan")
+@click.group("plan", cls=CommandGroup)
 def command() -> None:
-    """Look at plans."""
+    """Show the episodes of a plan; find the nearest feasible plan."""
 
 
 @command.command("show")
@@ -36,7 +37,10 @@ def command() -> None:
 @shrink_options
 @json_option
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
-    """Show the cells that PLAN (a built-in name or a TOML file) expands to; the files that it names must be there."""
+    """Show how many episodes of each scene, split and tier a plan has.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; the files that it names must exist.
+    """
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
     found = find_built(plan, scene_cache())
@@ -66,11 +70,21 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
 
 @command.command("nearest")
 @plan_argument(default="demo")
-@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="TOML file to write the plan to.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="TOML file to write the plan to; default: none.",
+)
 @shrink_options
 @json_option
 def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> None:
-    """Find the plan nearest to PLAN that its scenes can fulfil; builds or imports them where they are not at hand."""
+    """Find the nearest plan that the scenes can fulfil.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file. Scenes that are not in the cache are built or
+    imported.
+    """
     plan = shrunk_plan(load_plan(plan_name), changes)
     with tempfile.TemporaryDirectory(prefix="plan-") as nowhere:
         catalog = collect_scenes(

@@ -20,16 +20,16 @@ __all__ = ["command"]
 @click.command("push")
 @dataset_argument
 @click.argument("repository", metavar="OWNER/NAME")
-@click.option("--private", is_flag=True, help="Make a new repository private.")
-@click.option("--endpoint", metavar="URL", help="Another Hub than huggingface.co (default: HF_ENDPOINT).")
-@click.option("--dry-run", is_flag=True, help="Say what would be uploaded; ask nobody, send nothing.")
+@click.option("--private", is_flag=True, help="Make the repository private if it is created.")
+@click.option("--endpoint", metavar="URL", help="URL of the Hub; default: HF_ENDPOINT, or huggingface.co.")
+@click.option("--dry-run", is_flag=True, help="Print what would be uploaded; use no network.")
 @json_option
 def command(root: Path, repository: str, private: bool, endpoint: str | None, dry_run: bool, as_json: bool) -> None:
-    """Upload DIR, a dataset or the output of `factory export`, to the dataset repository OWNER/NAME.
+    """Upload a dataset or an export to the Hugging Face Hub.
 
-    \b
-    The token is the Hub's own: `hf auth login`, or HF_TOKEN in the environment.
-    An interrupted upload goes on when the command is given again.
+    DIR is a dataset or the output of `factory export`; OWNER/NAME is a dataset repository.
+    The token is the Hub's: `hf auth login`, or HF_TOKEN in the environment.
+    The same command continues an interrupted upload.
     """
     require_repository(repository)
     plan = plan_push(root, MANIFEST_FILE)

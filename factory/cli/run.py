@@ -19,6 +19,7 @@ from factory.cli.options import (
     shrink_options,
     verbose_option,
     warn_of_empty_splits,
+    workers_option,
 )
 from factory.cli.output import json_option, print_json, say_duration
 from factory.cli.summary import print_summary, summarise
@@ -38,7 +39,7 @@ __all__ = ["command"]
 @click.command("run")
 @plan_argument(default=None)
 @out_option
-@click.option("--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one a core.")
+@workers_option("Number of worker processes, one simulation each")
 @renderer_option
 @gate_option("auto")
 @shrink_options
@@ -54,10 +55,10 @@ def command(
     verbose: bool,
     **changes: Any,
 ) -> int:
-    """Make the dataset of PLAN (default demo) in --out, or go on with the one that is there.
+    """Make a dataset from a plan, or continue an interrupted run.
 
-    PLAN is a built-in name (demo, paper, balanced) or a TOML file. Interrupted by Ctrl-C or a kill, the same command
-    goes on where it was; no episode is made twice.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
+    After Ctrl-C or a kill the same command continues the run; no episode is made twice.
     """
     configure_logs(verbose)
     plan, is_new = begin(plan_name, site, changes)

@@ -20,10 +20,19 @@ _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "boun
 @click.command("inspect")
 @scene_argument
 @seed_option
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Also draw the map with targets and spawns (PNG).")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Also draw the map with targets and spawns to this PNG file.",
+)
 @json_option
 def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
-    """Print categories, targets, units, extents and notes of SCENE (the name of a scene, or a package)."""
+    """Print the categories, targets and extents of a scene.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    """
     from factory.scenes.inspection import describe_scene
     from factory.scenes.topdown import encode_topdown
 

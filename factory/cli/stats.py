@@ -18,7 +18,10 @@ __all__ = ["command"]
 @place_argument
 @json_option
 def command(root: Place, as_json: bool) -> int:
-    """Print the statistics of a dataset; exit 1 when something was left out for damage."""
+    """Print the statistics of a dataset beside the paper's.
+
+    Exits with 1 when damaged episodes were left out.
+    """
     configure_logs()
     statistics = measure_dataset(root)
     if as_json:

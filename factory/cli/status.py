@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from coordinator.wire.tls import read_credentials
-from factory.cli.options import ledger_option, tls_option
+from factory.cli.options import connect_option, ledger_option, tls_option
 from factory.cli.output import FittedTable, json_option, print_json, say_duration, stdout
 from factory.cli.places import SITE
 from factory.ledger import progress_of
@@ -34,15 +34,18 @@ _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 
 @click.command("status")
 @click.argument("site", metavar="[DIR|URL]", required=False, type=SITE)
-@click.option("--connect", metavar="ENDPOINT", help="Ask a running coordinator, e.g. tcp/127.0.0.1:7447.")
+@connect_option("Ask the running coordinator at this endpoint, e.g. tcp/127.0.0.1:7447.")
 @ledger_option
 @click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
 @tls_option
 @json_option
 def command(
-    site: Site | None, connect: str | None, ledger: str | None, watch: bool, tls: Path | None, as_json: bool
+    site: Site | None, connect: tuple[str, ...], ledger: str | None, watch: bool, tls: Path | None, as_json: bool
 ) -> None:
-    """Show the progress of the run in DIR or URL, by scene, tier and split, with rate, ETA and workers."""
+    """Show the progress of a run and its workers.
+
+    Prints the jobs of the dataset in DIR or URL by scene, tier and split, the rate, the time left and the workers.
+    """
     source = _source(site, connect, ledger, tls)
     if as_json:
         print_json(source().model_dump(mode="json"))
@@ -52,15 +55,17 @@ def command(
         stdout.print(draw_progress(source()), soft_wrap=False)
 
 
-def _source(site: Site | None, connect: str | None, ledger: str | None, tls: Path | None) -> Callable[[], Progress]:
-    if connect is not None:
+def _source(
+    site: Site | None, connect: tuple[str, ...], ledger: str | None, tls: Path | None
+) -> Callable[[], Progress]:
+    if connect:
         from coordinator.wire.ask import ask_progress
 
-        require_endpoints((connect,), with_tls=tls is not None)
+        require_endpoints(connect, with_tls=tls is not None)
         if tls is None:
-            return lambda: ask_progress((connect,))
+            return lambda: ask_progress(connect)
         files, name = read_credentials(tls)
-        return lambda: ask_progress((connect,), name, files)
+        return lambda: ask_progress(connect, name, files)
     if site is None:
         raise UsageError("whose status? give a dataset DIR or URL, or --connect ENDPOINT")
     return lambda: progress_of(site, ledger)

@@ -1,6 +1,7 @@
 """The table of `factory`'s verbs: section, name and one-line summary. Data only.
 
-The command of verb NAME is the attribute `command` of the module `factory.cli.NAME`. A summary is the first paragraph of the command's own help; a test compares them.
+The command of verb NAME is the attribute `command` of `factory.cli.NAME`. A summary is the first paragraph of the
+command's help; a test compares them.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--policy", "expert:plannr"), "no expert 'plannr'; .*; did you mean 'planner'"),
         (("--policy", "nowhere_pilot:Policy"), "no module 'nowhere_pilot'; looked in"),
         (("--policy", "exprt"), "no policy 'exprt'; .*; did you mean 'expert'"),
-        (("--policy", "stop"), "no episodes but for training; say --split all"),
+        (("--policy", "stop"), "has episodes for training only; give --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),
         (("--policy", "stop", "--specs", "/nowhere.json"), "factory eval specs"),
     ],
