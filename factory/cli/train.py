@@ -107,7 +107,7 @@ def command() -> None:
 @click.option(
     "--device", default="auto", show_default=True, metavar="DEVICE", help="PyTorch device: auto, cpu, cuda, cuda:1, ..."
 )
-@click.option("--resume", is_flag=True, hidden=True, help="Former spelling: a training that is there is continued.")
+@click.option("--resume", is_flag=True, hidden=True, expose_value=False, help="Former; no longer needed.")
 @json_option
 def bc(
     root: Place,
@@ -125,7 +125,6 @@ def bc(
     rate: float,
     mask_weight: float,
     device: str,
-    resume: bool,
     as_json: bool,
 ) -> int:
     """Train a policy by behaviour cloning.
@@ -148,7 +147,7 @@ def bc(
         mask_weight=mask_weight,
     )
     wanted = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
-    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes, resume)
+    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes)
     with stop_on_signals() as (stop, _), _TrainBar(epochs) as bar:
         report = train_bc(order, Watcher(bar.caching, bar.learning, bar.measured, stop.is_set))
     if as_json:

@@ -51,7 +51,7 @@ def test_mistakes_are_named(dataset: Path, words: tuple[str, ...], said: str) ->
 def test_a_split_that_is_none_is_a_mistake_of_usage(dataset: Path) -> None:
     import click
 
-    with pytest.raises(click.UsageError, match="no split test; there are train_id"):
+    with pytest.raises(click.UsageError, match="no split 'test'; valid: train_id"):
         cli.main(["eval", "--data", str(dataset), "--policy", "stop", "--split", "test"], standalone_mode=False)
 
 
