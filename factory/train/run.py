@@ -135,8 +135,8 @@ def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> No
     then = found.meta
     if (then.train_digest, then.words) != (meta.train_digest, meta.words):
         raise UsageError(
-            f"{out} holds a training on other episodes ({_say_data(then)}; now {_say_data(meta)}): give the same dataset, "
-            "--split, --scene and --tier to continue it, or choose another --out"
+            f"{out} holds a training on other episodes ({_say_data(then)}; now {_say_data(meta)}): give the same "
+            "dataset, --split, --scene and --tier to continue it, or choose another --out"
         )
 
 

@@ -19,6 +19,7 @@ from factory.eval.policy import EpisodeInfo, Observation
 from factory.train.options import BcOptions
 from factory.train.run import TrainOrder, Watcher, train_bc
 from schemas.errors import UsageError, WorldError
+from schemas.terms import Split
 from tests.builders.dataset import make_dataset
 from tests.builders.needs_torch import needs_torch
 
