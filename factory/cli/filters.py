@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 import click
@@ -49,7 +49,7 @@ class _Names(click.ParamType):  # type: ignore[type-arg]  # generic since click 
 def filter_option(
     flag: str,
     name: str,
-    known: Collection[str] = (),
+    known: Iterable[str] = (),
     text: str | None = None,
 ) -> Callable[[Command], Command]:
     """An option whose values are collected in one tuple; `None` where it is not given, empty for `all`.
@@ -60,15 +60,15 @@ def filter_option(
         known: valid values; empty where they are not known beforehand.
         text: of the help; by default that of a filter.
     """
-    word = flag.lstrip("-")
+    word, names = flag.lstrip("-"), tuple(map(str, known))
     return click.option(
         flag,
         name,
         multiple=True,
-        type=_Names(word, tuple(map(str, known))),
+        type=_Names(word, names),
         metavar=word.upper(),
         callback=_flatten,
-        help=text or f"Only this {word}, repeatable: {', '.join(map(str, known))}.",
+        help=text or f"Only this {word}, repeatable: {', '.join(names)}.",
     )
 
 

@@ -19,7 +19,7 @@ from factory.cli.episodes import episode_index
 from factory.cli.filters import filter_option, scene_filter, split_filter, tier_filter
 from factory.cli.groups import CommandGroup
 from factory.cli.options import ledger_option, site_argument, tls_option
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.ledger import read_ledger
 from factory.site import Site
 from schemas.errors import UsageError
@@ -99,7 +99,7 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
         print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
         return
     last = draws[-1]
-    click.echo(f"{episode_id(index)}: {last.state}; {last.scene}, {last.split}, {last.tier}: {last.instruction}")
+    print_text(f"{episode_id(index)}: {last.state}; {last.scene}, {last.split}, {last.tier}: {last.instruction}")
     rows = [(d.draw, d.state, d.category, d.target_id, d.misses, d.crashes, d.reason) for d in draws]
     print_table("draws", ("draw", "state", "category", "target", "misses", "crashes", "reason"), rows)
     print_table(
@@ -178,7 +178,7 @@ def _administer(
 def _print_reply(reply: AdminReply, action: AdminAction) -> None:
     shown = ", ".join(episode_id(index) for index in reply.changed[:20])
     more = f" and {len(reply.changed) - 20} more" if len(reply.changed) > 20 else ""
-    click.echo(f"{action}: {len(reply.changed)} jobs {shown}{more}")
+    print_text(f"{action}: {len(reply.changed)} jobs {shown}{more}")
     for index, reason in reply.refused.items():
         click.echo(f"  {episode_id(index)}: {reason}", err=True)
 

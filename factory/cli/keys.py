@@ -37,11 +37,12 @@ def command() -> None:
 
     \b
     factory keys ca pki
-    factory keys host pki hub --role coordinator --address 10.0.0.1 --address hub.example.org
+    factory keys host pki hub --role coordinator --address hub.example.org
     factory keys host pki gw1 --role gateway --address 10.0.1.1
     factory keys host pki node-07
     factory keys host pki desk --role evaluator
-    Then copy pki/hub, pki/gw1, pki/node-07 and pki/desk to those machines, and give them as --tls.
+
+    Then copy pki/hub, pki/gw1, pki/node-07 and pki/desk to these hosts and give them as --tls.
     """
 
 

@@ -12,7 +12,7 @@ from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, JustifyMethod
 from rich.table import Table
 
-__all__ = ["FittedTable", "json_option", "print_json", "print_table", "say_duration", "stderr", "stdout"]
+__all__ = ["FittedTable", "json_option", "print_json", "print_table", "print_text", "say_duration", "stderr", "stdout"]
 
 _PIPE_COLUMNS = 200
 """Width of tables where no terminal sets one."""
@@ -30,6 +30,14 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 def print_json(data: Any) -> None:
     """Prints plain data as indented JSON."""
     click.echo(json.dumps(data, indent=2, ensure_ascii=False))
+
+
+def print_text(text: str, console: Console = stdout) -> None:
+    """Prints sentences; on a terminal, lines are broken between words."""
+    if console.is_terminal:
+        console.print(text, soft_wrap=False, markup=False)
+    else:
+        click.echo(text, file=console.file)
 
 
 def print_table(

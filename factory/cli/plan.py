@@ -17,7 +17,7 @@ from coordinator.plan.spelling import spell_plan
 from factory.catalog import collect_scenes, find_built
 from factory.cli.groups import CommandGroup
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.plan_files import require_files
 from factory.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
@@ -50,17 +50,17 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         told = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
-    click.echo(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
+    print_text(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
     for scene in plan.scenes:
         seen, held_out = scene.categories
-        click.echo(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
+        print_text(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
     _print_cells(plan)
     warn_of_empty_splits(plan)
     for line in mistakes or ():
-        click.echo(f"impossible: {line}")
+        print_text(f"impossible: {line}")
     nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
     if mistakes:
-        click.echo(f"{nearest} says what is possible instead")
+        print_text(f"{nearest} says what is possible instead")
     elif unknown:
         click.echo(
             f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does",
@@ -103,18 +103,18 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
         print_json(told | {"file": None if out is None else str(out)})
         return
     if not mistakes:
-        click.echo(f"plan {plan.name} is possible as it is: {plan.episodes} episodes")
+        print_text(f"plan {plan.name} is possible as it is: {plan.episodes} episodes")
     else:
         for line in mistakes:
-            click.echo(f"impossible: {line}")
-        click.echo(
+            print_text(f"impossible: {line}")
+        print_text(
             f"nearest: {found.plan.episodes} of {plan.episodes} episodes, {found.moved} not in the cell asked for"
         )
         for line in found.changes:
-            click.echo(f"  {line}")
+            print_text(f"  {line}")
         _print_cells(found.plan)
     if out is not None:
-        click.echo(f"written to {out}; make it with: factory run {out} --out DIR")
+        print_text(f"written to {out}; make it with: factory run {out} --out DIR")
 
 
 def _write(path: Path, text: str) -> None:

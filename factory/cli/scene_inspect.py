@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
 from factory.cli.scene_rest import say_counts, say_rest
 from schemas.errors import WorldError
@@ -56,10 +56,10 @@ def _write_map(path: Path, picture: bytes) -> None:
 def _print(facts: dict[str, Any]) -> None:
     for key, value in facts.items():
         if key not in _LISTED:
-            click.echo(f"{key}: {_words(value)}")
-    click.echo(f"categories: {say_counts(facts['categories'])}")
+            print_text(f"{key}: {_words(value)}")
+    print_text(f"categories: {say_counts(facts['categories'])}")
     for line in say_rest(facts["no_target"], facts["instances"]):
-        click.echo(line)
+        print_text(line)
     click.echo("")
     columns = ("id", "category", "colour", "centroid m", "straight from", "connected from", "prim")
     print_table("", columns, [_row(target) for target in facts["targets"]])

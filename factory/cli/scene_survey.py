@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def command(scene: str, seed: int, within: float, as_json: bool) -> int:
         print_json(asdict(report))
     else:
         for line in say_survey(report):
-            click.echo(line)
+            print_text(line)
         click.echo("")
         print_table("", ("spawn", "x m", "y m", "targets in sight", "categories"), map(_row, count(), report.sights))
     for reason in report.shortcomings:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import click
 
-from factory.cli.output import print_table
+from factory.cli.output import print_table, print_text
 from factory.stats import paper
 from factory.stats.model import AttemptRow, CountRow, ErrorRow, Fit, RolloutRow, Share, Statistics
 
@@ -19,8 +19,8 @@ _DASH = "-"
 def print_statistics(statistics: Statistics) -> None:
     """Prints all tables."""
     found, planned = statistics.episodes, statistics.planned
-    click.echo(f"{statistics.dataset}: {found} of {planned} episodes, run {statistics.run}, {statistics.expert} expert")
-    click.echo("NE and TL in metres, means unless said; `paper`: as published; intervals: 95 %")
+    print_text(f"{statistics.dataset}: {found} of {planned} episodes, run {statistics.run}, {statistics.expert} expert")
+    print_text("NE and TL in metres, means unless said; `paper`: as published; intervals: 95 %")
     for name, rows in (
         ("scene", statistics.scenes),
         ("split", statistics.splits),
@@ -30,7 +30,7 @@ def print_statistics(statistics: Statistics) -> None:
         _print_rollouts(name, rows)
     _print_counts("category", statistics.categories)
     three, published = _percent(statistics.three_largest_share), _percent(paper.THREE_LARGEST_SHARE)
-    click.echo(f"three largest categories: {three} of the episodes (paper {published})")
+    print_text(f"three largest categories: {three} of the episodes (paper {published})")
     _print_counts("template", statistics.templates)
     _print_attempts(statistics.attempts)
     _print_cells(statistics)

@@ -30,6 +30,8 @@ _PATIENCE_S = 60.0
 _FIRST = max(map(len, BUILTIN_CATEGORIES))
 """Width of the first columns, so that the numbers of all tables are below each other."""
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
+_ALWAYS = ("pending", "leased", "archived")
+"""States whose columns are shown even where no job has them."""
 
 
 @click.command("status")
@@ -108,13 +110,14 @@ def draw_progress(progress: Progress) -> Group:
     kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
     away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
     groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
-    tables = [_group_table(name, rows) for name, rows in groups.items()]
+    states = [state for state in _COLUMNS if state in _ALWAYS or progress.jobs.get(state)]
+    tables = [_group_table(name, rows, states) for name, rows in groups.items()]
     return Group(Text(head, style="bold"), *away, *tables, _workers(progress), Text(foot))
 
 
-def _group_table(name: str, rows: dict[str, dict[str, int]]) -> FittedTable:
-    body = [(key, *(counts.get(column, 0) for column in _COLUMNS)) for key, counts in rows.items()]
-    return FittedTable("", (name, *_COLUMNS), body, _FIRST)
+def _group_table(name: str, rows: dict[str, dict[str, int]], states: list[str]) -> FittedTable:
+    body = [(key, *(counts.get(state, 0) for state in states)) for key, counts in rows.items()]
+    return FittedTable("", (name, *states), body, _FIRST)
 
 
 def _workers(progress: Progress) -> FittedTable:
