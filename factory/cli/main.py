@@ -78,7 +78,7 @@ def _take_surroundings() -> None:
 
 def _run() -> int:
     try:
-        outcome = cli.main(standalone_mode=False)
+        outcome = cli.main(prog_name="factory", standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _say("interrupted; nothing that was done is lost: run the same command again to go on", 130)
     except click.NoSuchOption as error:

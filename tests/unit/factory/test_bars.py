@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from io import StringIO
 
+import pytest
 from rich.console import Console
 from rich.progress import MofNCompleteColumn
 
@@ -49,3 +51,20 @@ def test_a_terminal_has_its_bar_and_no_lines() -> None:
         with Bars(*COLUMNS, console=console, refresh_per_second=0.01, pause_s=pause_s) as bar:
             bar.update(bar.add_task("paper", total=240, note=""), completed=94)
     assert seen.getvalue() == told.getvalue()
+
+
+LONG_NOTE = "1052 episodes/h, 14 min 10 s left, 2 running, 13 failed attempts"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_counts_times_and_notes_are_whole_on_a_narrow_terminal(width: int) -> None:
+    text = StringIO()
+    console = Console(file=text, force_terminal=True, width=width, color_system=None)
+    with Bars(console=console, refresh_per_second=0.01) as bar:
+        bar.update(bar.add_task("my_package.my_module:MyLongPolicyClass", total=60), completed=40, note="12 succeeded")
+        bar.update(bar.add_task("paper", total=1174), completed=940, note=LONG_NOTE)
+    told = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.getvalue())
+    assert max(len(line) for line in re.split(r"[\r\n]", told)) <= width
+    assert "940/1174 0:00:0" in told
+    assert "…" not in told
+    assert LONG_NOTE in " ".join(told.split())
