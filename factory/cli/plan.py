@@ -17,7 +17,7 @@ from coordinator.plan.spelling import spell_plan
 from factory.catalog import collect_scenes, find_built
 from factory.cli.groups import CommandGroup
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
-from factory.cli.output import json_option, print_json, print_table, print_text
+from factory.cli.output import json_option, print_json, print_table, print_text, stderr
 from factory.plan_files import require_files
 from factory.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
@@ -62,9 +62,8 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     if mistakes:
         print_text(f"{nearest} says what is possible instead")
     elif unknown:
-        click.echo(
-            f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does",
-            err=True,
+        print_text(
+            f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does", stderr
         )
 
 

@@ -19,7 +19,6 @@ from factory.eval.policy import EpisodeInfo, Observation
 from factory.train.options import BcOptions
 from factory.train.run import TrainOrder, Watcher, train_bc
 from schemas.errors import UsageError, WorldError
-from schemas.terms import Split
 from tests.builders.dataset import make_dataset
 from tests.builders.needs_torch import needs_torch
 
@@ -124,7 +123,7 @@ def test_another_training_is_not_continued_and_its_options_are_named(root: Path,
 @needs_torch
 def test_a_training_on_other_episodes_is_not_continued(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
-    order = TrainOrder(Dataset(root), tmp_path, options(), Split.TEST_ID, "cpu")
+    order = TrainOrder(Dataset(root).filter(episode="ep_000001"), tmp_path, options(), device="cpu")
     watcher = Watcher(lambda *_: None, lambda *_: None, lambda _: None, lambda: False)
     with pytest.raises(UsageError, match=r"on other episodes \(\d+ episodes, .* now \d+ episodes"):
         train_bc(order, watcher)
