@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from coordinator.archive.contract import LEDGER_FILE
+from coordinator.archive.staging import is_held
 from coordinator.ledger.look import Connection, look_into
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.progress import read_progress
@@ -42,6 +43,13 @@ def plan_of(home: Path) -> Plan | None:
 
 
 def progress_of(site: Site, url: str | None = None) -> Progress:
-    """Returns where the run of a directory stands."""
+    """Returns where the run of a directory stands; no worker is alive where no coordinator runs.
+
+    A ledger in another database may belong to a coordinator on another host; its workers are judged by their beats.
+    """
     with read_ledger(site, url) as connection:
-        return read_progress(connection, datetime.now(UTC))
+        progress = read_progress(connection, datetime.now(UTC))
+    if url is not None or is_held(site.home) is not False:
+        return progress
+    gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)
+    return progress.model_copy(update={"workers": gone})

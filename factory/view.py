@@ -69,7 +69,7 @@ def view_episode(
         if save is not None and part is not None:
             part.replace(save)
     except OSError as error:
-        raise WorldError(f"cannot write {save} ({error.strerror}); free space or choose another --save") from error
+        raise WorldError(f"cannot write {save} ({error.strerror}); free space or choose another --out") from error
     finally:
         if part is not None:
             with suppress(OSError):  # where no file can be, there is none

@@ -1,4 +1,4 @@
-"""What somebody may have meant who wrote a name that is none. Pure; the message around it is the caller's."""
+"""Suggests the closest known name for a misspelled one. Pure; the message around it is the caller's."""
 
 from __future__ import annotations
 
@@ -8,14 +8,21 @@ from collections.abc import Iterable
 __all__ = ["did_you_mean"]
 
 
-def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """Returns `; did you mean 'NAME'?` with the nearest name, or nothing where none is near.
+def did_you_mean(word: str, names: Iterable[str], most: int = 1) -> str:
+    """Returns `; did you mean 'NAME'?` with the closest names, or nothing where none is close.
+
+    Args:
+        word: the misspelled name.
+        names: the known names.
+        most: largest number of names to return.
 
     >>> did_you_mean("offfice", ["hospital", "office"])
     "; did you mean 'office'?"
+    >>> did_you_mean("stauts", ["stats", "status", "run"], most=2)
+    "; did you mean 'stats' or 'status'?"
     >>> did_you_mean("oracle", ["hospital", "office"])
     ''
     """
     spelt = {name.lower(): str(name) for name in names}
-    near = difflib.get_close_matches(word.lower(), spelt, n=1)
-    return f"; did you mean {spelt[near[0]]!r}?" if near else ""
+    near = difflib.get_close_matches(word.lower(), spelt, n=most)
+    return f"; did you mean {' or '.join(repr(spelt[name]) for name in near)}?" if near else ""

@@ -9,6 +9,9 @@ import pytest
 
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
+from tests.builders.tools import find_system_tools
+
+find_system_tools()  # before test modules look for tools
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

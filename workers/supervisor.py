@@ -182,7 +182,7 @@ def _meet(
             found = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
                 f"no coordinator at {where} within {settings.wait_s:g} s{found}{refused}: start one with `factory "
-                "coordinator start`, give its endpoint with --connect, or wait longer with --wait"
+                "coordinator start`, give its endpoint with --connect, or wait longer with --connect-timeout"
             )
         stop.wait(pause.fail())
     return None

@@ -9,6 +9,7 @@ import fcntl
 import os
 import secrets
 import shutil
+import time
 from pathlib import Path
 
 from coordinator.archive.contract import STAGING
@@ -17,9 +18,11 @@ from coordinator.archive.staged import Staged
 from schemas.errors import WorldError
 from schemas.job import episode_id
 
-__all__ = ["Staging"]
+__all__ = ["Staging", "is_held"]
 
 _LOCK = ".lock"
+_ASKED_S = 0.001
+"""Pause before the lock is tried again, seconds."""
 
 
 class Staging:
@@ -72,15 +75,54 @@ class Staging:
         os.close(self._lock)
 
 
+def is_held(root: Path) -> bool | None:
+    """Returns whether a coordinator holds the directory now; `None` where this user cannot find out.
+
+    Takes the lock for a moment, shared with others who ask; a coordinator that starts meanwhile waits for them.
+    """
+    try:
+        descriptor = os.open(root / _LOCK, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return None
+    try:
+        return not _take(descriptor, fcntl.LOCK_SH)
+    except OSError:
+        return None
+    finally:
+        os.close(descriptor)
+
+
+def _take(descriptor: int, kind: int) -> bool:
+    """Takes a lock without waiting; returns whether it was free."""
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _take_alone(descriptor: int) -> bool:
+    """Takes the lock of the one coordinator; returns whether no other coordinator holds it.
+
+    A lock that can be shared is held by those who ask `is_held`, each for a moment.
+    """
+    while not _take(descriptor, fcntl.LOCK_EX):
+        if not _take(descriptor, fcntl.LOCK_SH):
+            return False
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+        time.sleep(_ASKED_S)
+    return True
+
+
 def _lock(path: Path, dataset: str) -> int:
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
+    if not _take_alone(descriptor):
         owner = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip() or "unknown"
         os.close(descriptor)
         message = f"another coordinator works on {dataset} (pid {owner}): stop it first, or choose another --out"
-        raise WorldError(message) from error
+        raise WorldError(message)
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
     return descriptor

@@ -184,13 +184,16 @@ def _begin_immediate(connection: Connection) -> None:
 
 
 def _connect_readonly(file: Path) -> sqlite3.Connection:
+    log = file.with_name(file.name + "-wal")
+    # a writer keeps its log as long as it runs, and a killed one leaves it: without a log nobody writes. SQLite would
+    # then create a log to read, leave it behind, and fail on a read-only disk
+    if not log.exists():
+        return _open_readonly(file, "mode=ro&immutable=1")
     try:
         return _open_readonly(file, "mode=ro")
     except sqlite3.OperationalError:
-        log = file.with_name(file.name + "-wal")
         if log.exists() and log.stat().st_size:
             raise
-        # without a log nobody writes; SQLite wanted to make one beside it, which a read-only disk does not allow
         return _open_readonly(file, "mode=ro&immutable=1")
 
 

@@ -184,8 +184,8 @@ def require_plan(begun: Plan, plan: Plan) -> None:
     if begun.digest != plan.digest:
         raise UsageError(
             f"the directory holds run {begun.run} ({begun.episodes} episodes, seed {begun.seed}), asked for "
-            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): leave the plan and its options out to go on "
-            "with what is there, or choose another --out"
+            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): leave PLAN and its options out, as in "
+            "`factory run --out DIR`, to continue what is there, or choose another --out"
         )
 
 

@@ -33,12 +33,12 @@ _YIELD_ROWS = 1000
 
 @dataclass(frozen=True)
 class JobFilter:
-    """Which current draws are meant; `None` means any."""
+    """Which current draws are meant; an empty field means any."""
 
-    state: State | None = None
-    scene: str | None = None
-    tier: Tier | None = None
-    split: Split | None = None
+    states: tuple[State, ...] = ()
+    scenes: tuple[str, ...] = ()
+    tiers: tuple[Tier, ...] = ()
+    splits: tuple[Split, ...] = ()
     index: int | None = None
     """When given, all draws of that episode are meant, superseded ones too."""
 
@@ -156,10 +156,10 @@ def _filtered(query: Select[Any], wanted: JobFilter) -> Select[Any]:
     if wanted.index is not None:
         return query.where(jobs.c.idx == wanted.index)
     query = query.where(jobs.c.superseded.is_(False))
-    for name in ("state", "scene", "tier", "split"):
-        value = getattr(wanted, name)
-        if value is not None:
-            query = query.where(jobs.c[name] == value)
+    columns = {"state": wanted.states, "scene": wanted.scenes, "tier": wanted.tiers, "split": wanted.splits}
+    for name, values in columns.items():
+        if values:
+            query = query.where(jobs.c[name].in_(values))
     return query
 
 

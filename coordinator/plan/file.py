@@ -6,6 +6,7 @@ The only place that reads plan files; it does not look at scenes.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,27 +95,24 @@ def scene_of(plan: Plan, name: str) -> ScenePlan:
 def shrink(
     plan: Plan,
     *,
-    scene: str | None = None,
+    scenes: Sequence[str] = (),
     episodes: int | None = None,
     expert: ExpertName | None = None,
     seed: int | None = None,
 ) -> Plan:
-    """Returns the plan with fewer scenes or episodes, its proportions kept, or with another expert or seed.
+    """Returns the plan with only some scenes or episodes, its proportions kept, or with another expert or seed.
 
     Raises:
         UsageError: the plan has no such scene, or more episodes are asked for than it has.
     """
-    scenes = plan.scenes
-    if scene is not None:
-        scenes = (scene_of(plan, scene),)
+    wanted = {scene_of(plan, name).name for name in scenes}
+    parts = tuple(part for part in plan.scenes if part.name in wanted) or plan.scenes
     if episodes is not None:
         if episodes < 1:
             raise UsageError(f"--episodes {episodes}: at least 1 is needed")
-        share = apportion({part.name: float(part.episodes) for part in scenes}, episodes)
-        scenes = tuple(
-            part.model_copy(update={"episodes": share[part.name]}) for part in scenes if share[part.name] > 0
-        )
-    changes: dict[str, Any] = {"scenes": scenes}
+        share = apportion({part.name: float(part.episodes) for part in parts}, episodes)
+        parts = tuple(part.model_copy(update={"episodes": share[part.name]}) for part in parts if share[part.name] > 0)
+    changes: dict[str, Any] = {"scenes": parts}
     if expert is not None:
         changes["expert"] = expert
     if seed is not None:

@@ -30,7 +30,7 @@ stop() {
 }
 trap stop TERM INT
 
-factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --wait 600 &
+factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600 &
 worker=$!
 # told before the worker had a name
 if [ -n "${told_to_stop}" ]; then kill -TERM "${worker}" 2>/dev/null; fi

@@ -1,6 +1,6 @@
 """A policy of one's own: a class with `reset` and `act`, no base class, nothing to register.
 
-Run it from the folder that this file is in:  factory eval --data DIR --policy my_policy:TowardsOpenFloor
+Run it from the folder that this file is in:  factory eval DIR --policy my_policy:TowardsOpenFloor
 """
 
 import numpy as np

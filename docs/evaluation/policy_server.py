@@ -1,6 +1,6 @@
 """A policy behind a websocket, the way openpi serves its models. Needs numpy, msgpack and websockets, nothing of ours.
 
-python policy_server.py 8000            then:  factory eval --data DIR --policy ws://127.0.0.1:8000
+python policy_server.py 8000            then:  factory eval DIR --policy ws://127.0.0.1:8000
 """
 
 import sys

@@ -3,7 +3,7 @@
     python finetune_tokens.py --data dataset --model tiny -o tiny                  # minutes on a CPU, proves the pipe
     python finetune_tokens.py --data dataset --model openvla/openvla-7b -o adapted   # transformers, peft, a GPU
 
-Then, from the folder of this file:  VLA_CHECKPOINT=tiny factory eval --data dataset --policy finetune_tokens:VlaPolicy
+Then, from the folder of this file:  VLA_CHECKPOINT=tiny factory eval dataset --policy finetune_tokens:VlaPolicy
 
 An action is two of the 7 + 7 tokens of the grid. They take the place of the last 14 tokens of the language model's
 vocabulary (OpenVLA takes its last 256), so the model answers with two words it already has. Needs the extra `train`.

@@ -21,11 +21,13 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
         UsageError: the plan has no scene of that name, or fewer episodes of it.
     """
     names = list(scenes) or [scene.name for scene in plan.scenes]
-    parts = tuple(shrink(plan, scene=name, episodes=1).scenes[0] for name in dict.fromkeys(names))
+    parts = tuple(shrink(plan, scenes=(name,), episodes=1).scenes[0] for name in dict.fromkeys(names))
     found = {scene.name: scene.episodes for scene in plan.scenes}
     short = [f"{part.name} {found[part.name]}" for part in parts if found[part.name] < episodes]
     if short:
-        raise UsageError(f"--episodes {episodes}: plan {plan.name!r} has fewer of {', '.join(short)}; choose --plan")
+        raise UsageError(
+            f"--episodes {episodes}: plan {plan.name!r} has fewer of {', '.join(short)}; choose another PLAN"
+        )
     return plan.model_copy(update={"scenes": tuple(part.model_copy(update={"episodes": episodes}) for part in parts)})
 
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from coordinator.plan.file import load_plan
@@ -33,7 +32,9 @@ from factory.bench.work import first_attempts, narrow
 from factory.catalog import open_catalog
 from factory.cli.bars import Bars
 from factory.cli.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
-from factory.cli.options import renderer_option
+from factory.cli.filters import scene_filter
+from factory.cli.groups import CommandGroup
+from factory.cli.options import count_option, former_option, plan_argument, renderer_option, workers_option
 from factory.cli.output import json_option, print_json
 from factory.cli.places import PLACE
 from factory.dataset import Dataset
@@ -42,7 +43,7 @@ from factory.settings import scene_cache
 from schemas.base import Model
 from schemas.config import CameraConfig
 from schemas.plan import Plan
-from schemas.terms import BUILTIN_CATEGORIES, RendererKind
+from schemas.terms import RendererKind
 from workers.settings import WorkerSettings
 from workers.stage import Stage
 
@@ -56,30 +57,31 @@ _MEMORY_JOBS = 25
 Command = TypeVar("Command", bound=Callable[..., Any])
 Report = TypeVar("Report", bound=Model)
 
-_repeats_option = click.option("--repeats", type=click.IntRange(1), default=3, show_default=True, help="Timed runs.")
-_scene_option = click.option(
-    "--scene", "scenes", multiple=True, metavar="SCENE", help=f"Only this one ({', '.join(BUILTIN_CATEGORIES)}, ...)."
-)
+_repeats_option = count_option("--repeats", 3, "Number of timed runs.")
 
 
-@click.group("bench")
+@click.group("bench", cls=CommandGroup)
 def command() -> None:
-    """Measure this machine; every figure is a median over repeated runs of the same work."""
+    """Measure the performance of this machine.
+
+    Every figure is a median over repeated runs of the same work.
+    """
     configure_logs(verbose=False)
 
 
 @command.command("rollout")
-@_scene_option
-@click.option("--plan", "plan_name", default="paper", show_default=True, help="A built-in name or a TOML file.")
-@click.option("--episodes", type=click.IntRange(1), default=8, show_default=True, help="Jobs of each scene.")
+@plan_argument(default="paper")
+@former_option("--plan", "plan_name", "PLAN")
+@scene_filter()
+@count_option("--episodes", 8, "Number of episodes of each scene.")
 @_repeats_option
-@click.option("--against", type=click.Choice(["plain"]), help="Also run the plain PyBullet pipeline.")
-@click.option("--frames", type=click.IntRange(2), default=_PLAIN_FRAMES, show_default=True, help="Of the plain one.")
+@click.option("--against", type=click.Choice(["plain"]), help="Also measure the plain PyBullet pipeline.")
+@count_option("--frames", _PLAIN_FRAMES, "Number of frames of the plain pipeline.", least=2)
 @renderer_option
 @json_option
 def rollout(
-    scenes: tuple[str, ...],
     plan_name: str,
+    scenes: tuple[str, ...] | None,
     episodes: int,
     repeats: int,
     against: str | None,
@@ -87,12 +89,13 @@ def rollout(
     renderer: str,
     as_json: bool,
 ) -> None:
-    """Time the whole loop on one core: physics, control, rendering, encoding, bundle.
+    """Time collection on one core, from physics to the bundle.
 
-    `frames_per_s_per_core` is wall clock, `frames_per_cpu_s` is CPU time of the process, which a busy machine
-    does not change.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Physics, control, rendering,
+    encoding and writing the bundle are timed. `frames_per_s_per_core` is wall-clock time, `frames_per_cpu_s` is CPU
+    time of the process, which does not depend on the load of the machine.
     """
-    plan = narrow(load_plan(plan_name), scenes, episodes)
+    plan = narrow(load_plan(plan_name), scenes or (), episodes)
     machine, watch = describe_machine(), Watch()
     with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
@@ -108,14 +111,14 @@ def rollout(
 
 
 @command.command("render")
-@_scene_option
-@click.option("--frames", type=click.IntRange(1), default=60, show_default=True, help="Poses all over each scene.")
+@scene_filter()
+@count_option("--frames", 60, "Number of poses in each scene.")
 @_repeats_option
 @renderer_option
 @json_option
-def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as_json: bool) -> None:
-    """Time rendering alone, at the same random poses on the floor of each scene."""
-    plan = narrow(load_plan(_SAMPLE_PLAN), scenes, 1)
+def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
+    """Time rendering at the same random poses of each scene."""
+    plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
     machine, watch = describe_machine(), Watch()
     with _bar("render", len(plan.scenes)) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
@@ -130,13 +133,16 @@ def render(scenes: tuple[str, ...], frames: int, repeats: int, renderer: str, as
 
 
 @command.command("memory")
-@_scene_option
-@click.option("--episodes", type=click.IntRange(20), default=200, show_default=True, help="In all; most are cut short.")
+@scene_filter()
+@count_option("--episodes", 200, "Number of episodes of all scenes together; most are cut short.", least=20)
 @renderer_option
 @json_option
-def memory(scenes: tuple[str, ...], episodes: int, renderer: str, as_json: bool) -> None:
-    """Watch one simulation's memory over many short episodes, in all scenes by turns."""
-    plan = narrow(load_plan("paper"), scenes, _MEMORY_JOBS)
+def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json: bool) -> None:
+    """Measure the memory of a simulation over many episodes.
+
+    The scenes take turns.
+    """
+    plan = narrow(load_plan("paper"), scenes or (), _MEMORY_JOBS)
     with _bar("memory", episodes) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
         turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
@@ -147,19 +153,17 @@ def memory(scenes: tuple[str, ...], episodes: int, renderer: str, as_json: bool)
 
 
 @command.command("coordinator")
-@click.option("--jobs", type=click.IntRange(1000, 5_000_000), default=100_000, show_default=True, help="In the ledger.")
-@click.option("--workers", type=click.IntRange(1, 64), default=64, show_default=True, help="Requests in flight.")
-@click.option("--sessions", type=click.IntRange(1, 4000), default=2000, show_default=True, help="Connected at once.")
-@click.option(
-    "--bundle-mb", type=click.IntRange(1, 256), default=32, show_default=True, help="Of each worker's bundle."
-)
+@count_option("--jobs", 100_000, "Number of jobs in the ledger.", least=1000, most=5_000_000)
+@count_option("--workers", 64, "Number of simulated workers that send requests.", most=64)
+@count_option("--sessions", 2000, "Number of sessions connected at once.", most=4000)
+@count_option("--bundle-mb", 32, "Size of each worker's bundle, MB.", most=256)
 @_repeats_option
 @json_option
 def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats: int, as_json: bool) -> None:
-    """Time a coordinator with a large ledger: leases and submits, directly and over the network, and real bundles.
+    """Time a coordinator with a large ledger.
 
-    The memory is that of a coordinator in a process of its own, with all sessions connected, and with all workers
-    delivering a bundle at the same moment.
+    Leases and submissions are timed directly and over the network, with real bundles. The memory is that of a separate
+    coordinator process with all sessions connected, and while all workers deliver a bundle at the same time.
     """
     sample_plan = narrow(load_plan(_SAMPLE_PLAN), ("office",), 2)
     part = sample_plan.scenes[0].model_copy(update={"episodes": jobs})
@@ -183,17 +187,22 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
 
 @command.command("read")
 @click.argument("root", metavar="[DIR|URL]", required=False, type=PLACE)
-@_scene_option
-@click.option("--frames", type=click.IntRange(1), default=500, show_default=True, help="Random frames a run.")
-@click.option("--workers", type=click.IntRange(0, 64), default=2, show_default=True, help="Of the torch loader.")
+@scene_filter()
+@count_option("--frames", 500, "Number of random frames of a run.")
+@workers_option("Number of worker processes of the PyTorch loader.", default=2, least=0)
 @_repeats_option
 @json_option
-def read(root: Place | None, scenes: tuple[str, ...], frames: int, workers: int, repeats: int, as_json: bool) -> None:
-    """Time random access to the frames of a dataset; without one to a few episodes of every scene, made for it."""
+def read(
+    root: Place | None, scenes: tuple[str, ...] | None, frames: int, workers: int, repeats: int, as_json: bool
+) -> None:
+    """Time random access to the frames of a dataset.
+
+    Without DIR or URL a few episodes of every scene are made first.
+    """
     with _nowhere() as nowhere:
         if root is None:
             root = made = nowhere / "sample"
-            _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes, 1), nowhere)
+            _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), nowhere)
         report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
     _print(report, as_json, show_read)
 
@@ -212,8 +221,7 @@ def _nowhere() -> Iterator[Path]:
 @contextmanager
 def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
     """Shows a bar and gives the function that moves it on by one."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bars(*columns, refresh_per_second=1) as bar:
+    with Bars(refresh_per_second=1) as bar:
         task = bar.add_task(f"bench {name}", total=total)
         yield lambda: bar.advance(task)
 

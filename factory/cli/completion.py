@@ -13,7 +13,7 @@ __all__ = ["command"]
 @click.command("completion")
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def command(shell: str) -> None:
-    """Print the completion script of a SHELL.
+    """Print the completion script of a shell.
 
     \b
     bash:  factory completion bash >> ~/.bashrc

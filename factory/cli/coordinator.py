@@ -15,9 +15,11 @@ from factory.catalog import open_catalog, write_target_lists
 from factory.cli.begin import begin
 from factory.cli.door import open_door
 from factory.cli.gating import GateMode, gate_option, hold_gate
+from factory.cli.groups import CommandGroup
 from factory.cli.http import http_options, status_pages
 from factory.cli.options import (
     ledger_option,
+    listen_option,
     out_option,
     plan_argument,
     shrink_options,
@@ -35,23 +37,29 @@ _LINGER_S = 5.0
 """How long a finished run is announced, so that every worker hears it and leaves."""
 
 
-@click.group("coordinator")
+@click.group("coordinator", cls=CommandGroup)
 def command() -> None:
-    """Run the coordinator by itself."""
+    """Run the coordinator of a run with workers on other hosts."""
 
 
 @command.command("start")
 @plan_argument(default=None)
 @out_option
-@click.option(
-    "--listen",
-    multiple=True,
-    metavar="ENDPOINT",
-    help="Where workers connect; port 0 takes a free one. Default tcp/127.0.0.1:7447, with --tls tls/0.0.0.0:7447.",
+@listen_option(
+    "Endpoint where workers connect, repeatable; port 0 takes a free port. Default: tcp/127.0.0.1:7447, with --tls "
+    "tls/0.0.0.0:7447."
 )
 @ledger_option
-@click.option("--lease", "lease_ttl_s", type=click.FloatRange(1.0), help="Seconds a silent worker keeps its job.")
-@click.option("--stay", is_flag=True, help="Keep answering after the run is finished.")
+@click.option(
+    "--lease",
+    "lease_ttl_s",
+    type=click.FloatRange(1.0),
+    default=CoordinatorSettings().lease_ttl_s,
+    show_default=True,
+    metavar="SECONDS",
+    help="Time after which the job of a silent worker is given to another one.",
+)
+@click.option("--stay", is_flag=True, help="Keep running and answering after the run is finished.")
 @tls_option
 @http_options
 @gate_option("skip")
@@ -62,7 +70,7 @@ def start(
     site: Site,
     listen: tuple[str, ...],
     ledger: str | None,
-    lease_ttl_s: float | None,
+    lease_ttl_s: float,
     stay: bool,
     tls: Path | None,
     http: str | None,
@@ -71,15 +79,16 @@ def start(
     verbose: bool,
     **changes: Any,
 ) -> int:
-    """Hand the jobs of PLAN to workers and archive what they bring; ends when the run is finished.
+    """Give the jobs of a plan to workers and archive their episodes.
 
-    A coordinator does not simulate, so that its gate is skipped unless asked for; it then runs here, before anything
-    is handed out.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
+    The command ends when the run is finished. With --gate the pilot is simulated on this host before the first job is
+    given out.
     """
     configure_logs(verbose)
     guard, listen = open_door(tls, listen)
     plan, is_new = begin(plan_name, site, changes)
-    settings = CoordinatorSettings() if lease_ttl_s is None else CoordinatorSettings(lease_ttl_s=lease_ttl_s)
+    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
     require_room(site.home, settings.reserve_bytes)
     with stop_on_signals() as (stop, _):
         catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))

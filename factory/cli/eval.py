@@ -14,10 +14,18 @@ from coordinator.wire.tls import Guard
 from factory.cli.door import open_door
 from factory.cli.eval_campaign import Asked, draw_up, open_store, pace_bars, published
 from factory.cli.eval_compare import command as compare_command
-from factory.cli.eval_options import SplitList
+from factory.cli.eval_options import eval_split_filter
 from factory.cli.eval_specs import command as specs_command
 from factory.cli.eval_tables import print_evaluation
-from factory.cli.options import renderer_option, tls_option
+from factory.cli.groups import DefaultCommand, DefaultGroup
+from factory.cli.options import (
+    connect_option,
+    former_option,
+    listen_option,
+    renderer_option,
+    tls_option,
+    workers_option,
+)
 from factory.cli.output import json_option, print_json
 from factory.cli.places import DIRECTORY
 from factory.dataset import Dataset
@@ -35,31 +43,71 @@ from workers.stopping import stop_on_signals
 __all__ = ["command"]
 
 
-@click.group("eval", invoke_without_command=True)
-@click.option("--data", "root", type=DIRECTORY, metavar="DIR", help="The dataset: its scenes, splits.")
-@click.option("--split", "splits", type=SplitList(), help="S[,S...] or `all`; default: the test splits.")
-@click.option("--policy", "policies", multiple=True, metavar="P", help="Repeat for several; see below.")
-@click.option("--specs", "specs_path", type=click.Path(path_type=Path), metavar="FILE", help="Of `factory eval specs`.")
-@click.option("--ablate-language", is_flag=True, help="Also with shuffled, wrong-category and empty instructions.")
-@click.option("--episodes", type=click.IntRange(1), metavar="N", help="Only N, spread evenly over the set.")
-@click.option("--workers", type=click.IntRange(1, 256), help="Driving processes; default: one a core.")
-@click.option("--listen", multiple=True, metavar="ENDPOINT", help="Have `factory worker`s drive that connect here.")
-@click.option("--connect", multiple=True, metavar="ENDPOINT", help="Have the workers of a running coordinator drive.")
-@tls_option
-@click.option("-o", "--out", type=click.Path(path_type=Path), metavar="OUT", help="Where results are kept; resumes.")
-@click.option("--act-timeout", type=click.FloatRange(0.01), default=10.0, show_default=True, help="Seconds an answer.")
+@click.group("eval", cls=DefaultGroup)
+def command() -> None:
+    """Evaluate policies in closed loop on episodes of a dataset."""
+
+
+@click.command("run", cls=DefaultCommand, hidden=True)
+@click.argument("root", metavar="DIR", type=DIRECTORY)
+@former_option("--data", "root", "DIR", type=DIRECTORY)
+@eval_split_filter
 @click.option(
-    "--load-timeout", type=click.FloatRange(0.1), default=300.0, show_default=True, help="Of the first; a reset."
+    "--policy", "policies", multiple=True, metavar="POLICY", help="Policy to evaluate, repeatable; see above."
 )
-@click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose in the frame of the start.")
-@click.option("--videos", type=click.IntRange(0), default=12, show_default=True, help="Failures shown a policy.")
-@click.option("--tables", "all_tables", is_flag=True, help="Print by scene, tier, category and template too.")
+@click.option(
+    "--specs",
+    "specs_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Episodes to drive, written by `factory eval specs`; default: episodes of the dataset.",
+)
+@click.option(
+    "--ablate-language", is_flag=True, help="Also drive with shuffled, wrong-category and empty instructions."
+)
+@click.option(
+    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes, spread evenly; default: all."
+)
+@workers_option("Number of processes, one episode each")
+@listen_option("Endpoint where `factory worker`s connect that drive the episodes, repeatable.")
+@connect_option("Endpoint of a running coordinator whose workers drive the episodes, repeatable.")
+@tls_option
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Directory of the results. An interrupted evaluation of the same options is continued.",
+)
+@click.option(
+    "--act-timeout",
+    type=click.FloatRange(0.01),
+    default=10.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Timeout of each action.",
+)
+@click.option(
+    "--load-timeout",
+    type=click.FloatRange(0.1),
+    default=300.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Timeout of loading the policy, and of each reset.",
+)
+@click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose of the robot in the start frame.")
+@click.option(
+    "--videos",
+    type=click.IntRange(0),
+    default=12,
+    show_default=True,
+    metavar="N",
+    help="Largest number of films of failures, for each policy.",
+)
+@click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
 @renderer_option
 @json_option
-@click.pass_context
-def command(
-    context: click.Context,
-    /,
+def run(
     listen: tuple[str, ...],
     connect: tuple[str, ...],
     tls: Path | None,
@@ -68,18 +116,16 @@ def command(
     all_tables: bool,
     as_json: bool,
     **options: Any,
-) -> int | None:
-    """Evaluate policies closed-loop on episodes of a dataset.
+) -> int:
+    """Evaluate policies in closed loop on episodes of a dataset.
 
     \b
-    Built in:   expert, planner, random, stop, replay, playback
-    Yours:      package.module:Class   (reset, act; see docs/evaluation/README.md)
-    A server:   ws://HOST:PORT         (openpi's websocket and msgpack)
+    POLICY is built in:   expert, planner, random, stop, replay, playback, bc:DIR
+    or a class:           package.module:Class (see docs/evaluation/README.md)
+    or a server:          ws://HOST:PORT (openpi's websocket and msgpack)
 
-    With -o everything is kept: episodes.parquet, results.json, index.html. The same command goes on where it was.
+    --out receives episodes.parquet, results.json and index.html; the same command continues an interrupted evaluation.
     """
-    if context.invoked_subcommand is not None:
-        return None
     configure_logs()
     door = _door(listen, connect, tls, out, options["workers"])
     campaign = draw_up(Asked(**options), drives_here=door is None)
@@ -150,5 +196,6 @@ def _drive(campaign: Campaign, store: Store, door: Door | None) -> bool:
         return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, door, stop, tell)
 
 
+command.set_default(run)
 command.add_command(specs_command)
 command.add_command(compare_command)

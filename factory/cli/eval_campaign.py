@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from factory.cli.bars import Bars
 from factory.cli.eval_options import splits_of
@@ -35,8 +35,8 @@ __all__ = ["Asked", "draw_up", "open_store", "pace_bars", "published"]
 class Asked:
     """The options of an evaluation, as given; their help stands with the command."""
 
-    root: Path | None
-    splits: tuple[Split, ...] | None
+    root: Path
+    splits: tuple[str, ...] | None
     policies: tuple[str, ...]
     specs_path: Path | None
     ablate_language: bool
@@ -58,8 +58,8 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
     Raises:
         UsageError: a policy, a split or the file of specs does not exist, or what a policy needs is not installed.
     """
-    if asked.root is None or not asked.policies:
-        raise UsageError("give the dataset and a policy: factory eval --data DIR --policy expert")
+    if not asked.policies:
+        raise UsageError("give the dataset and a policy: factory eval DIR --policy expert")
     for name in asked.policies:
         check_name(name)
         if drives_here:
@@ -96,8 +96,8 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
 @contextmanager
 def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
     """Shows a bar a policy; yields what is told their progress."""
-    with Bars(*_columns(), TextColumn("{task.fields[note]}")) as bar:
-        tasks = {name: bar.add_task(name, total=None, note="") for name in campaign.policies}
+    with Bars(*_counts()) as bar:
+        tasks = {name: bar.add_task(name, total=None) for name in campaign.policies}
 
         def tell(pace: Pace) -> None:
             note = f"{pace.successes} succeeded"
@@ -115,7 +115,7 @@ def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
 def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
     """The specs of a file, or made of the dataset."""
     if asked.specs_path is not None:
-        splits = frozenset(asked.splits) if asked.splits else None
+        splits = frozenset(map(Split, asked.splits)) if asked.splits else None
         return read_specs(asked.specs_path).only(splits, asked.episodes)
     chosen = splits_of(dataset, asked.splits)
     with _one_bar("reading starts") as tell:
@@ -124,16 +124,10 @@ def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
 
 @contextmanager
 def _one_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    with Bars(*_columns(), transient=True) as bar:
+    with Bars(*_counts(), transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
-def _columns() -> tuple[TextColumn | BarColumn | MofNCompleteColumn | TimeElapsedColumn | TimeRemainingColumn, ...]:
-    return (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
+def _counts() -> tuple[ProgressColumn, ...]:
+    return MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()

@@ -25,13 +25,13 @@ _RESULTS = click.Path(path_type=Path)
     type=click.Choice([str(v) for v in Variant]),
     default="original",
     show_default=True,
-    help="Which words.",
+    help="Variant of the instruction.",
 )
 @json_option
 def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
-    """Compare B with A over the episodes both drove.
+    """Compare two policies over the episodes that both drove.
 
-    Each is OUT/policies/NAME of `factory eval -o OUT`, or OUT where it holds one policy.
+    A and B are OUT/policies/NAME of `factory eval -o OUT`, or OUT where it holds one policy.
     """
     (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
     found = compare(ones, others, Variant(variant))

@@ -9,7 +9,7 @@ import click
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
-from factory.cli.eval_options import SplitList, splits_of
+from factory.cli.eval_options import eval_split_filter, splits_of
 from factory.cli.options import place_argument
 from factory.cli.output import json_option, print_json, print_table
 from factory.dataset import Dataset
@@ -26,22 +26,29 @@ __all__ = ["command"]
 
 @click.command("specs")
 @place_argument
-@click.option("--split", "splits", type=SplitList(), help="S[,S...] or `all`; default: the test splits.")
-@click.option("--unfiltered", is_flag=True, help="Draw start states anew, whether or not an expert would arrive.")
-@click.option("--episodes", type=click.IntRange(1), metavar="N", help="How many; default: all, or 100 drawn anew.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of --unfiltered.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="A JSON file.")
+@eval_split_filter
+@click.option("--unfiltered", is_flag=True, help="Draw new start states, also those where an expert would fail.")
+@click.option(
+    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes; default: all, with --unfiltered 100."
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N", help="Seed of --unfiltered."
+)
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="JSON file to write.")
 @json_option
 def command(
     root: Place,
-    splits: tuple[Split, ...] | None,
+    splits: tuple[str, ...] | None,
     unfiltered: bool,
     episodes: int | None,
     seed: int,
     out: Path,
     as_json: bool,
 ) -> int:
-    """Write evaluation episodes of the dataset as data: the same file gives the same numbers."""
+    """Write the evaluation episodes of a dataset to a file.
+
+    Evaluations with the same file drive the same episodes.
+    """
     configure_logs()
     dataset = Dataset(root)
     chosen = splits_of(dataset, splits)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import click
 
-from factory.cli.output import print_table
+from factory.cli.output import print_table, print_text
 from factory.eval.compare import Comparison
 from factory.eval.estimate import Estimate
 from factory.eval.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
@@ -26,7 +26,7 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
         evaluation: what to print.
         all_tables: also by scene, tier, category and template.
     """
-    click.echo(f"{evaluation.episodes} episodes: {evaluation.source}; success radius {evaluation.success_radius_m:g} m")
+    print_text(f"{evaluation.episodes} episodes: {evaluation.source}; success radius {evaluation.success_radius_m:g} m")
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
     print_table("\nAll episodes", ("policy", *_HEAD), rows)
     for by, title in GROUPS.items():
@@ -35,27 +35,27 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     _print_ablations(evaluation.policies)
     click.echo("")
     for policy in evaluation.policies:
-        click.echo(f"{policy.policy}: goes by {policy.knows}; {ends_of(policy)}")
+        print_text(f"{policy.policy}: goes by {policy.knows}; {ends_of(policy)}")
         for line in faults_in_words(policy):
-            click.echo(line)
+            print_text(line)
     for remark in evaluation.remarks:
-        click.echo(f"note: {remark}")
-    click.echo("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP is to the closest point")
+        print_text(f"note: {remark}")
+    print_text("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP is to the closest point")
 
 
 def print_comparison(comparison: Comparison) -> None:
     """Prints a paired comparison."""
     one, other = comparison.first, comparison.second
-    click.echo(f"{comparison.pairs} episodes that both drove ({comparison.variant} instruction)")
+    print_text(f"{comparison.pairs} episodes that both drove ({comparison.variant} instruction)")
     rows = [(one, _share(comparison.first_success)), (other, _share(comparison.second_success))]
     print_table("", ("policy", "SR %"), rows)
     counts = f"both {comparison.both}, only {one} {comparison.only_first}, only {other} {comparison.only_second}"
-    click.echo(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
+    print_text(f"\nsucceeded: {counts}, neither {comparison.neither}; exact McNemar p = {comparison.p:.3g}")
     body = [("success", _estimate(comparison.success_difference, 3))]
     body += [(name, _estimate(value, 3)) for name, value in comparison.differences.items()]
     print_table("", (f"{other} minus {one}", "mean, 95 % interval"), body)
     if comparison.left_out:
-        click.echo(f"left out: {comparison.left_out} episodes that only one of them drove")
+        print_text(f"left out: {comparison.left_out} episodes that only one of them drove")
 
 
 def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None:
@@ -70,7 +70,7 @@ def _print_ablations(policies: Sequence[PolicyScores]) -> None:
         head = ("policy", "words", "episodes", "n", "SR %", "gap of SR to the true words", "McNemar p")
         print_table("\nOther words", head, rows)
         for name in deaf_policies(policies):
-            click.echo(f"{name}: reads no instruction, gap 0 by construction")
+            print_text(f"{name}: reads no instruction, gap 0 by construction")
 
 
 def _cells(score: Score) -> tuple[object, ...]:

@@ -9,19 +9,19 @@ from typing import Any
 
 import click
 from pydantic import ValidationError
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
 from factory.cli.export_options import format_options
-from factory.cli.options import place_argument
+from factory.cli.filters import split_filter
+from factory.cli.options import former_option, place_argument, workers_option
 from factory.cli.output import json_option, print_json, say_duration, stderr
 from factory.export.base import Options
 from factory.export.estimate import Estimate, estimate_export
 from factory.export.registry import EXPORTERS, check_format, find_exporter
 from factory.export.report import ExportReport
 from factory.export.run import ExportOrder, Progress, run_export
-from factory.export.selection import SPLITS, parse_episodes
+from factory.export.selection import parse_episodes
 from factory.logs import configure_logs
 from schemas.errors import UsageError
 from workers.stopping import stop_on_signals
@@ -43,28 +43,37 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
 
 @click.command("export")
 @place_argument
-@click.option("--to", "format_name", required=True, type=FormatName(list(EXPORTERS)), help="The format.")
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Directory of the export; resumed.")
-@click.option("--split", "splits", multiple=True, type=click.Choice(SPLITS), help="Only this split; may be repeated.")
-@click.option("--episodes", metavar="IDS", help="Only these, e.g. 1-50,60 or ep_000060.")
-@click.option("--workers", type=click.IntRange(1, 1024), help="Processes; default: one a core.")
-@click.option("--dry-run", is_flag=True, help="Say how large and how long it will be, from one episode; write nothing.")
+@click.option("--to", "format_name", required=True, type=FormatName(list(EXPORTERS)), help="Format of the export.")
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Directory of the export. An interrupted export of the same options is continued.",
+)
+@split_filter()
+@click.option("--episode", "episodes", metavar="IDS", help="Only these episodes, e.g. 1-50,60 or ep_000060.")
+@former_option("--episodes", "episodes", "--episode")
+@workers_option("Number of processes")
+@click.option("--dry-run", is_flag=True, help="Estimate size and time from one episode; write nothing.")
 @format_options
 @json_option
 def command(
     root: Place,
     format_name: str,
     out: Path,
-    splits: tuple[str, ...],
+    splits: tuple[str, ...] | None,
     episodes: str | None,
     workers: int | None,
     dry_run: bool,
     as_json: bool,
     **chosen: Any,
 ) -> int:
-    """Write the dataset to --out in another format; exit 1 when episodes are missing or had to be skipped.
+    """Write a dataset in another format.
 
-    Interrupted by Ctrl-C, a kill or a full disk, the same command goes on where it was.
+    Exits with 1 when episodes are missing or were skipped. After Ctrl-C, a kill or a full disk the same command
+    continues the export. An option that ends with names of formats in brackets is valid for these formats only.
     """
     configure_logs()
     order = ExportOrder(
@@ -72,7 +81,7 @@ def command(
         out=out,
         format=format_name,
         options=_options(format_name, chosen),
-        splits=splits,
+        splits=splits or (),
         episodes=tuple(parse_episodes(episodes)) if episodes else (),
         workers=workers or os.cpu_count() or 1,
     )
@@ -148,13 +157,12 @@ class _ExportBar(Bars):
     """One line: episodes done, frames a second of this call, what it does now."""
 
     def __init__(self, name: str) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        super().__init__(*columns, TextColumn("{task.fields[remark]}"), transient=True)
-        self._task = self.add_task(name, total=None, remark="")
+        super().__init__(transient=True)
+        self._task = self.add_task(name, total=None)
 
     def tell(self, progress: Progress) -> None:
         """Shows where the export stands."""
         elapsed = self.tasks[0].elapsed or 0.0
         rate = f"{progress.frames / elapsed:.0f} frames/s" if progress.frames and elapsed else ""
-        remark = rate if progress.stage == "episodes" else progress.stage
-        self.update(self._task, completed=progress.done, total=progress.total, remark=remark)
+        note = rate if progress.stage == "episodes" else progress.stage
+        self.update(self._task, completed=progress.done, total=progress.total, note=note)

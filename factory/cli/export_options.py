@@ -40,7 +40,7 @@ def _option(name: str, info: FieldInfo, formats: list[str]) -> Callable[[Command
     if get_origin(kind) is Literal:
         return click.option(flag, name, type=click.Choice([str(value) for value in get_args(kind)]), help=text)
     if kind in (int, float, str):
-        return click.option(flag, name, type=kind, help=text)
+        return click.option(flag, name, type=kind, metavar="N" if kind is int else None, help=text)
     raise TypeError(f"option {flag}: no option of the command line for {kind}")
 
 

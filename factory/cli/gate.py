@@ -12,7 +12,15 @@ import click
 from coordinator.plan.file import load_plan
 from factory.catalog import open_catalog
 from factory.cli.gating import try_scene
-from factory.cli.options import renderer_option, shrunk_plan, verbose_option
+from factory.cli.options import (
+    expert_option,
+    former_option,
+    plan_argument,
+    renderer_option,
+    shrunk_plan,
+    verbose_option,
+    workers_option,
+)
 from factory.cli.output import json_option, print_json, print_table
 from factory.gate import GateReport
 from factory.logs import configure_logs
@@ -20,7 +28,7 @@ from factory.settings import scene_cache
 from factory.stats.model import Share
 from schemas.extras import require_package
 from schemas.plan import Plan
-from schemas.terms import BUILTIN_CATEGORIES, ExpertName, RendererKind
+from schemas.terms import BUILTIN_CATEGORIES, RendererKind
 from workers.experts import require_expert
 from workers.stopping import stop_on_signals
 
@@ -28,13 +36,33 @@ __all__ = ["command"]
 
 
 @click.command("gate")
-@click.option("--scene", required=True, metavar="SCENE", help=f"Of the plan ({', '.join(BUILTIN_CATEGORIES)}, ...).")
-@click.option("--plan", "plan_name", default="paper", show_default=True, help="A built-in name or a TOML file.")
-@click.option("--episodes", type=click.IntRange(1), default=50, show_default=True, help="First attempts to make.")
-@click.option("--min-success", type=click.FloatRange(0.0, 1.0), default=0.8, show_default=True, help="Share asked for.")
-@click.option("--expert", type=click.Choice([str(name) for name in ExpertName]), help="Another expert.")
-@click.option("--seed", type=click.IntRange(min=0), help="Another root seed.")
-@click.option("--workers", type=click.IntRange(1, 1024), help="Simulation processes; default: one a core.")
+@plan_argument(default="paper")
+@former_option("--plan", "plan_name", "PLAN")
+@click.option(
+    "--scene",
+    required=True,
+    metavar="SCENE",
+    help=f"Scene of the plan to measure. Built in: {', '.join(BUILTIN_CATEGORIES)}.",
+)
+@click.option(
+    "--episodes",
+    type=click.IntRange(1),
+    default=50,
+    show_default=True,
+    metavar="N",
+    help="Number of first attempts.",
+)
+@click.option(
+    "--min-success",
+    type=click.FloatRange(0.0, 1.0),
+    default=0.8,
+    show_default=True,
+    metavar="SHARE",
+    help="Least share of attempts that must succeed.",
+)
+@expert_option
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root seed; default: the plan's.")
+@workers_option("Number of simulation processes")
 @renderer_option
 @json_option
 @verbose_option
@@ -50,13 +78,14 @@ def command(
     as_json: bool,
     verbose: bool,
 ) -> int:
-    """Try --episodes first attempts in --scene, archive nothing, and fail under --min-success.
+    """Measure the success rate of first attempts in one scene.
 
-    The paper asks for 80 % of 50 before a scene is generated in full.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Nothing is archived. Exits with
+    1 when fewer than --min-success succeed. The paper requires 80 % of 50 before it generates a scene.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory gate`")
-    changes = {"scene": scene, "episodes": episodes, "expert": expert, "seed": seed}
+    changes = {"scenes": (scene,), "episodes": episodes, "expert": expert, "seed": seed}
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_expert(plan.expert)
     report = _try(plan, cast(RendererKind, renderer), workers or os.cpu_count() or 1, min_success)

@@ -11,8 +11,9 @@ from coordinator.archive.disk import require_room
 from coordinator.gateway.service import Gateway
 from coordinator.settings import CoordinatorSettings
 from coordinator.wire.tls import Guard, read_credentials
+from factory.cli.groups import CommandGroup
 from factory.cli.http import http_options, status_pages
-from factory.cli.options import tls_option, verbose_option
+from factory.cli.options import connect_option, listen_option, tls_option, verbose_option
 from factory.listen import require_endpoints, require_loopback, require_tls_endpoints
 from factory.logs import configure_logs
 from schemas.errors import TransientError, UsageError
@@ -26,27 +27,29 @@ _LISTEN, _TLS_LISTEN = ("tcp/127.0.0.1:7448",), ("tls/0.0.0.0:7447",)
 _POLL_S = 0.5
 
 
-@click.group("gateway")
+@click.group("gateway", cls=CommandGroup)
 def command() -> None:
-    """Archive what many workers bring on another machine than the coordinator's."""
+    """Run a gateway between workers and a coordinator."""
 
 
 @command.command("start")
-@click.option("--connect", multiple=True, required=True, metavar="ENDPOINT", help="The coordinator.")
+@connect_option("Endpoint of the coordinator, repeatable.", required=True)
 @click.option(
+    "-o",
     "--out",
     "root",
     required=True,
+    metavar="DIR",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Directory of this gateway; taken up again.",
+    help="Directory of this gateway's episodes. One that is there is continued.",
+)
+@listen_option(
+    "Endpoint where workers connect, repeatable; port 0 takes a free port. Default: tcp/127.0.0.1:7448, with --tls "
+    "tls/0.0.0.0:7447."
 )
 @click.option(
-    "--listen",
-    multiple=True,
-    metavar="ENDPOINT",
-    help="Where workers connect; port 0 takes a free one. Default tcp/127.0.0.1:7448, with --tls tls/0.0.0.0:7447.",
+    "--name", metavar="NAME", help="Name of this gateway; default: the host's name, with --tls that of the certificate."
 )
-@click.option("--name", help="Name of this gateway; default: the machine's, with --tls the one in the certificate.")
 @tls_option
 @http_options
 @verbose_option
@@ -60,10 +63,10 @@ def start(
     http_token: Path | None,
     verbose: bool,
 ) -> int:
-    """Let workers in, fetch and validate what they bring, keep it in DIR, and tell the coordinator; until stopped.
+    """Validate and keep the episodes of workers for a coordinator.
 
-    The coordinator keeps the ledger and gives the jobs out; no episode passes through it. When the run is finished,
-    `factory gather` brings the episodes of all gateways together.
+    The coordinator keeps the ledger and gives out the jobs; no episode passes through it. The gateway runs until it is
+    stopped. When the run is finished, `factory gather` copies the episodes of all gateways into one dataset.
     """
     configure_logs(verbose)
     guard, name, listen = _door(tls, name, connect, listen)

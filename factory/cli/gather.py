@@ -24,15 +24,19 @@ _LISTED = 20
 @click.argument("root", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 @click.argument("sources", metavar="[GATEWAY_DIR]...", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
 @click.option(
-    "--requeue-missing", is_flag=True, help="Give up what is found nowhere; it is made anew, with the same content."
+    "--requeue-missing",
+    is_flag=True,
+    help="Put episodes that are found nowhere back into the queue; they are made again with the same content.",
 )
 @ledger_option
 @json_option
 def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger: str | None, as_json: bool) -> int:
-    """Copy the episodes that gateways keep into the coordinator's DIR, each compared with the ledger.
+    """Copy the episodes that gateways keep into one dataset.
 
-    No coordinator may run on DIR. GATEWAY_DIR is the --out of a gateway, or a copy of it; nothing there is changed.
-    With all of them DIR is the whole dataset; with some, run it again for the others. Exit 1 when some are missing.
+    DIR is the coordinator's dataset directory; no coordinator may run on it. GATEWAY_DIR is the --out of a gateway, or
+    a copy of it, and is not changed. Each episode is compared with the ledger. With the directories of all gateways DIR
+    is the whole dataset; with some of them, run the command again for the others. Exits with 1 when episodes are
+    missing.
     """
     configure_logs()
     with Bars(transient=True) as bar:

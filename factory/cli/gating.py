@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, Literal, TypeVar
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.dataset.meta import GateOutcome
 from coordinator.plan.catalog import Catalog
@@ -35,8 +34,8 @@ _MIN_SUCCESS = 0.8
 _WORTH_A_PILOT = 4 * _PILOT
 """Episodes from which on `auto` tries a scene first: below, the pilot costs more than a quarter of the run."""
 _MEANINGS = (
-    f"Pilot of {_PILOT} first attempts a scene before a new run: enforce (exit 1 under {100 * _MIN_SUCCESS:.0f} %), "
-    f"report (go on, and write it down), skip"
+    f"Pilot of {_PILOT} first attempts in each scene before a new run. enforce: exit with 1 when less than "
+    f"{100 * _MIN_SUCCESS:.0f} % succeed; report: continue and record the result; skip: no pilot"
 )
 
 
@@ -45,7 +44,7 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
     modes = ["enforce", "report", "skip"]
     if default == "auto":
         modes.insert(0, default)
-    auto = f", auto (report scenes of {_WORTH_A_PILOT} episodes and more)" if default == "auto" else ""
+    auto = f"; auto: report, for scenes of {_WORTH_A_PILOT} episodes and more" if default == "auto" else ""
     return click.option(
         "--gate", "gate_mode", type=click.Choice(modes), default=default, show_default=True, help=f"{_MEANINGS}{auto}."
     )
@@ -63,7 +62,7 @@ def hold_gate(
     for scene in plan.scenes:
         if mode == "skip" or (mode == "auto" and scene.episodes < _WORTH_A_PILOT):
             continue
-        pilot = shrink(plan, scene=scene.name, episodes=min(_PILOT, scene.episodes))
+        pilot = shrink(plan, scenes=(scene.name,), episodes=min(_PILOT, scene.episodes))
         report = try_scene(pilot, catalog, _MIN_SUCCESS, renderer, processes, stop)
         if report is None:
             return None
@@ -87,10 +86,9 @@ def try_scene(
     Raises:
         WorldError: simulations do not start.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     pilot = Pilot.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
     name = plan.scenes[0].name
-    with Bars(*columns) as bar:
+    with Bars() as bar:
         task = bar.add_task(f"gate {name}", total=len(pilot.jobs))
         trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
     return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)

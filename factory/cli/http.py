@@ -25,13 +25,13 @@ def http_options(command: Command) -> Command:
             "--http-token",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE",
-            help="A file whose first line /metrics asks for as a bearer token; needed off loopback.",
+            help="File whose first line is the bearer token of /metrics; needed where --http is not on loopback.",
         ),
         click.option(
             "--http",
             metavar="HOST:PORT",
             callback=_require_pages,
-            help="Serve /healthz, /readyz and /metrics there, read-only.",
+            help="Address of the status pages /healthz, /readyz and /metrics; default: none.",
         ),
     ):
         command = option(command)

@@ -16,8 +16,10 @@ from coordinator.ledger.states import State
 from coordinator.plan.file import scene_of
 from coordinator.wire.tls import read_credentials
 from factory.cli.episodes import episode_index
+from factory.cli.filters import filter_option, scene_filter, split_filter, tier_filter
+from factory.cli.groups import CommandGroup
 from factory.cli.options import ledger_option, site_argument, tls_option
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.ledger import read_ledger
 from factory.site import Site
 from schemas.errors import UsageError
@@ -28,39 +30,41 @@ from schemas.wire import AdminAction, AdminReply, AdminRequest
 __all__ = ["command"]
 
 
-@click.group("jobs")
+@click.group("jobs", cls=CommandGroup)
 def command() -> None:
-    """List, show, retry and cancel single jobs."""
+    """List, show, retry and cancel the jobs of a run."""
 
 
 @command.command("list")
 @site_argument
-@click.option("--state", type=click.Choice([str(state) for state in State]), help="Only in this state.")
-@click.option("--scene", help="Only of this scene.")
-@click.option("--tier", type=click.Choice([str(tier) for tier in Tier]), help="Only of this tier.")
-@click.option("--split", type=click.Choice([str(split) for split in Split]), help="Only of this split.")
-@click.option("--limit", type=click.IntRange(1), default=100, show_default=True, help="Rows at most.")
+@filter_option("--state", "states", State)
+@scene_filter()
+@tier_filter()
+@split_filter()
+@click.option(
+    "--limit", type=click.IntRange(1), default=100, show_default=True, metavar="N", help="Largest number of rows."
+)
 @ledger_option
 @json_option
 def list_(
     site: Site,
-    state: str | None,
-    scene: str | None,
-    tier: str | None,
-    split: str | None,
+    states: tuple[str, ...] | None,
+    scenes: tuple[str, ...] | None,
+    tiers: tuple[str, ...] | None,
+    splits: tuple[str, ...] | None,
     limit: int,
     ledger: str | None,
     as_json: bool,
 ) -> None:
-    """List the jobs of the run in DIR or URL, the current draw of each episode."""
+    """List the current draw of each episode of a run."""
     wanted = JobFilter(
-        state=State(state) if state else None,
-        scene=scene,
-        tier=Tier(tier) if tier else None,
-        split=Split(split) if split else None,
+        states=tuple(map(State, states or ())),
+        scenes=scenes or (),
+        tiers=tuple(map(Tier, tiers or ())),
+        splits=tuple(map(Split, splits or ())),
     )
     with read_ledger(site, ledger) as connection:
-        if scene is not None:
+        for scene in wanted.scenes:
             scene_of(read_info(connection).plan, scene)
         jobs, total = list_jobs(connection, wanted, limit), count_jobs(connection, wanted)
     if as_json:
@@ -80,7 +84,10 @@ def list_(
 @ledger_option
 @json_option
 def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
-    """Show all draws, attempts and events of one EPISODE (`ep_000001` or a number)."""
+    """Show the draws, attempts and events of one episode.
+
+    EPISODE is ep_000001 or 1.
+    """
     index = episode_index(episode)
     with read_ledger(site, ledger) as connection:
         draws = list_jobs(connection, JobFilter(index=index))
@@ -92,7 +99,7 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
         print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
         return
     last = draws[-1]
-    click.echo(f"{episode_id(index)}: {last.state}; {last.scene}, {last.split}, {last.tier}: {last.instruction}")
+    print_text(f"{episode_id(index)}: {last.state}; {last.scene}, {last.split}, {last.tier}: {last.instruction}")
     rows = [(d.draw, d.state, d.category, d.target_id, d.misses, d.crashes, d.reason) for d in draws]
     print_table("draws", ("draw", "state", "category", "target", "misses", "crashes", "reason"), rows)
     print_table(
@@ -110,28 +117,34 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
 @command.command("retry")
 @site_argument
 @click.argument("episodes", nargs=-1)
-@click.option("--all", "everything", is_flag=True, help="Every failed job.")
+@click.option("--all", "everything", is_flag=True, help="Every failed job of the run.")
 @ledger_option
 @tls_option
 @json_option
 def retry(
     site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
 ) -> int:
-    """Put failed or cancelled EPISODES back into the queue with fresh budgets."""
+    """Put failed or cancelled jobs back into the queue.
+
+    EPISODES are names or numbers: ep_000001 or 1. Each job gets a new budget of attempts.
+    """
     return _administer(site, AdminAction.RETRY, episodes, everything, ledger, tls, as_json)
 
 
 @command.command("cancel")
 @site_argument
 @click.argument("episodes", nargs=-1)
-@click.option("--all", "everything", is_flag=True, help="Every job that has not ended.")
+@click.option("--all", "everything", is_flag=True, help="Every job of the run that has not ended.")
 @ledger_option
 @tls_option
 @json_option
 def cancel(
     site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
 ) -> int:
-    """Give up EPISODES that have not ended; workers that hold one stop with their next beat."""
+    """Cancel jobs that have not ended.
+
+    EPISODES are names or numbers: ep_000001 or 1. A worker that holds one stops it at its next heartbeat.
+    """
     return _administer(site, AdminAction.CANCEL, episodes, everything, ledger, tls, as_json)
 
 
@@ -165,7 +178,7 @@ def _administer(
 def _print_reply(reply: AdminReply, action: AdminAction) -> None:
     shown = ", ".join(episode_id(index) for index in reply.changed[:20])
     more = f" and {len(reply.changed) - 20} more" if len(reply.changed) > 20 else ""
-    click.echo(f"{action}: {len(reply.changed)} jobs {shown}{more}")
+    print_text(f"{action}: {len(reply.changed)} jobs {shown}{more}")
     for index, reason in reply.refused.items():
         click.echo(f"  {episode_id(index)}: {reason}", err=True)
 

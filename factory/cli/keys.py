@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from factory.cli.groups import CommandGroup
 from factory.cli.output import json_option, print_json, print_table
 from factory.keys import HostKeys, admit, found, list_hosts, revoke
 from schemas.identity import Role
@@ -21,31 +22,40 @@ _folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_
 
 def _days_option(default: int) -> Callable[[Command], Command]:
     return click.option(
-        "--days", type=click.IntRange(1, 36500), default=default, show_default=True, help="Of validity."
+        "--days",
+        type=click.IntRange(1, 36500),
+        default=default,
+        show_default=True,
+        metavar="N",
+        help="Validity of the certificate, days.",
     )
 
 
-@click.group("keys")
+@click.group("keys", cls=CommandGroup)
 def command() -> None:
-    """Make and list the certificates that let hosts work together.
+    """Create and list the TLS certificates of hosts.
 
     \b
     factory keys ca pki
-    factory keys host pki hub --role coordinator --address 10.0.0.1 --address hub.example.org
+    factory keys host pki hub --role coordinator --address hub.example.org
     factory keys host pki gw1 --role gateway --address 10.0.1.1
     factory keys host pki node-07
     factory keys host pki desk --role evaluator
-    Then copy pki/hub, pki/gw1, pki/node-07 and pki/desk to those machines, and give them as --tls.
+
+    Then copy pki/hub, pki/gw1, pki/node-07 and pki/desk to these hosts and give them as --tls.
     """
 
 
 @command.command("ca")
 @_folder_argument
-@click.option("--name", default="minivla-factory", show_default=True, help="Name of the authority.")
+@click.option("--name", default="minivla-factory", show_default=True, metavar="NAME", help="Name of the authority.")
 @_days_option(3650)
 @json_option
 def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
-    """Make an authority in DIR; keep DIR/ca.key to yourself."""
+    """Create a certificate authority.
+
+    DIR is the new directory of the authority. Keep DIR/ca.key secret.
+    """
     found(folder, name, days, datetime.now(UTC))
     if as_json:
         print_json({"authority": str(folder), "key": str(folder / "ca.key"), "certificate": str(folder / "ca.pem")})
@@ -61,14 +71,22 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
     type=click.Choice([str(role) for role in Role]),
     default=str(Role.WORKER),
     show_default=True,
-    help="What it may do.",
+    help="Role of the host, which decides what it may do.",
 )
-@click.option("--address", multiple=True, help="Name or IP address under which one who listens is reached; repeatable.")
+@click.option(
+    "--address",
+    multiple=True,
+    metavar="ADDRESS",
+    help="Host name or IP address where others connect to it; repeatable. Needed for coordinators and gateways.",
+)
 @_days_option(365)
-@click.option("--renew", is_flag=True, help="Replace the certificate that is there.")
+@click.option("--renew", is_flag=True, help="Replace an existing certificate of this host.")
 @json_option
 def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int, renew: bool, as_json: bool) -> None:
-    """Make the TLS folder of the host NAME below the authority's DIR, and admit it."""
+    """Create the TLS folder of a host, and admit the host.
+
+    DIR is the directory of the authority. The folder is DIR/NAME.
+    """
     place = admit(folder, name, Role(role), address, days, datetime.now(UTC), renew=renew)
     if as_json:
         print_json({"host": name, "role": role, "folder": str(place)})
@@ -81,7 +99,10 @@ def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int
 @click.argument("name")
 @json_option
 def revoke_(folder: Path, name: str, as_json: bool) -> None:
-    """Admit the host NAME no longer; coordinators and gateways notice within seconds."""
+    """Revoke the admission of a host.
+
+    DIR is the directory of the authority. Coordinators and gateways notice it within seconds.
+    """
     lists = [str(path) for path in revoke(folder, name)]
     if as_json:
         print_json({"revoked": name, "lists": lists})
@@ -93,7 +114,10 @@ def revoke_(folder: Path, name: str, as_json: bool) -> None:
 @_folder_argument
 @json_option
 def list_(folder: Path, as_json: bool) -> None:
-    """List the hosts that have certificates."""
+    """List the hosts that have certificates.
+
+    DIR is the directory of the authority.
+    """
     hosts = list_hosts(folder)
     if as_json:
         print_json([_plain(keys) for keys in hosts])

@@ -10,65 +10,52 @@ import itertools
 import os
 import sys
 import traceback
-from collections.abc import Mapping
-from types import MappingProxyType
+from itertools import groupby
 
 import click
+from click.shell_completion import CompletionItem
 
+from factory.cli.groups import CommandGroup, say_no_option
+from factory.cli.verbs import VERBS
 from schemas.errors import FactoryError, UsageError
 from schemas.extras import EXTRA_OF, missing_package
 from workers.one_core import one_core
 
 __all__ = ["cli", "main"]
 
-_COMMANDS: Mapping[str, str] = MappingProxyType(
-    {
-        "run": "factory.cli.run",
-        "plan": "factory.cli.plan",
-        "coordinator": "factory.cli.coordinator",
-        "gateway": "factory.cli.gateway",
-        "gather": "factory.cli.gather",
-        "worker": "factory.cli.worker",
-        "status": "factory.cli.status",
-        "jobs": "factory.cli.jobs",
-        "keys": "factory.cli.keys",
-        "verify": "factory.cli.verify",
-        "repair": "factory.cli.repair",
-        "replay": "factory.cli.replay",
-        "show": "factory.cli.show",
-        "gate": "factory.cli.gate",
-        "stats": "factory.cli.stats",
-        "report": "factory.cli.report",
-        "push": "factory.cli.push",
-        "view": "factory.cli.view",
-        "export": "factory.cli.export",
-        "bench": "factory.cli.bench",
-        "scene": "factory.cli.scene",
-        "eval": "factory.cli.eval",
-        "train": "factory.cli.train",
-        "completion": "factory.cli.completion",
-    }
-)
-"""Verb -> module; each module holds a click command named `command`."""
 _MEASURED = {("bench", "rollout"), ("bench", "render"), ("bench", "memory")}
 """What measures the work of a simulation process in its own process."""
 
 
-class _LazyGroup(click.Group):
-    """A group that imports a verb only when it is called, so that `factory --help` stays quick."""
+class _Verbs(CommandGroup):
+    """The verbs of the table; a verb's module is imported when the verb is called, not for help or completion."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return list(_COMMANDS)
+        """Returns the names of the verbs."""
+        return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        module = _COMMANDS.get(cmd_name)
-        if module is None:
+        """Imports a verb and returns its command."""
+        if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(module).command
+        command: click.Command = importlib.import_module(f"factory.cli.{cmd_name}").command
         return command
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Writes the sections of the table."""
+        width = max(map(len, VERBS))
+        for section, names in groupby(VERBS, lambda name: VERBS[name].section):
+            with formatter.section(section):
+                formatter.write_dl([(name.ljust(width), VERBS[name].summary) for name in names])
 
-@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Returns the verbs that begin with a word; imports none of them."""
+        if incomplete.startswith("-"):
+            return click.Command.shell_complete(self, ctx, incomplete)
+        return [CompletionItem(name, help=VERBS[name].summary) for name in VERBS if name.startswith(incomplete)]
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="minivla-factory", prog_name="factory")
 def cli() -> None:
     """A distributed data factory for language-conditioned robot navigation.
@@ -93,9 +80,12 @@ def _take_surroundings() -> None:
 
 def _run() -> int:
     try:
-        outcome = cli.main(standalone_mode=False)
+        outcome = cli.main(prog_name="factory", standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _say("interrupted; nothing that was done is lost: run the same command again to go on", 130)
+    except click.NoSuchOption as error:
+        say_no_option(error).show()
+        return 2
     except click.ClickException as error:
         error.show()
         return 2

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import click
 from rich.cells import cell_len
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, JustifyMethod
 from rich.table import Table
 
-__all__ = ["json_option", "print_json", "print_table", "say_duration", "stderr", "stdout"]
+__all__ = ["FittedTable", "json_option", "print_json", "print_table", "print_text", "say_duration", "stderr", "stdout"]
 
 _PIPE_COLUMNS = 200
 """Width of tables where no terminal sets one."""
@@ -32,37 +32,76 @@ def print_json(data: Any) -> None:
     click.echo(json.dumps(data, indent=2, ensure_ascii=False))
 
 
+def print_text(text: str, console: Console = stdout) -> None:
+    """Prints sentences; on a terminal, lines are broken between words."""
+    if console.is_terminal:
+        console.print(text, soft_wrap=False, markup=False)
+    else:
+        click.echo(text, file=console.file)
+
+
 def print_table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], console: Console = stdout
 ) -> None:
-    """Prints a table; columns whose cells are numbers stand to the right.
+    """Prints a table; see `FittedTable`."""
+    console.print(FittedTable(title, columns, rows))
 
-    One that is wider than the terminal is printed in pieces, each with the columns of text that a row begins with.
+
+class FittedTable:
+    """A table that fits the terminal; columns whose cells are numbers are aligned right.
+
+    A table that is too wide is printed with narrower gaps, then in pieces, each with the columns of text that a row
+    begins with.
+
+    Args:
+        title: printed above the first piece.
+        columns: names.
+        rows: one cell a column; `None` is printed as a dash.
+        min_first: least width of the first column, characters.
     """
-    body = [list(row) for row in rows]
-    numeric = [bool(body) and all(isinstance(row[k], int | float) for row in body) for k in range(len(columns))]
-    cells = [[_cell(value) for value in row] for row in body]
-    for number, piece in enumerate(_pieces(columns, cells, console.width)):
-        table = Table(
-            title=None if number else title, title_justify="left", header_style="bold", box=None, pad_edge=False
-        )
-        for k in piece:
-            table.add_column(columns[k], justify="right" if numeric[k] else "left", overflow="fold")
-        for row in cells:
-            table.add_row(*(row[k] for k in piece))
-        console.print(table)
+
+    def __init__(
+        self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], min_first: int = 0
+    ) -> None:
+        body = [list(row) for row in rows]
+        self._title = title
+        self._columns = [column if k else column.ljust(min_first) for k, column in enumerate(columns)]
+        self._numeric = [
+            bool(body) and all(isinstance(row[k], int | float) for row in body) for k in range(len(columns))
+        ]
+        self._cells = [[_cell(value) for value in row] for row in body]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
+        """Yields the pieces that fit the console."""
+        widths = [max(map(cell_len, (name, *(row[k] for row in self._cells)))) for k, name in enumerate(self._columns)]
+        room = options.max_width
+        gap = next((gap for gap in (_GAP, 1) if sum(widths) + gap * (len(widths) - 1) <= room), _GAP)
+        for number, piece in enumerate(_pieces(widths, self._cells, room, gap)):
+            table = Table(
+                title=None if number else self._title or None,
+                title_justify="left",
+                header_style="bold",
+                box=None,
+                pad_edge=False,
+                padding=(0, gap, 0, 0),
+            )
+            for k in piece:
+                justify: JustifyMethod = "right" if self._numeric[k] else "left"
+                table.add_column(self._columns[k], justify=justify, overflow="fold")
+            for row in self._cells:
+                table.add_row(*(row[k] for k in piece))
+            yield table
 
 
-def _pieces(columns: Sequence[str], cells: Sequence[Sequence[str]], room: int) -> list[list[int]]:
+def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, gap: int) -> list[list[int]]:
     """Returns the columns of every piece that fits into `room` characters; those that name a row are in each."""
-    widths = [max(map(cell_len, (name, *(row[k] for row in cells)))) for k, name in enumerate(columns)]
-    names = [all(map(str.isidentifier, (row[k][:1] for row in cells))) for k in range(min(_MOST_KEYS, len(columns)))]
+    names = [all(map(str.isidentifier, (row[k][:1] for row in cells))) for k in range(min(_MOST_KEYS, len(widths)))]
     keys = max(1, (*names, False).index(False))
-    while keys > 1 and sum(widths[:keys]) + _GAP * keys > room / 2:
+    while keys > 1 and sum(widths[:keys]) + gap * keys > room / 2:
         keys -= 1
     pieces = [list(range(keys))]
-    for k in range(keys, len(columns)):
-        if len(pieces[-1]) > keys and sum(widths[j] + _GAP for j in (*pieces[-1], k)) - _GAP > room:
+    for k in range(keys, len(widths)):
+        if len(pieces[-1]) > keys and sum(widths[j] + gap for j in (*pieces[-1], k)) - gap > room:
             pieces.append(list(range(keys)))
         pieces[-1].append(k)
     return pieces

@@ -15,8 +15,9 @@ from coordinator.plan.file import load_plan
 from coordinator.plan.nearest import find_nearest
 from coordinator.plan.spelling import spell_plan
 from factory.catalog import collect_scenes, find_built
+from factory.cli.groups import CommandGroup
 from factory.cli.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text, stderr
 from factory.plan_files import require_files
 from factory.settings import scene_cache
 from schemas.errors import InvalidPlan, WorldError
@@ -26,9 +27,9 @@ from schemas.terms import Tier
 __all__ = ["command"]
 
 
-@click.group("plan")
+@click.group("plan", cls=CommandGroup)
 def command() -> None:
-    """Look at plans."""
+    """Show the episodes of a plan; find the nearest feasible plan."""
 
 
 @command.command("show")
@@ -36,7 +37,10 @@ def command() -> None:
 @shrink_options
 @json_option
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
-    """Show the cells that PLAN (a built-in name or a TOML file) expands to; the files that it names must be there."""
+    """Show how many episodes of each scene, split and tier a plan has.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; the files that it names must exist.
+    """
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
     found = find_built(plan, scene_cache())
@@ -46,31 +50,40 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
         told = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
         print_json(told | {"mistakes": mistakes, "not_built": unknown})
         return
-    click.echo(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
+    print_text(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
     for scene in plan.scenes:
         seen, held_out = scene.categories
-        click.echo(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
+        print_text(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
     _print_cells(plan)
     warn_of_empty_splits(plan)
     for line in mistakes or ():
-        click.echo(f"impossible: {line}")
+        print_text(f"impossible: {line}")
     nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
     if mistakes:
-        click.echo(f"{nearest} says what is possible instead")
+        print_text(f"{nearest} says what is possible instead")
     elif unknown:
-        click.echo(
-            f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does",
-            err=True,
+        print_text(
+            f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does", stderr
         )
 
 
 @command.command("nearest")
 @plan_argument(default="demo")
-@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="TOML file to write the plan to.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="TOML file to write the plan to; default: none.",
+)
 @shrink_options
 @json_option
 def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> None:
-    """Find the plan nearest to PLAN that its scenes can fulfil; builds or imports them where they are not at hand."""
+    """Find the nearest plan that the scenes can fulfil.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file. Scenes that are not in the cache are built or
+    imported.
+    """
     plan = shrunk_plan(load_plan(plan_name), changes)
     with tempfile.TemporaryDirectory(prefix="plan-") as nowhere:
         catalog = collect_scenes(
@@ -89,18 +102,18 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
         print_json(told | {"file": None if out is None else str(out)})
         return
     if not mistakes:
-        click.echo(f"plan {plan.name} is possible as it is: {plan.episodes} episodes")
+        print_text(f"plan {plan.name} is possible as it is: {plan.episodes} episodes")
     else:
         for line in mistakes:
-            click.echo(f"impossible: {line}")
-        click.echo(
+            print_text(f"impossible: {line}")
+        print_text(
             f"nearest: {found.plan.episodes} of {plan.episodes} episodes, {found.moved} not in the cell asked for"
         )
         for line in found.changes:
-            click.echo(f"  {line}")
+            print_text(f"  {line}")
         _print_cells(found.plan)
     if out is not None:
-        click.echo(f"written to {out}; make it with: factory run {out} --out DIR")
+        print_text(f"written to {out}; make it with: factory run {out} --out DIR")
 
 
 def _write(path: Path, text: str) -> None:

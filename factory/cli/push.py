@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
+from rich.progress import DownloadColumn, TimeRemainingColumn
 
 from factory.cli.bars import Bars
 from factory.cli.options import dataset_argument
@@ -20,16 +20,16 @@ __all__ = ["command"]
 @click.command("push")
 @dataset_argument
 @click.argument("repository", metavar="OWNER/NAME")
-@click.option("--private", is_flag=True, help="Make a new repository private.")
-@click.option("--endpoint", metavar="URL", help="Another Hub than huggingface.co (default: HF_ENDPOINT).")
-@click.option("--dry-run", is_flag=True, help="Say what would be uploaded; ask nobody, send nothing.")
+@click.option("--private", is_flag=True, help="Make the repository private if it is created.")
+@click.option("--endpoint", metavar="URL", help="URL of the Hub; default: HF_ENDPOINT, or huggingface.co.")
+@click.option("--dry-run", is_flag=True, help="Print what would be uploaded; use no network.")
 @json_option
 def command(root: Path, repository: str, private: bool, endpoint: str | None, dry_run: bool, as_json: bool) -> None:
-    """Upload DIR, a dataset or the output of `factory export`, to the dataset repository OWNER/NAME.
+    """Upload a dataset or an export to the Hugging Face Hub.
 
-    \b
-    The token is the Hub's own: `hf auth login`, or HF_TOKEN in the environment.
-    An interrupted upload goes on when the command is given again.
+    DIR is a dataset or the output of `factory export`; OWNER/NAME is a dataset repository.
+    The token is the Hub's: `hf auth login`, or HF_TOKEN in the environment.
+    The same command continues an interrupted upload.
     """
     require_repository(repository)
     plan = plan_push(root, MANIFEST_FILE)
@@ -39,8 +39,7 @@ def command(root: Path, repository: str, private: bool, endpoint: str | None, dr
         _show_plan(plan, repository, as_json)
         return
     click.echo(f"uploading {len(plan.files)} files, {_say_bytes(plan.total_bytes)}, to {repository}", err=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Bars(*columns) as progress:
+    with Bars(DownloadColumn(), TimeRemainingColumn()) as progress:
         task = progress.add_task(repository, total=plan.total_bytes)
         result = push(plan, repository, endpoint, private, lambda _, size: progress.advance(task, size))
     if as_json:

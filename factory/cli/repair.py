@@ -23,25 +23,28 @@ __all__ = ["command"]
 
 @click.command("repair")
 @site_argument
+@click.option("--dry-run", is_flag=True, help="Print the actions and change nothing; exit with 1 when there are any.")
 @click.option(
-    "--dry-run", is_flag=True, help="Say what would be done and change nothing; exit 1 when there is something."
+    "--plan",
+    "plan_name",
+    metavar="PLAN",
+    help="Plan of the dataset, needed where neither the ledger nor dataset_meta.json has it.",
 )
-@click.option("--plan", "plan_name", metavar="PLAN", help="The plan it was begun with, when nothing left names it.")
 @click.option(
     "--take-over",
     is_flag=True,
-    help="Take a dataset in object storage from another home whose coordinator is gone for good.",
+    help="Take over a dataset in object storage whose former coordinator will not run again.",
 )
 @ledger_option
 @json_option
 def command(
     site: Site, dry_run: bool, take_over: bool, plan_name: str | None, ledger: str | None, as_json: bool
 ) -> int:
-    """Make files, ledger and tables of a dataset agree again; no coordinator may run on it.
+    """Repair a damaged dataset, its ledger and its tables.
 
-    Whole episodes that the ledger does not know are adopted; files that are no sound episode go to its quarantine/;
-    episodes that are gone are queued again and come back with the same content; a lost or damaged ledger is rebuilt
-    from the plan and the episodes; the tables are written anew. Every file is hashed.
+    No coordinator may run on the dataset. Valid episodes that the ledger lacks are added to it; invalid files are moved
+    to quarantine/; missing episodes are put back into the queue and are made again with the same content; a lost or
+    damaged ledger is rebuilt from the plan and the episodes; the tables are written again. Every file is hashed.
     """
     configure_logs()
     plan = load_plan(plan_name) if plan_name is not None else None

@@ -25,7 +25,10 @@ __all__ = ["command"]
 @renderer_option
 @json_option
 def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
-    """Simulate EPISODE (`ep_000001` or a number) of the dataset again; exit 1 when the content differs."""
+    """Simulate one episode again and compare its content.
+
+    EPISODE is ep_000001 or 1. Exits with 1 when the content differs.
+    """
     configure_logs()
     path = episode_path(root, episode)
     with Bars(transient=True) as bar:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
@@ -22,14 +21,22 @@ __all__ = ["command"]
 
 @click.command("report")
 @place_argument
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the report.")
-@click.option("--force", is_flag=True, help="Write into a folder that is not empty; what else it holds is kept.")
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Folder of the report. An earlier report there is replaced.",
+)
+@click.option("--force", is_flag=True, help="Also write into a folder that holds other files; these are kept.")
 @compare_option
 @json_option
 def command(root: Place, out: Path, force: bool, compare_paper: bool | None, as_json: bool) -> int:
-    """Draw the paper's figures of the dataset into OUT/figures and the page OUT/report.html.
+    """Draw the figures of a dataset and an HTML page.
 
-    The page needs no network. Exit 1 when something was left out for damage; the page says what and why.
+    Writes --out/figures and --out/report.html, which needs no network. Exits with 1 when damaged episodes were left
+    out; the page names them.
     """
     configure_logs()
     summary = _make(root, out, force, compare_paper)
@@ -46,8 +53,7 @@ def command(root: Place, out: Path, force: bool, compare_paper: bool | None, as_
 def _make(root: Place, out: Path, force: bool, compare_paper: bool | None) -> Summary:
     from factory.report import make_report  # matplotlib takes half a second and may be missing
 
-    columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bars(*columns) as bar:
+    with Bars() as bar:
         tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}
         return make_report(
             root,

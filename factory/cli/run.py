@@ -6,7 +6,6 @@ import os
 from typing import Any, cast
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import open_catalog
@@ -20,6 +19,7 @@ from factory.cli.options import (
     shrink_options,
     verbose_option,
     warn_of_empty_splits,
+    workers_option,
 )
 from factory.cli.output import json_option, print_json, say_duration
 from factory.cli.summary import print_summary, summarise
@@ -40,7 +40,7 @@ __all__ = ["command"]
 @click.command("run")
 @plan_argument(default=None)
 @out_option
-@click.option("--workers", type=click.IntRange(1, 1024), help="Worker processes; default: one a core.")
+@workers_option("Number of worker processes, one simulation each")
 @renderer_option
 @gate_option("auto")
 @shrink_options
@@ -56,10 +56,10 @@ def command(
     verbose: bool,
     **changes: Any,
 ) -> int:
-    """Make the dataset of PLAN (default demo) in --out, or go on with the one that is there.
+    """Make a dataset from a plan, or continue an interrupted run.
 
-    PLAN is a built-in name (demo, paper, balanced) or a TOML file. Interrupted by Ctrl-C or a kill, the same command
-    goes on where it was; no episode is made twice.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
+    After Ctrl-C or a kill the same command continues the run; no episode is made twice.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory run`")
@@ -91,19 +91,13 @@ class _RunBar(Bars):
     """One line: what is done, how fast, what is left."""
 
     def __init__(self, plan: Plan) -> None:
-        super().__init__(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[remark]}"),
-        )
-        self._task = self.add_task(plan.name, total=plan.episodes, remark="")
+        super().__init__()
+        self._task = self.add_task(plan.name, total=plan.episodes)
 
     def tell(self, progress: Progress) -> None:
         """Shows where the run stands."""
         failures = sum(progress.failures.values())
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
         left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
-        remark = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
-        self.update(self._task, completed=progress.jobs.get("archived", 0), remark=remark)
+        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
+        self.update(self._task, completed=progress.jobs.get("archived", 0), note=note)

@@ -9,19 +9,22 @@ from pathlib import Path
 import click
 
 from factory.cli import scene_inspect, scene_list, scene_render, scene_survey, scene_targets
-from factory.cli.options import verbose_option
+from factory.cli.groups import CommandGroup
+from factory.cli.options import former_option, verbose_option
 from factory.cli.output import json_option, print_json, stderr
+from factory.cli.scene_choice import seed_option
 from factory.cli.scene_package import describe_package, print_others, print_package
 from factory.cli.scene_steps import next_steps, print_steps
 from factory.logs import configure_logs
+from factory.scenes.limits import MAX_TRIANGLES, StageLimits
 from factory.settings import scene_cache
 
 __all__ = ["command"]
 
 
-@click.group("scene")
+@click.group("scene", cls=CommandGroup)
 def command() -> None:
-    """Built-in scenes and your own."""
+    """Build, import, inspect and draw scenes."""
 
 
 command.add_command(scene_list.command)
@@ -32,12 +35,22 @@ command.add_command(scene_targets.command)
 
 
 def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
-    """`--rules --targets --cache`: what is called how, and where the package goes."""
+    """`--rules --targets --out`: the categories of things, and where the package is written."""
     file = click.Path(path_type=Path)
     for option in (
-        click.option("--cache", type=file, help="Folder for the package; default: the user's cache."),
-        click.option("--targets", type=file, help="An edited list of targets (see `factory scene targets`)."),
-        click.option("--rules", type=file, help="Your own table of category rules (YAML)."),
+        former_option("--cache", "cache", "--out", type=file),
+        click.option(
+            "-o",
+            "--out",
+            "cache",
+            type=file,
+            metavar="DIR",
+            help="Folder of the package; default: the user's cache.",
+        ),
+        click.option(
+            "--targets", type=file, metavar="FILE", help="Edited list of targets, written by `factory scene targets`."
+        ),
+        click.option("--rules", type=file, metavar="FILE", help="Table of category rules (YAML); default: built in."),
     ):
         verb = option(verb)
     return verb
@@ -45,14 +58,17 @@ def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
 
 @command.command("build")
 @click.argument("name")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Layout seed.")
+@seed_option
 @_edit_options
 @json_option
 @verbose_option
 def build(
     name: str, seed: int, rules: Path | None, targets: Path | None, cache: Path | None, as_json: bool, verbose: bool
 ) -> None:
-    """Author and compile the built-in scene NAME; does nothing when it is in the cache."""
+    """Build a built-in scene.
+
+    Does nothing when the scene is in the cache.
+    """
     from factory.scenes.build import build_scene, load_edits
 
     configure_logs(verbose)
@@ -68,16 +84,23 @@ def build(
 
 @command.command("import")
 @click.argument("usd", type=click.Path(path_type=Path))
-@click.option("--name", help="Name of the scene; default: the file's.")
-@click.option("--max-triangles", type=click.IntRange(1), help="Refuse larger stages.  [default: 10000000]")
-@click.option("--allow-outside", is_flag=True, help="Also read textures from outside of the stage's folder.")
+@click.option("--name", metavar="NAME", help="Name of the scene; default: the name of the file.")
+@click.option(
+    "--max-triangles",
+    type=click.IntRange(1),
+    default=MAX_TRIANGLES,
+    show_default=True,
+    metavar="N",
+    help="Largest number of triangles; larger stages are refused.",
+)
+@click.option("--allow-outside", is_flag=True, help="Also read textures outside the folder of the stage.")
 @_edit_options
 @json_option
 @verbose_option
 def import_(
     usd: Path,
     name: str | None,
-    max_triangles: int | None,
+    max_triangles: int,
     allow_outside: bool,
     rules: Path | None,
     targets: Path | None,
@@ -85,14 +108,16 @@ def import_(
     as_json: bool,
     verbose: bool,
 ) -> None:
-    """Compile your own stage (usd, usda, usdc, usdz)."""
+    """Compile a USD stage of your own.
+
+    USD is a file .usd, .usda, .usdc or .usdz.
+    """
     from factory.scenes.build import import_scene, load_edits  # needs usd-core
-    from factory.scenes.limits import MAX_TRIANGLES, StageLimits
 
     configure_logs(verbose)
     called = name or usd.stem.lower()
     book, chosen = load_edits(rules, targets, called)
-    limits = StageLimits(max_triangles or MAX_TRIANGLES, allow_outside)
+    limits = StageLimits(max_triangles, allow_outside)
     with stderr.status(f"importing {usd}"):
         path = import_scene(usd, called, cache or scene_cache(), book, chosen, limits)
     facts = describe_package(path)

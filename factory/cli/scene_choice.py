@@ -32,7 +32,12 @@ scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete
 """SCENE|PACKAGE: a built-in name, the name of an imported scene, or a compiled package (`*.scene.zip`)."""
 
 seed_option = click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Layout seed of a built-in scene."
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Layout seed of a built-in scene.",
 )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
 from factory.cli.scene_rest import say_counts, say_rest
 from schemas.errors import WorldError
@@ -20,10 +20,19 @@ _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "boun
 @click.command("inspect")
 @scene_argument
 @seed_option
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Also draw the map with targets and spawns (PNG).")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Also draw the map with targets and spawns to this PNG file.",
+)
 @json_option
 def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
-    """Print categories, targets, units, extents and notes of SCENE (the name of a scene, or a package)."""
+    """Print the categories, targets and extents of a scene.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    """
     from factory.scenes.inspection import describe_scene
     from factory.scenes.topdown import encode_topdown
 
@@ -47,10 +56,10 @@ def _write_map(path: Path, picture: bytes) -> None:
 def _print(facts: dict[str, Any]) -> None:
     for key, value in facts.items():
         if key not in _LISTED:
-            click.echo(f"{key}: {_words(value)}")
-    click.echo(f"categories: {say_counts(facts['categories'])}")
+            print_text(f"{key}: {_words(value)}")
+    print_text(f"categories: {say_counts(facts['categories'])}")
     for line in say_rest(facts["no_target"], facts["instances"]):
-        click.echo(line)
+        print_text(line)
     click.echo("")
     columns = ("id", "category", "colour", "centroid m", "straight from", "connected from", "prim")
     print_table("", columns, [_row(target) for target in facts["targets"]])

@@ -22,7 +22,7 @@ __all__ = ["command"]
 @click.command("list")
 @json_option
 def command(as_json: bool) -> None:
-    """List the built-in scenes, and the imported ones in the user's cache."""
+    """List the built-in scenes and the imported scenes."""
     built_in, imported = _built_in(), _imported()
     if as_json:
         print_json([*built_in, *imported])

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from factory.cli.output import print_text
 from factory.cli.scene_choice import open_scene
 from factory.cli.scene_rest import say_counts, say_rest, say_rules
 
@@ -41,8 +42,8 @@ def print_package(facts: dict[str, Any]) -> None:
     """Prints the facts for people."""
     for key, value in facts.items():
         if key not in _IN_WORDS:
-            click.echo(f"{key}: {value}")
-    click.echo(f"targets: {say_counts(facts['targets'])}")
+            print_text(f"{key}: {value}")
+    print_text(f"targets: {say_counts(facts['targets'])}")
     for note in facts["notes"]:
         click.echo(f"note: {note}", err=True)
 
@@ -50,6 +51,6 @@ def print_package(facts: dict[str, Any]) -> None:
 def print_others(facts: dict[str, Any]) -> None:
     """Prints which things became no target, and what to do about it."""
     for line in say_rest(facts["no_target"], facts["instances"]):
-        click.echo(line)
+        print_text(line)
     if any(thing["category"] is None for thing in facts["no_target"]):
-        click.echo(say_rules())
+        print_text(say_rules())

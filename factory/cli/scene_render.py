@@ -7,7 +7,7 @@ from typing import cast
 
 import click
 
-from factory.cli.options import renderer_option
+from factory.cli.options import count_option, renderer_option
 from factory.cli.output import json_option, print_json, stderr
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
 from factory.logs import configure_logs
@@ -20,10 +20,12 @@ __all__ = ["command"]
 @click.command("render")
 @scene_argument
 @seed_option
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the pictures; default ./SCENE.")
-@click.option("--views", type=click.IntRange(0, 64), default=6, show_default=True, help="Views at eye height, 1.5 m.")
-@click.option("--robot-views", type=click.IntRange(0, 64), default=4, show_default=True, help="Views of the robot.")
-@click.option("--colours", type=click.IntRange(0, 500), default=0, help="Also N targets in place with colour words.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder of the pictures; default: ./SCENE."
+)
+@count_option("--views", 6, "Number of views from 1.5 m above the floor.", least=0, most=64)
+@count_option("--robot-views", 4, "Number of views from the robot's camera.", least=0, most=64)
+@count_option("--colours", 0, "Number of targets to draw with their colour words.", least=0, most=500)
 @renderer_option
 @json_option
 def command(
@@ -36,7 +38,10 @@ def command(
     renderer: str,
     as_json: bool,
 ) -> None:
-    """Draw SCENE (the name of a scene, or a package): its map, the views that show most, a sheet of its things."""
+    """Draw the map, views and contact sheets of a scene.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    """
     from factory.scenes.pictures import Wanted, draw_scene
 
     configure_logs()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from factory.cli.output import json_option, print_json, print_table
+from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.cli.scene_choice import chosen_scene, scene_argument, seed_option
 
 if TYPE_CHECKING:
@@ -21,10 +21,21 @@ __all__ = ["command", "say_survey"]
 @click.command("survey")
 @scene_argument
 @seed_option
-@click.option("--within", type=click.FloatRange(0.1), default=2.0, show_default=True, help="Covered floor, metres.")
+@click.option(
+    "--within",
+    type=click.FloatRange(0.1),
+    default=2.0,
+    show_default=True,
+    metavar="METRES",
+    help="Distance from a start point within which floor counts as covered, metres.",
+)
 @json_option
 def command(scene: str, seed: int, within: float, as_json: bool) -> int:
-    """Measure the start points of SCENE (the name of a scene, or a package); exit 1 when there are too few."""
+    """Measure the start points of a scene.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    Exits with 1 when there are too few start points.
+    """
     from factory.scenes.survey_report import report_survey
 
     report = report_survey(chosen_scene(scene, seed), within)
@@ -32,7 +43,7 @@ def command(scene: str, seed: int, within: float, as_json: bool) -> int:
         print_json(asdict(report))
     else:
         for line in say_survey(report):
-            click.echo(line)
+            print_text(line)
         click.echo("")
         print_table("", ("spawn", "x m", "y m", "targets in sight", "categories"), map(_row, count(), report.sights))
     for reason in report.shortcomings:

@@ -16,12 +16,20 @@ __all__ = ["command"]
 @click.command("targets")
 @scene_argument
 @seed_option
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="File; default targets_<scene>.yaml; - prints.")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="File to write; default: targets_SCENE.yaml; - prints to stdout.",
+)
+@click.option("--force", is_flag=True, help="Replace an existing file.")
 @json_option
 def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write the targets of SCENE (the name of a scene, or a package) as YAML: edit it, then build or import with
-    --targets FILE.
+    """Write the targets of a scene to a YAML file for editing.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    Give the edited file to `factory scene build` or `factory scene import` with --targets FILE.
     """
     from factory.scenes.target_list import list_file_name, spell_target_list
 

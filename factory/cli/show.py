@@ -29,15 +29,26 @@ _KINDS = (".png", ".mp4", ".gif")
 @place_argument
 @click.argument("episode")
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="PNG, MP4 or GIF; default EPISODE.png."
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="File to write, .png, .mp4 or .gif; default: EPISODE.png.",
 )
-@click.option("--columns", type=click.IntRange(2, 24), default=6, show_default=True, help="Frames across, of a PNG.")
+@click.option(
+    "--columns",
+    type=click.IntRange(2, 24),
+    default=6,
+    show_default=True,
+    metavar="N",
+    help="Number of frames in a row of a contact sheet.",
+)
 @json_option
 def command(root: Place, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
-    """Show EPISODE (`ep_000001` or a number) of the dataset.
+    """Write one episode as a contact sheet or as a film.
 
-    A .png is a contact sheet; a .mp4 or .gif is a film at the speed of life: colour, depth, ids and the track from
-    above, with the instruction beneath.
+    EPISODE is ep_000001 or 1. A .png is a contact sheet; a .mp4 or .gif is a film in real time: colour, depth, ids and
+    the track from above, with the instruction below.
     """
     path = episode_path(root, episode)
     target = out or Path(f"{path.stem}.png")

@@ -19,7 +19,10 @@ __all__ = ["command"]
 @compare_option
 @json_option
 def command(root: Place, compare_paper: bool | None, as_json: bool) -> int:
-    """Print the statistics of a dataset; exit 1 when something was left out for damage."""
+    """Print the statistics of a dataset.
+
+    Exits with 1 when damaged episodes were left out.
+    """
     configure_logs()
     statistics = measure_dataset(root, compare_paper)
     if as_json:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import click
 
-from factory.cli.output import print_table
+from factory.cli.output import print_table, print_text
 from factory.stats import paper
 from factory.stats.model import AttemptRow, CountRow, ErrorRow, Fit, RolloutRow, Share, Statistics
 
@@ -19,10 +19,10 @@ _DASH = "-"
 def print_statistics(statistics: Statistics) -> None:
     """Prints all tables."""
     found, planned = statistics.episodes, statistics.planned
-    click.echo(f"{statistics.dataset}: {found} of {planned} episodes, run {statistics.run}, {statistics.expert} expert")
+    print_text(f"{statistics.dataset}: {found} of {planned} episodes, run {statistics.run}, {statistics.expert} expert")
     beside = statistics.beside_paper
     published = "; `paper`: as published" if beside else ""
-    click.echo(f"NE and TL in metres, means unless said{published}; intervals: 95 %")
+    print_text(f"NE and TL in metres, means unless said{published}; intervals: 95 %")
     for name, rows in (
         ("scene", statistics.scenes),
         ("split", statistics.splits),
@@ -32,7 +32,7 @@ def print_statistics(statistics: Statistics) -> None:
         _print_rollouts(name, rows)
     _print_counts("category", statistics.categories, beside)
     published = f" (paper {_percent(paper.THREE_LARGEST_SHARE)})" if beside else ""
-    click.echo(f"three largest categories: {_percent(statistics.three_largest_share)} of the episodes{published}")
+    print_text(f"three largest categories: {_percent(statistics.three_largest_share)} of the episodes{published}")
     _print_counts("template", statistics.templates, beside)
     _print_attempts(statistics.attempts, beside)
     _print_cells(statistics)

@@ -9,17 +9,17 @@ from pathlib import Path
 import click
 from rich.console import Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from coordinator.wire.tls import read_credentials
-from factory.cli.options import ledger_option, tls_option
-from factory.cli.output import json_option, print_json, say_duration, stdout
+from factory.cli.options import connect_option, ledger_option, tls_option
+from factory.cli.output import FittedTable, json_option, print_json, say_duration, stdout
 from factory.cli.places import SITE
 from factory.ledger import progress_of
 from factory.listen import require_endpoints
 from factory.site import Site
 from schemas.errors import TransientError, UsageError
+from schemas.terms import BUILTIN_CATEGORIES
 from schemas.wire import Progress, WorkerStatus
 
 __all__ = ["command", "draw_progress", "watch_progress"]
@@ -27,38 +27,47 @@ __all__ = ["command", "draw_progress", "watch_progress"]
 _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
 """Silence of a coordinator that is watched, seconds: a restart takes a few."""
+_FIRST = max(map(len, BUILTIN_CATEGORIES))
+"""Width of the first columns, so that the numbers of all tables are below each other."""
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
+_ALWAYS = ("pending", "leased", "archived")
+"""States whose columns are shown even where no job has them."""
 
 
 @click.command("status")
 @click.argument("site", metavar="[DIR|URL]", required=False, type=SITE)
-@click.option("--connect", metavar="ENDPOINT", help="Ask a running coordinator, e.g. tcp/127.0.0.1:7447.")
+@connect_option("Ask the running coordinator at this endpoint, e.g. tcp/127.0.0.1:7447.")
 @ledger_option
 @click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
 @tls_option
 @json_option
 def command(
-    site: Site | None, connect: str | None, ledger: str | None, watch: bool, tls: Path | None, as_json: bool
+    site: Site | None, connect: tuple[str, ...], ledger: str | None, watch: bool, tls: Path | None, as_json: bool
 ) -> None:
-    """Show the progress of the run in DIR or URL, by scene, tier and split, with rate, ETA and workers."""
+    """Show the progress of a run and its workers.
+
+    Prints the jobs of the dataset in DIR or URL by scene, tier and split, the rate, the time left and the workers.
+    """
     source = _source(site, connect, ledger, tls)
     if as_json:
         print_json(source().model_dump(mode="json"))
     elif watch:
         watch_progress(source)
     else:
-        stdout.print(draw_progress(source()))
+        stdout.print(draw_progress(source()), soft_wrap=False)
 
 
-def _source(site: Site | None, connect: str | None, ledger: str | None, tls: Path | None) -> Callable[[], Progress]:
-    if connect is not None:
+def _source(
+    site: Site | None, connect: tuple[str, ...], ledger: str | None, tls: Path | None
+) -> Callable[[], Progress]:
+    if connect:
         from coordinator.wire.ask import ask_progress
 
-        require_endpoints((connect,), with_tls=tls is not None)
+        require_endpoints(connect, with_tls=tls is not None)
         if tls is None:
-            return lambda: ask_progress((connect,))
+            return lambda: ask_progress(connect)
         files, name = read_credentials(tls)
-        return lambda: ask_progress((connect,), name, files)
+        return lambda: ask_progress(connect, name, files)
     if site is None:
         raise UsageError("whose status? give a dataset DIR or URL, or --connect ENDPOINT")
     return lambda: progress_of(site, ledger)
@@ -100,30 +109,20 @@ def draw_progress(progress: Progress) -> Group:
     foot = f"failed attempts: {tries}{back}; redrawn: {progress.redrawn}"
     kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
     away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
-    parts = [Text(head, style="bold"), *away]
     groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
-    return Group(*parts, *(_group_table(name, rows) for name, rows in groups.items()), _workers(progress), Text(foot))
+    states = [state for state in _COLUMNS if state in _ALWAYS or progress.jobs.get(state)]
+    tables = [_group_table(name, rows, states) for name, rows in groups.items()]
+    return Group(Text(head, style="bold"), *away, *tables, _workers(progress), Text(foot))
 
 
-def _group_table(name: str, rows: dict[str, dict[str, int]]) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(name, min_width=28)
-    for column in _COLUMNS:
-        table.add_column(column, justify="right")
-    for key, counts in rows.items():
-        table.add_row(key, *(str(counts.get(column, 0)) for column in _COLUMNS))
-    return table
+def _group_table(name: str, rows: dict[str, dict[str, int]], states: list[str]) -> FittedTable:
+    body = [(key, *(counts.get(state, 0) for state in states)) for key, counts in rows.items()]
+    return FittedTable("", (name, *states), body, _FIRST)
 
 
-def _workers(progress: Progress) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("worker", min_width=28)
-    for column in ("slots", "leased", "archived", "state"):
-        table.add_column(column, justify="right")
-    for worker in progress.workers:
-        state = _state_of(worker, progress.finished)
-        table.add_row(worker.sid, str(worker.slots), str(worker.leased), str(worker.archived), state)
-    return table
+def _workers(progress: Progress) -> FittedTable:
+    body = [(w.sid, w.slots, w.leased, w.archived, _state_of(w, progress.finished)) for w in progress.workers]
+    return FittedTable("", ("worker", "slots", "leased", "archived", "state"), body, _FIRST)
 
 
 def _state_of(worker: WorkerStatus, is_finished: bool) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from coordinator.archive.place import Place
-from factory.cli.output import print_table
+from factory.cli.output import print_table, print_text
 from factory.dataset import Dataset
 from schemas.terms import FailReason
 from schemas.wire import Progress
@@ -40,11 +40,11 @@ def summarise(root: Place, progress: Progress) -> dict[str, Any]:
 def print_summary(summary: dict[str, Any]) -> None:
     """Prints the facts for people."""
     size = f"{summary['bytes'] / 1e6:.0f} MB"
-    click.echo(f"dataset {summary['dataset']}: {summary['episodes']} of {summary['planned']} episodes, {size}")
-    click.echo(f"digest  {summary['digest']}")
+    print_text(f"dataset {summary['dataset']}: {summary['episodes']} of {summary['planned']} episodes, {size}")
+    print_text(f"digest  {summary['digest']}")
     print_table("", ("scene", "episodes"), summary["by_scene"].items())
     tries = ", ".join(f"{count} {_WORDS.get(outcome, outcome)}" for outcome, count in summary["attempts"].items())
-    click.echo(f"attempts: {tries}; targets redrawn: {summary['redrawn']}")
+    print_text(f"attempts: {tries}; targets redrawn: {summary['redrawn']}")
     if summary["failed"]:
         click.echo(f"{summary['failed']} jobs failed: factory jobs list {summary['dataset']} --state failed", err=True)
-    click.echo(f"next:    {summary['next']}")
+    print_text(f"next:    {summary['next']}")

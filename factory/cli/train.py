@@ -8,10 +8,12 @@ from typing import Any, Self
 
 import click
 from pydantic import ValidationError
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
+from factory.cli.filters import scene_filter, tier_filter
+from factory.cli.groups import CommandGroup
+from factory.cli.options import former_option, place_argument
 from factory.cli.output import json_option, print_json, print_table, say_duration
 from factory.cli.places import PLACE
 from factory.dataset import Dataset
@@ -20,63 +22,99 @@ from factory.train import BcOptions, EpochMeasures, TrainReport
 from factory.train.look import SIZES
 from factory.train.run import TrainOrder, Watcher, train_bc
 from schemas.errors import UsageError
-from schemas.terms import Split, Tier
+from schemas.terms import Split
 from workers.stopping import stop_on_signals
 
 __all__ = ["command"]
 
 
-@click.group("train")
+@click.group("train", cls=CommandGroup)
 def command() -> None:
-    """Train the baselines; needs the extra `train` (PyTorch, CPU builds too)."""
+    """Train the baseline policies; needs the extra `train`."""
 
 
 @command.command("bc")
-@click.option("--data", "root", type=PLACE, required=True, metavar="DIR|URL", help="The dataset.")
+@place_argument
+@former_option("--data", "root", "DIR|URL", type=PLACE)
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder of the result."
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Directory of the training. An interrupted training of the same options is continued.",
 )
 @click.option(
     "--split",
     type=click.Choice([str(split) for split in Split]),
     default=str(Split.TRAIN_ID),
     show_default=True,
-    help="To learn from.",
+    help="Split to learn from.",
 )
-@click.option("--scene", "scenes", multiple=True, metavar="SCENE", help="Only this scene; may be repeated.")
+@scene_filter()
+@tier_filter()
 @click.option(
-    "--tier",
-    "tiers",
-    multiple=True,
-    type=click.Choice([str(tier) for tier in Tier]),
-    help="Only this tier; may be repeated.",
-)
-@click.option("--epochs", type=click.IntRange(1, 10_000), default=30, show_default=True, help="Rounds over all frames.")
-@click.option("--minutes", type=click.FloatRange(0.01), metavar="M", help="Begin no epoch that would end later.")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, help="Of all chance.")
-@click.option(
-    "--head", type=click.Choice(["continuous", "tokens"]), default="continuous", show_default=True, help="What it says."
+    "--epochs",
+    type=click.IntRange(1, 10_000),
+    default=30,
+    show_default=True,
+    metavar="N",
+    help="Number of passes over all frames.",
 )
 @click.option(
-    "--ablate-language", is_flag=True, help="The twin that cannot read: one constant token for every instruction."
+    "--minutes",
+    type=click.FloatRange(0.01),
+    metavar="MINUTES",
+    help="Start no epoch that would end later; default: no limit.",
 )
 @click.option(
-    "--size", type=click.Choice([str(size) for size in SIZES]), default="128", show_default=True, help="Pixels."
+    "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, metavar="N", help="Random seed."
 )
-@click.option("--batch", type=click.IntRange(1, 4096), default=32, show_default=True, help="Frames a step.")
 @click.option(
-    "--rate", type=click.FloatRange(1e-7, 1.0), default=1e-3, show_default=True, help="Highest learning rate."
+    "--head",
+    type=click.Choice(["continuous", "tokens"]),
+    default="continuous",
+    show_default=True,
+    help="Output head: v and w, or tokens of the action grid.",
 )
-@click.option("--mask-weight", type=click.FloatRange(0, 100), default=1.0, show_default=True, help="0: imitation only.")
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, cuda:1, ...")
-@click.option("--resume", is_flag=True, help="Go on with the training in OUT.")
+@click.option("--ablate-language", is_flag=True, help="Replace every instruction by one constant token.")
+@click.option(
+    "--size",
+    type=click.Choice([str(size) for size in SIZES]),
+    default="128",
+    show_default=True,
+    help="Side of the input picture, pixels.",
+)
+@click.option(
+    "--batch", type=click.IntRange(1, 4096), default=32, show_default=True, metavar="N", help="Frames in a batch."
+)
+@click.option(
+    "--rate",
+    type=click.FloatRange(1e-7, 1.0),
+    default=1e-3,
+    show_default=True,
+    metavar="RATE",
+    help="Peak learning rate.",
+)
+@click.option(
+    "--mask-weight",
+    type=click.FloatRange(0, 100),
+    default=1.0,
+    show_default=True,
+    metavar="WEIGHT",
+    help="Weight of the loss on the place of the named object in the picture; 0: imitation only.",
+)
+@click.option(
+    "--device", default="auto", show_default=True, metavar="DEVICE", help="PyTorch device: auto, cpu, cuda, cuda:1, ..."
+)
+@click.option("--resume", is_flag=True, hidden=True, expose_value=False, help="Former; no longer needed.")
 @json_option
 def bc(
     root: Place,
     out: Path,
     split: str,
-    scenes: tuple[str, ...],
-    tiers: tuple[str, ...],
+    scenes: tuple[str, ...] | None,
+    tiers: tuple[str, ...] | None,
     epochs: int,
     minutes: float | None,
     seed: int,
@@ -87,14 +125,15 @@ def bc(
     rate: float,
     mask_weight: float,
     device: str,
-    resume: bool,
     as_json: bool,
 ) -> int:
-    """Fit behaviour cloning to a split: pictures and words to (v, w), or to tokens of the action grid.
+    """Train a policy by behaviour cloning.
+
+    The policy maps a picture and an instruction to (v, w), or to tokens of the action grid.
+    After Ctrl-C or --minutes the same command continues the training, with the same result as without the interruption.
 
     \b
-    Then:  factory eval --data DIR --split test_id --policy bc:OUT
-    Interrupted by Ctrl-C or after --minutes, the same command with --resume goes on to the same weights.
+    Then:  factory eval DIR --split test_id --policy bc:OUT
     """
     configure_logs()
     options = _options(
@@ -108,7 +147,7 @@ def bc(
         mask_weight=mask_weight,
     )
     wanted = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
-    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes, resume)
+    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes)
     with stop_on_signals() as (stop, _), _TrainBar(epochs) as bar:
         report = train_bc(order, Watcher(bar.caching, bar.learning, bar.measured, stop.is_set))
     if as_json:
@@ -116,7 +155,7 @@ def bc(
     else:
         _print(report)
     if not report.finished:
-        click.echo(f"{len(report.epochs)} of {epochs} epochs done; --resume goes on", err=True)
+        click.echo(f"{len(report.epochs)} of {epochs} epochs done; the same command continues", err=True)
         return 130 if stop.is_set() else 0
     return 0
 
@@ -133,13 +172,7 @@ class _TrainBar:
 
     def __init__(self, epochs: int) -> None:
         self._epochs = epochs
-        self._bar = Bars(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[note]}"),
-        )
+        self._bar = Bars()
         self._decoding: Any = None
         self._task: Any = None
 
@@ -155,13 +188,13 @@ class _TrainBar:
     def caching(self, done: int, of: int) -> None:
         """Shows episodes being decoded."""
         if self._decoding is None or done == 1:
-            self._decoding = self._bar.add_task("decoding", total=of, note="")
+            self._decoding = self._bar.add_task("decoding", total=of)
         self._bar.update(self._decoding, completed=done)
 
     def learning(self, epochs: int, done: int, of: int, loss: float) -> None:
         """Shows batches done in this epoch."""
         if self._task is None:
-            self._task = self._bar.add_task("learning", total=of, note="")
+            self._task = self._bar.add_task("learning", total=of)
         note = f"epoch {epochs + 1} of {self._epochs}, loss {loss:.3f}"
         self._bar.update(self._task, total=of, completed=done, note=note)
 

@@ -9,7 +9,7 @@ import click
 
 from coordinator.archive.place import Place
 from factory.cli.bars import Bars
-from factory.cli.options import place_argument
+from factory.cli.options import place_argument, workers_option
 from factory.cli.output import json_option, print_json
 from factory.logs import configure_logs
 from factory.verify import Report, verify
@@ -19,14 +19,18 @@ __all__ = ["command"]
 
 @click.command("verify")
 @place_argument
-@click.option("--deep", is_flag=True, help="Decode every frame and recompute digests, statistics and motion.")
+@click.option("--deep", is_flag=True, help="Decode every frame; recompute digests, statistics and motion.")
+@workers_option("Number of processes with --deep")
 @json_option
-def command(root: Place, deep: bool, as_json: bool) -> int:
-    """Check a dataset against its tables, and with --deep against itself; exit 1 on damage."""
+def command(root: Place, deep: bool, workers: int | None, as_json: bool) -> int:
+    """Check the files, tables and hashes of a dataset.
+
+    Exits with 1 when something is damaged.
+    """
     configure_logs()
     with Bars(transient=True) as bar:
         task = bar.add_task("verifying", total=None)
-        processes = os.cpu_count() or 1 if deep else 1
+        processes = (workers or os.cpu_count() or 1) if deep else 1
         report = verify(root, deep, lambda done, total: bar.update(task, completed=done, total=total), processes)
     if as_json:
         print_json(_plain(report))

@@ -10,7 +10,7 @@ from coordinator.archive.place import Place
 from factory.catalog import find_package
 from factory.cli.bars import Bars
 from factory.cli.episodes import episode_index
-from factory.cli.options import place_argument
+from factory.cli.options import former_option, place_argument
 from factory.cli.output import json_option, print_json
 from factory.dataset import Dataset
 from factory.view import view_episode
@@ -25,14 +25,28 @@ __all__ = ["command"]
 @click.command("view")
 @place_argument
 @click.argument("episode")
-@click.option("--save", type=click.Path(path_type=Path), metavar="FILE.rrd", help="Write a recording; open no viewer.")
-@click.option("--stride", type=click.IntRange(1, 1000), default=2, show_default=True, help="Show every n-th frame.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Recording to write, .rrd; without it the viewer is opened.",
+)
+@former_option("--save", "out", "--out", type=click.Path(path_type=Path))
+@click.option(
+    "--stride",
+    type=click.IntRange(1, 1000),
+    default=2,
+    show_default=True,
+    metavar="N",
+    help="Show every N-th frame.",
+)
 @json_option
-def command(root: Place, episode: str, save: Path | None, stride: int, as_json: bool) -> None:
-    """Open EPISODE (`ep_000001` or a number) of the dataset in the Rerun viewer.
+def command(root: Place, episode: str, out: Path | None, stride: int, as_json: bool) -> None:
+    """Open one episode in the Rerun viewer.
 
-    Colour, depth and ids, the robot on the map, the way it drove, actions and instruction.
-    Needs the extra `view`.
+    EPISODE is ep_000001 or 1. Shows colour, depth and ids, the robot and its trajectory on the map, the actions and the
+    instruction. Needs the extra `view`.
     """
     require_package("rerun", "factory view")
     dataset = Dataset(root)
@@ -46,10 +60,10 @@ def command(root: Place, episode: str, save: Path | None, stride: int, as_json: 
     frames = range(0, len(chosen), stride)
     with chosen, Bars() as progress:
         task = progress.add_task("frames", total=len(frames))
-        view_episode(chosen, scene, save, stride, lambda _: progress.advance(task))
+        view_episode(chosen, scene, out, stride, lambda _: progress.advance(task))
     if as_json:
-        shown = {"episode": chosen.episode_id, "file": str(save) if save else None, "steps": len(chosen)}
+        shown = {"episode": chosen.episode_id, "file": str(out) if out else None, "steps": len(chosen)}
         print_json(shown | {"frames": len(frames)})
     else:
-        where = str(save) if save else "the viewer"
+        where = str(out) if out else "the viewer"
         click.echo(f"{chosen.episode_id}: {len(frames)} of {len(chosen)} frames in {where}")

@@ -9,7 +9,14 @@ from typing import Any, cast
 import click
 
 from coordinator.wire.tls import read_credentials
-from factory.cli.options import renderer_option, tls_option, verbose_option
+from factory.cli.options import (
+    connect_option,
+    count_option,
+    former_option,
+    renderer_option,
+    tls_option,
+    verbose_option,
+)
 from factory.listen import require_endpoints
 from factory.logs import configure_logs
 from schemas.extras import require_package
@@ -22,26 +29,31 @@ __all__ = ["command"]
 
 
 @click.command("worker")
-@click.option("--cores", type=click.IntRange(1, 1024), default=1, show_default=True, help="Simulations at a time.")
-@click.option(
-    "--connect",
-    multiple=True,
-    metavar="ENDPOINT",
-    help="A coordinator or gateway; repeat it, or write a comma between, for several: the worker takes any and changes "
-    "over by itself when that one is gone. Default tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447.",
+@count_option("--cores", 1, "Number of cores to use: one simulation process each.", most=1024)
+@former_option("--workers", "cores", "--cores", type=click.IntRange(1, 1024))
+@connect_option(
+    "Endpoint of a coordinator or gateway, repeatable: the worker takes one, and another one when that is gone. "
+    "Default: tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447."
 )
 @renderer_option
-@click.option("--spool", type=click.Path(path_type=Path), help="Where finished bundles wait; default: user's cache.")
 @click.option(
-    "--wait",
+    "--spool",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Directory where finished bundles wait to be fetched; default: in the user's cache.",
+)
+@click.option(
+    "--connect-timeout",
     "wait_s",
     type=click.FloatRange(0.0),
     default=30.0,
     show_default=True,
-    help="Seconds to look for the coordinator at the start.",
+    metavar="SECONDS",
+    help="Timeout of the first connection to a coordinator.",
 )
-@click.option("--import-policies", is_flag=True, help="Let evaluations name classes that are imported here.")
-@click.option("--until-eof", is_flag=True, hidden=True, help="Leave when stdin is closed.")
+@former_option("--wait", "wait_s", "--connect-timeout", type=click.FloatRange(0.0))
+@click.option("--import-policies", is_flag=True, help="Import the policy classes that evaluations name.")
+@click.option("--until-eof", is_flag=True, hidden=True, help="Stop when stdin is closed.")
 @tls_option
 @verbose_option
 def command(
@@ -55,10 +67,12 @@ def command(
     tls: Path | None,
     verbose: bool,
 ) -> int:
-    """Simulate jobs for the coordinator until its run is finished; SIGTERM gives back what is under way."""
+    """Simulate jobs of a coordinator on this host.
+
+    The worker stops when the run is finished. SIGTERM gives the jobs that are under way back to the coordinator.
+    """
     configure_logs(verbose)
     require_package("pybullet", "`factory worker`")
-    connect = tuple(part.strip() for given in connect for part in given.split(","))
     more: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
     require_endpoints(connect, with_tls=tls is not None)
     if tls is not None:

@@ -140,7 +140,7 @@ def _try_failed_again(root: Path) -> None:
 
 def _require_whole(root: Path, store: Store) -> None:
     with look_into(ledger_url_of(root)) as connection:
-        failed = list_jobs(connection, JobFilter(state=State.FAILED), limit=_NAMED)
+        failed = list_jobs(connection, JobFilter(states=(State.FAILED,)), limit=_NAMED)
     if failed:
         reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)
         raise WorldError(

@@ -8,7 +8,6 @@ from factory.dataset import Dataset
 from schemas.errors import UsageError
 from schemas.job import episode_id
 from schemas.plan import MAX_EPISODES
-from schemas.terms import Split
 
 __all__ = ["parse_episodes", "select"]
 
@@ -24,7 +23,7 @@ def parse_episodes(text: str) -> list[str]:
         first, dash, last = part.strip().partition("-")
         low, high = _number(first, text), _number(last if dash else first, text)
         if high < low:
-            raise UsageError(f"--episodes {text}: {part.strip()} ends before it begins")
+            raise UsageError(f"--episode {text}: {part.strip()} ends before it begins")
         found.update(dict.fromkeys(episode_id(index) for index in range(low, high + 1)))
     return list(found)
 
@@ -56,9 +55,5 @@ def select(dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str]
 def _number(text: str, whole: str) -> int:
     digits = text.strip().removeprefix("ep_")
     if not digits.isascii() or not digits.isdigit() or not 1 <= int(digits[:12]) <= MAX_EPISODES:
-        raise UsageError(f"--episodes {whole}: {text!r} names no episode; write e.g. 1-50,60 or ep_000060")
+        raise UsageError(f"--episode {whole}: {text!r} names no episode; write e.g. 1-50,60 or ep_000060")
     return int(digits)
-
-
-SPLITS = tuple(str(split) for split in Split)
-"""The names that `--split` takes."""

@@ -79,7 +79,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     torch = load_torch()
     path = checkpoint_path(path)
     if not path.is_file():
-        raise UsageError(f"no checkpoint {path}; `factory train bc --data DIR -o OUT` makes OUT/{POLICY}")
+        raise UsageError(f"no checkpoint {path}; `factory train bc DIR -o OUT` makes OUT/{POLICY}")
     if path.stat().st_size > MAX_BYTES:
         raise UsageError(f"{path} has {path.stat().st_size} bytes; checkpoints have at most {MAX_BYTES}")
     try:

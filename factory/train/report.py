@@ -37,7 +37,7 @@ class TrainReport(Model):
 
     out: str
     finished: bool
-    """Whether all epochs are done; else the same command with `--resume` goes on."""
+    """Whether all epochs are done; else the same command continues."""
     options: BcOptions
     device: str
     parameters: int

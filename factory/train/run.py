@@ -55,7 +55,6 @@ class TrainOrder:
     device: str = "auto"
     minutes: float | None = None
     """No epoch is begun that would end later than this."""
-    resume: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,23 +70,26 @@ class Watcher:
 
 
 def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
-    """Trains until the epochs are done, the minutes are used up or the watcher says stop.
+    """Trains until the epochs are done, the minutes are used up or the watcher stops; continues what the folder holds.
 
     Raises:
-        UsageError: torch is missing, the folder holds another training, or there is nothing to learn from.
+        UsageError: torch is missing, the folder holds a training with other options or episodes, or there is nothing
+            to learn from.
         ArchiveCorrupt: an episode is damaged.
         WorldError: the disk refuses, or the losses are no numbers any more.
     """
     device = choose_device(order.device)
     require_logs()
-    _check_folder(order)
+    begun_with = _check_folder(order)
     train, val = _caches(order, watcher)
     meta = _meta(order, train)
+    if begun_with is not None:
+        _require_same_data(begun_with, meta, order.out)
     from factory.train.fit import BcTraining, Limits
 
     limits = Limits(meta.max_speed_mps, meta.max_yaw_rate_rps)
     training = BcTraining(order.options, meta.words, limits, device)
-    epochs = _restore(order, training, meta) if order.resume else []
+    epochs = _restore(order, training, begun_with) if begun_with is not None else []
     begun, longest = time.monotonic(), 0.0
     with closing(summary_writer(str(order.out / "tensorboard"), training.epochs_done + 1)) as log:
         while training.epochs_done < order.options.epochs and not watcher.is_stopped():
@@ -109,13 +111,37 @@ def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
     return _report(order, training, train, val, epochs, str(device))
 
 
-def _check_folder(order: TrainOrder) -> None:
-    if (order.out / STATE).exists() and not order.resume:
-        raise UsageError(f"{order.out} holds a training already: add --resume to go on, or choose another -o")
-    if order.resume and not (order.out / STATE).exists():
-        raise UsageError(f"{order.out} holds no training to resume: leave --resume out")
+def _check_folder(order: TrainOrder) -> Checkpoint | None:
+    """Returns the state of the training that the folder holds, if any; makes the folder.
+
+    Raises:
+        UsageError: that training has other options.
+    """
+    found = read_checkpoint(order.out / STATE) if (order.out / STATE).exists() else None
+    if found is not None:
+        then, now = found.meta.options.model_dump(), order.options.model_dump()
+        different = [f"{name} {then[name]}, now {now[name]}" for name in now if then[name] != now[name]]
+        if different:
+            raise UsageError(
+                f"{order.out} holds a training with other options ({'; '.join(different)}): give the same options to "
+                "continue it, or choose another --out"
+            )
     with translated("write", order.out):
         order.out.mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> None:
+    then = found.meta
+    if (then.train_digest, then.words) != (meta.train_digest, meta.words):
+        raise UsageError(
+            f"{out} holds a training on other episodes ({_say_data(then)}; now {_say_data(meta)}): give the same "
+            "dataset, --split, --scene and --tier to continue it, or choose another --out"
+        )
+
+
+def _say_data(meta: CheckpointMeta) -> str:
+    return f"{meta.train_episodes} episodes, {meta.train_frames} frames, digest {meta.train_digest[:12]}"
 
 
 def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache | None]:
@@ -154,25 +180,15 @@ def _meta(order: TrainOrder, train: FrameCache) -> CheckpointMeta:
     )
 
 
-def _restore(order: TrainOrder, training: BcTraining, meta: CheckpointMeta) -> list[EpochMeasures]:
-    """Goes on from the folder's state and returns the epochs it has."""
-    path = order.out / STATE
-    found = read_checkpoint(path)
-    for name in ("options", "words", "train_digest"):
-        if getattr(found.meta, name) != getattr(meta, name):
-            raise UsageError(
-                f"{path} is of a training with other {_SAID[name]}: give the same ones, or choose another -o"
-            )
+def _restore(order: TrainOrder, training: BcTraining, found: Checkpoint) -> list[EpochMeasures]:
+    """Continues from the folder's state and returns the epochs it has."""
     try:
         training.restore(found.tensors)
         report = TrainReport.model_validate_json((order.out / _METRICS).read_bytes())
     except (KeyError, ValueError, RuntimeError, OSError, ValidationError) as error:
         first = (str(error).splitlines() or ["no reason given"])[0]
-        raise WorldError(f"{order.out} cannot be resumed ({first}): choose another -o") from error
+        raise WorldError(f"{order.out} cannot be continued ({first}): choose another --out") from error
     return [measured for measured in report.epochs if measured.epoch <= training.epochs_done]
-
-
-_SAID = {"options": "options", "words": "words", "train_digest": "episodes"}
 
 
 def _require_sound(measured: EpochMeasures) -> None:

@@ -22,6 +22,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from tests.builders.tools import find_system_tools
 from tests.chaos.faults import FAULTS
 from tests.chaos.party import Cast, fake_cast, real_cast
 from tests.chaos.round import Storm, calm_digest, play_round
@@ -107,6 +108,7 @@ def _tell(tally: Tally, one: Tally, kept: Path | None) -> None:
 
 def main() -> int:
     """Runs a campaign as told on the command line."""
+    find_system_tools()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, help="begin no round after that long (default 30; with --faults 240)")
     parser.add_argument("--faults", type=int, help="go on until so many were felt; fewer in that time end with 1")

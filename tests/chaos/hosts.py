@@ -62,6 +62,8 @@ class Hosts:
 
     def worsen(self, number: int, rate: str, latency: str) -> str:
         """Lets a host's packets queue and drop behind a narrow link; returns why that cannot be, or nothing."""
+        if shutil.which("tc") is None:
+            return "needs tc (Debian: iproute2)"
         shape = ["tbf", "rate", rate, "burst", "16kbit", "latency", latency]
         for where in ([], self.inside(number)):
             device = self._cable(number) if not where else "eth0"

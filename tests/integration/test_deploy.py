@@ -275,5 +275,5 @@ def test_a_slurm_task_ends_as_its_worker_does(tmp_path, status, looks):
     with cluster.task() as task:
         out, _ = task.communicate(timeout=20)
     assert task.returncode == status
-    assert out == f"{tmp_path}/minivla-me worker --connect tls/hub:7447 --tls /pki --cores 4 --wait 600\n"
+    assert out == f"{tmp_path}/minivla-me worker --connect tls/hub:7447 --tls /pki --cores 4 --connect-timeout 600\n"
     assert not cluster.told.exists()

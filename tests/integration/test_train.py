@@ -50,7 +50,7 @@ def options(**changes: Any) -> BcOptions:
     return BcOptions(**{"epochs": 3, "size": 64, "width": 4, "batch": 4, "hold": 3} | changes)
 
 
-def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99, resume: bool = False) -> list[float]:
+def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99) -> list[float]:
     """Trains, stops after some epochs of this call, and returns the losses of all of them."""
     seen: list[int] = []
     watcher = Watcher(
@@ -59,7 +59,7 @@ def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99, resum
         measured=lambda measured: seen.append(measured.epoch),
         is_stopped=lambda: len(seen) >= stop_after,
     )
-    report = train_bc(TrainOrder(Dataset(root), out, options, device="cpu", resume=resume), watcher)
+    report = train_bc(TrainOrder(Dataset(root), out, options, device="cpu"), watcher)
     return [epoch.train_loss for epoch in report.epochs]
 
 
@@ -76,7 +76,7 @@ def observation(step: int = 0) -> Observation:
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
 def test_without_torch_the_extra_is_named(root: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "factory", "train", "bc", "--data", str(root), "-o", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "factory", "train", "bc", str(root), "-o", str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert install_command("train") in done.stderr
@@ -107,19 +107,28 @@ def test_training_learns_by_heart(root: Path, tmp_path: Path, head: str) -> None
 def test_resumed_training_ends_with_the_same_weights(root: Path, tmp_path: Path) -> None:
     whole = train(root, tmp_path / "whole", options())
     train(root, tmp_path / "parts", options(), stop_after=1)
-    with pytest.raises(UsageError, match="holds a training already: add --resume"):
-        train(root, tmp_path / "parts", options())
-    assert train(root, tmp_path / "parts", options(), resume=True) == whole
+    assert train(root, tmp_path / "parts", options()) == whole
     one, two = weights(tmp_path / "whole"), weights(tmp_path / "parts")
     assert one.keys() == two.keys()
     assert all(np.array_equal(one[name], two[name]) for name in one)
 
 
 @needs_torch
-def test_resume_refuses_another_training(root: Path, tmp_path: Path) -> None:
+def test_another_training_is_not_continued_and_its_options_are_named(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
-    with pytest.raises(UsageError, match="other options"):
-        train(root, tmp_path, options(seed=5), resume=True)
+    held = (tmp_path / "state.pt").read_bytes()
+    with pytest.raises(UsageError, match=r"other options \(seed \d+, now 5; size 64, now 80\): give the same"):
+        train(root, tmp_path, options(seed=5, size=80))
+    assert (tmp_path / "state.pt").read_bytes() == held
+
+
+@needs_torch
+def test_a_training_on_other_episodes_is_not_continued(root: Path, tmp_path: Path) -> None:
+    train(root, tmp_path, options(), stop_after=1)
+    order = TrainOrder(Dataset(root).filter(episode="ep_000001"), tmp_path, options(), device="cpu")
+    watcher = Watcher(lambda *_: None, lambda *_: None, lambda _: None, lambda: False)
+    with pytest.raises(UsageError, match=r"on other episodes \(\d+ episodes, .* now \d+ episodes"):
+        train_bc(order, watcher)
 
 
 @needs_torch
@@ -199,7 +208,7 @@ def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
 
 @needs_torch
 def test_command_prints_its_report_and_goes_on(root: Path, tmp_path: Path) -> None:
-    base = [sys.executable, "-m", "factory", "train", "bc", "--data", str(root), "-o", str(tmp_path), "--size", "64"]
+    base = [sys.executable, "-m", "factory", "train", "bc", str(root), "-o", str(tmp_path), "--size", "64"]
     first = subprocess.run(
         [*base, "--epochs", "1", "--json", "--device", "cpu"], capture_output=True, text=True, check=False
     )
@@ -209,6 +218,10 @@ def test_command_prints_its_report_and_goes_on(root: Path, tmp_path: Path) -> No
     assert len(report["epochs"]) == 1
     assert report["val_episodes"] == 0
     assert report == json.loads((tmp_path / "metrics.json").read_text())
-    second = subprocess.run([*base, "--epochs", "1"], capture_output=True, text=True, check=False)
-    assert second.returncode == 2
-    assert "add --resume" in second.stderr
+    again = [*base, "--epochs", "1", "--device", "cpu"]
+    for words in (again, [*again, "--resume"]):
+        second = subprocess.run([*words, "--json"], capture_output=True, text=True, check=False)
+        assert (second.returncode, json.loads(second.stdout)["epochs"]) == (0, report["epochs"])
+    third = subprocess.run([*base, "--epochs", "2"], capture_output=True, text=True, check=False)
+    assert third.returncode == 2
+    assert "epochs 1, now 2" in third.stderr

@@ -37,7 +37,7 @@ def bc_file(name: str) -> Path:
         raise UsageError("write bc:OUT, with the folder of `factory train bc -o OUT`")
     path = checkpoint_path(Path(name))
     if not path.is_file():
-        raise UsageError(f"no checkpoint {path}; `factory train bc --data DIR -o OUT` makes OUT/{POLICY}")
+        raise UsageError(f"no checkpoint {path}; `factory train bc DIR -o OUT` makes OUT/{POLICY}")
     return path
 
 

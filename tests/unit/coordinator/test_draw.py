@@ -16,7 +16,7 @@ from coordinator.plan.draw import PlannedJob, cells, expand, find_impossible, po
 from coordinator.plan.file import shrink
 from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target
 
 PAPER = BUILTIN_PLANS["paper"]
@@ -66,6 +66,23 @@ def test_the_paper_plan_counts_1174_episodes_as_published():
         "full_warehouse": 354,
         "warehouse_multiple_shelves": 68,
     }
+
+
+def test_the_demo_has_16_episodes_spread_evenly_over_scenes_and_splits():
+    demo = BUILTIN_PLANS["demo"]
+    assert demo.episodes == 16
+    jobs = expand(demo, make_catalog(demo))
+    assert Counter((job.scene, job.split) for job in jobs) == Counter(
+        (scene, split) for scene in BUILTIN_CATEGORIES for split, share in demo.splits.items() if share
+    )
+
+
+def test_the_first_twelve_jobs_of_the_demo_are_those_of_the_demo_with_15_episodes():
+    demo = BUILTIN_PLANS["demo"]
+    scenes = (*demo.scenes[:3], demo.scenes[3].model_copy(update={"episodes": 3}))
+    former = demo.model_copy(update={"scenes": scenes})
+    catalog = make_catalog(demo)
+    assert expand(former, catalog)[:12] == expand(demo, catalog)[:12]
 
 
 def test_held_out_categories_appear_only_in_test_ood_obj():

@@ -311,7 +311,7 @@ def test_every_move_is_in_the_history_of_the_episode(desk):
 def test_jobs_can_be_listed_by_state(desk):
     desk.lease()
     with desk.open() as connection:
-        held = JobFilter(state=State.LEASED)
+        held = JobFilter(states=(State.LEASED,))
         assert [job.index for job in list_jobs(connection, held)] == [1]
         assert count_jobs(connection, JobFilter()) == 3
         assert [job.index for job in list_jobs(connection, JobFilter(), limit=1, offset=1)] == [2]

@@ -57,7 +57,7 @@ def test_a_file_that_is_not_there_is_called_so(reference, said):
 
 def test_a_misspelt_scene_is_told_the_nearest_of_the_plan():
     with pytest.raises(UsageError, match=r"has no scene 'hospitl'; it has .*; did you mean 'hospital'"):
-        shrink(load_plan("demo"), scene="hospitl")
+        shrink(load_plan("demo"), scenes=["hospitl"])
 
 
 def test_every_mistake_is_named_with_its_key(tmp_path):
@@ -108,7 +108,7 @@ def test_shrinking_keeps_the_proportions_of_the_scenes():
 
 def test_shrinking_to_an_unknown_scene_names_the_scenes_of_the_plan():
     with pytest.raises(UsageError, match="office, hospital"):
-        shrink(BUILTIN_PLANS["demo"], scene="garage")
+        shrink(BUILTIN_PLANS["demo"], scenes=["garage"])
 
 
 def test_two_plans_that_ask_for_the_same_have_one_digest():

@@ -287,7 +287,7 @@ def test_only_the_plan_paper_and_its_parts_are_compared_by_default() -> None:
     parts = [
         paper,
         shrink(paper, episodes=60),
-        shrink(paper, scene="office", episodes=2),
+        shrink(paper, scenes=("office",), episodes=2),
         shrink(paper, expert=ExpertName.PLANNER, seed=3),
     ]
     lab = ScenePlan(name="lab", usd="lab.usda", seen=("chair",), held_out=("plant",), episodes=3)

@@ -56,7 +56,7 @@ def test_jobs_given_back_are_no_failed_attempts(capsys: pytest.CaptureFixture[st
 def test_the_bar_of_a_run_counts_no_job_that_was_given_back() -> None:
     bar = _RunBar(load_plan("demo"))
     bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
-    assert bar.tasks[0].fields["remark"].endswith("0 failed attempts")
+    assert bar.tasks[0].fields["note"].endswith("0 failed attempts")
 
 
 @pytest.mark.parametrize(("archived", "state"), [(1, "alive"), (3, "left")])

@@ -38,7 +38,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--policy", "expert:plannr"), "no expert 'plannr'; .*; did you mean 'planner'"),
         (("--policy", "nowhere_pilot:Policy"), "no module 'nowhere_pilot'; looked in"),
         (("--policy", "exprt"), "no policy 'exprt'; .*; did you mean 'expert'"),
-        (("--policy", "stop"), "no episodes but for training; say --split all"),
+        (("--policy", "stop"), "has episodes for training only; give --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),
         (("--policy", "stop", "--specs", "/nowhere.json"), "factory eval specs"),
     ],
@@ -51,7 +51,7 @@ def test_mistakes_are_named(dataset: Path, words: tuple[str, ...], said: str) ->
 def test_a_split_that_is_none_is_a_mistake_of_usage(dataset: Path) -> None:
     import click
 
-    with pytest.raises(click.UsageError, match="no split test; there are train_id"):
+    with pytest.raises(click.UsageError, match="no split 'test'; valid: train_id"):
         cli.main(["eval", "--data", str(dataset), "--policy", "stop", "--split", "test"], standalone_mode=False)
 
 

@@ -1,0 +1,36 @@
+"""The tests find the system's tools with the PATH that Debian gives an ordinary user."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+USER_PATH = "/usr/local/bin:/usr/bin:/bin"
+TOOLS = ("ip", "tc", "mount", "umount")
+PROBE = "import shutil, tests.conftest; print(*(name for name in {names!r} if shutil.which(name)))"
+
+
+@pytest.mark.parametrize("path", [USER_PATH, f"{USER_PATH}:/usr/sbin:/sbin"])
+def test_tools_in_sbin_are_found_whatever_the_path_of_the_user(path: str) -> None:
+    here = {name for name in TOOLS if shutil.which(name, path=f"{USER_PATH}:/usr/local/sbin:/usr/sbin:/sbin")}
+    command = [sys.executable, "-c", PROBE.format(names=TOOLS)]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"PATH": path}, capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) == here
+
+
+def test_the_product_starts_no_program_but_its_own_interpreter() -> None:
+    started = re.compile(r"(?:subprocess\.\w+|Popen|os\.exec\w+|os\.system|os\.popen)\(\s*\[?\s*[\"'](\w+)")
+    files = [
+        path for package in ("schemas", "coordinator", "workers", "factory") for path in (ROOT / package).rglob("*.py")
+    ]
+    assert len(files) > 100
+    assert {str(path): found for path in files if (found := started.findall(path.read_text()))} == {}
