@@ -11,11 +11,9 @@ from coordinator.plan.draw import redraw
 from coordinator.summary import Receipt
 from coordinator.wire.protocol import Pull, Terms
 from schemas.terms import FailReason
-from schemas.wire import Fail
+from schemas.wire import Fail, cut_detail
 
-__all__ = ["MAX_DETAIL_CHARS", "LedgerBook"]
-
-MAX_DETAIL_CHARS = 2000
+__all__ = ["LedgerBook"]
 
 
 class LedgerBook:
@@ -45,7 +43,12 @@ class LedgerBook:
 
     def refuse(self, pull: Pull, detail: str) -> None:
         """See `Book`."""
-        report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.INVALID, detail=detail[:MAX_DETAIL_CHARS])
+        report = Fail(
+            sid=pull.sid,
+            lease=pull.lease,
+            reason=FailReason.INVALID,
+            detail=cut_detail(detail),
+        )
         terms = self._terms
         self._writer.call(
             lambda connection: outcomes.fail(

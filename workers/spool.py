@@ -19,7 +19,7 @@ from typing import Annotated, Self
 import structlog
 from pydantic import Field, ValidationError
 
-from schemas.base import Model, Sha256
+from schemas.base import Bytes, Model, Sha256
 from schemas.errors import WorldError
 from schemas.wire import Lease
 
@@ -50,8 +50,7 @@ class Spooled(Model):
 
     lease: Lease
     sha256: Sha256
-    size: Annotated[int, Field(ge=1)]
-    """Bytes."""
+    size: Annotated[Bytes, Field(ge=1)]
 
 
 class Spool:

@@ -22,6 +22,7 @@ from coordinator.plan.catalog import Catalog
 from coordinator.plan.draw import redraw, to_job
 from coordinator.plan.errands import Errands
 from schemas.base import Model
+from schemas.identity import is_host_name
 from schemas.job import Job
 from schemas.keys import Verb, sid_belongs_to
 from schemas.plan import Plan
@@ -48,6 +49,17 @@ from schemas.wire import (
 __all__ = ["Answer", "Pull", "Request", "Terms", "parse", "serve"]
 
 M = TypeVar("M", bound=Model)
+_SMALL_MESSAGE_BYTES = 16 << 10
+_MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
+    {
+        Verb.BEAT: 64 << 10,
+        Verb.INVENTORY: 64 << 10,
+        Verb.ADMIN: MAX_MESSAGE_BYTES,
+        Verb.ARCHIVED: MAX_MESSAGE_BYTES,
+    }
+)
+"""Most bytes of a verb's message, where that is not `_SMALL_MESSAGE_BYTES`: no larger one is read."""
+_SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
 @dataclass(frozen=True)
@@ -107,23 +119,34 @@ def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]
     Args:
         verb: last part of the key.
         host: who asks, by the key.
-        payload: at most `MAX_MESSAGE_BYTES` of JSON.
+        payload: JSON, at most as many bytes as the verb may have.
         known: what each verb carries; by default the verbs of workers and operators.
     """
     known = known or _MESSAGES
     if verb not in known:
         return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(known)}")
-    if len(payload) > MAX_MESSAGE_BYTES:
-        return Refusal(error=f"{verb}: {len(payload)} bytes, more than {MAX_MESSAGE_BYTES}")
+    if not is_host_name(host):
+        return Refusal(error=f"{verb}: {host[:_SHOWN_CHARS]!r} is no name for a host; give one such as node-07")
+    most = _MESSAGE_BYTES.get(Verb(verb), _SMALL_MESSAGE_BYTES)
+    if len(payload) > most:
+        return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")
     try:
         message = known[Verb(verb)].model_validate_json(payload)
     except ValidationError as error:
-        places = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:10])
-        return Refusal(error=f"{verb}: not understood ({places}); do both sides run the same version?")
+        return Refusal(error=f"{verb}: not understood ({_mistakes(error)}); do both sides run the same version?")
     sid = getattr(message, "sid", None)
     if known is _MESSAGES and sid is not None and not sid_belongs_to(sid, host):
         return Refusal(error=f"{verb}: session {sid!r} is not of host {host!r}; session ids begin with their host")
     return Request(host, message)
+
+
+def _mistakes(error: ValidationError) -> str:
+    """Returns the first mistakes in words; of a message that is all mistakes only their number, which costs nothing."""
+    count = error.error_count()
+    if count > 10 * _SHOWN_MISTAKES:
+        return f"{count} mistakes"
+    found = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
+    return "; ".join(f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
 
 
 def serve(connection: Connection, request: Request, terms: Terms, now: datetime) -> Answer:

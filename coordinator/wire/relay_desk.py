@@ -35,7 +35,7 @@ from coordinator.wire.relay import (
 from schemas.base import Model
 from schemas.keys import Verb
 from schemas.terms import FailReason
-from schemas.wire import Ack, Fail, Refusal
+from schemas.wire import Ack, Fail, Refusal, cut_detail
 
 __all__ = ["RELAY_MESSAGES", "orders_for", "serve_gateway"]
 
@@ -96,7 +96,10 @@ def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: d
 
 def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, now: datetime) -> Model:
     report = Fail(
-        sid=told.sid, lease=told.lease, reason=FailReason.INVALID, detail=f"at gateway {gateway}: {told.detail}"[:2000]
+        sid=told.sid,
+        lease=told.lease,
+        reason=FailReason.INVALID,
+        detail=cut_detail(f"at gateway {gateway}: {told.detail}"),
     )
     budget = terms.plan.budget
     accepted = outcomes.fail(

@@ -32,7 +32,10 @@ from schemas.keys import (
 )
 from schemas.wire import Lease
 
-__all__ = ["Inquiry", "Router"]
+__all__ = ["MAX_KEY_CHARS", "Inquiry", "Router"]
+
+MAX_KEY_CHARS = 400
+"""Of the key that something is asked under: our own have at most 300."""
 
 _VERBS = frozenset(verb.value for verb in Verb)
 
@@ -47,9 +50,13 @@ class Inquiry:
         self.payload = query.payload.to_bytes() if query.payload is not None else b""
         self._run = run
         self._query = query
+        self._is_open = True
 
     def answer(self, reply: Model) -> None:
-        """Sends the reply; an asker that is gone is no error."""
+        """Sends the reply, if none was sent yet; an asker that is gone is no error."""
+        if not self._is_open:
+            return
+        self._is_open = False
         # a client that does not know the run asks under a wildcard, but the reply needs a plain key
         key = verb_key(self._run, self.host, Verb(self.verb)) if self.verb in _VERBS else str(self._query.key_expr)
         try:
@@ -60,6 +67,7 @@ class Inquiry:
 
     def drop(self) -> None:
         """Leaves the question unanswered; the asker repeats it."""
+        self._is_open = False
         self._query.drop()
 
 
@@ -135,13 +143,26 @@ class Router(Closing):
         session.liveliness().declare_subscriber(alive_pattern(self._run), self._note_token)
 
     def _take(self, query: zenoh.Query) -> None:
-        self._on_inquiry(Inquiry(self._run, query))
+        if self._is_key_short(query):
+            self._on_inquiry(Inquiry(self._run, query))
 
     def _note_token(self, sample: zenoh.Sample) -> None:
-        if sample.kind == zenoh.SampleKind.DELETE:
-            self._on_gone(sid_of_alive_key(str(sample.key_expr)))
+        key = str(sample.key_expr)
+        if sample.kind == zenoh.SampleKind.DELETE and len(key) <= MAX_KEY_CHARS:
+            self._on_gone(sid_of_alive_key(key))
+
+    @staticmethod
+    def _is_key_short(query: zenoh.Query) -> bool:
+        length = len(str(query.key_expr))
+        if length <= MAX_KEY_CHARS:
+            return True
+        with query:
+            query.reply_err(f"a key of {length} characters; at most {MAX_KEY_CHARS} are read")
+        return False
 
     def _serve_scene(self, query: zenoh.Query) -> None:
+        if not self._is_key_short(query):
+            return
         with query:
             key = str(query.key_expr)
             descriptor = self._scenes.get(key)
