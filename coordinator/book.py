@@ -7,9 +7,8 @@ from datetime import datetime
 
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.writer import Writer
-from coordinator.plan.draw import redraw
 from coordinator.summary import Receipt
-from coordinator.wire.protocol import Pull, Terms
+from coordinator.wire.protocol import Pull, Terms, fail_attempt
 from schemas.terms import FailReason
 from schemas.wire import Fail, cut_detail
 
@@ -49,13 +48,4 @@ class LedgerBook:
             reason=FailReason.INVALID,
             detail=cut_detail(detail),
         )
-        terms = self._terms
-        self._writer.call(
-            lambda connection: outcomes.fail(
-                connection,
-                report,
-                self._clock(),
-                terms.plan.budget,
-                lambda planned: redraw(terms.plan, terms.catalog, planned),
-            )
-        )
+        self._writer.call(lambda connection: fail_attempt(connection, report, self._terms, self._clock()))

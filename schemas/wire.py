@@ -21,6 +21,8 @@ __all__ = [
     "MAX_ATTACHMENT_BYTES",
     "MAX_DETAIL_CHARS",
     "MAX_ERRAND_CHARS",
+    "MAX_HOSTS",
+    "MAX_INDICES",
     "MAX_LEASES",
     "MAX_MESSAGE_BYTES",
     "PROTOCOL",
@@ -37,6 +39,7 @@ __all__ = [
     "Fail",
     "Hello",
     "HelloReply",
+    "HostStatus",
     "Lease",
     "LeaseProgress",
     "Progress",
@@ -56,6 +59,7 @@ MAX_DETAIL_CHARS = 2000
 """Of what a failure or a refusal says."""
 MAX_INDICES = 100_000
 """Most episodes that one admin request names."""
+MAX_HOSTS = 10_000
 _MAX_SESSIONS = 100_000
 _MAX_GROUPS = 1000
 MAX_ATTACHMENT_BYTES = 1 << 30
@@ -216,12 +220,16 @@ class Refusal(Model):
     error: Text
 
 
+Hosts = Annotated[tuple[HostName, ...], Field(max_length=MAX_HOSTS), FailFast()]
+
+
 class AdminAction(StrEnum):
     """What an operator may do to a run."""
 
     RETRY = "retry"  # put failed or cancelled episodes back into the queue
     CANCEL = "cancel"  # give up episodes that have not ended
     DRAIN = "drain"  # let every worker finish what it has and leave
+    RELEASE = "release"  # give jobs again to hosts that are barred
 
 
 class AdminRequest(Model):
@@ -230,6 +238,8 @@ class AdminRequest(Model):
     action: AdminAction
     indices: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_INDICES), FailFast()] = ()
     """Episodes meant, by number; empty means every one the action fits."""
+    hosts: Hosts = ()
+    """Hosts meant; empty means every one the action fits."""
 
 
 class AdminReply(Model):
@@ -239,6 +249,10 @@ class AdminReply(Model):
     """Episodes that changed their state."""
     refused: Annotated[dict[Count, Line], Field(max_length=MAX_INDICES)] = Field(default_factory=dict)
     """Episodes named by number that could not, with the reason."""
+    hosts: Hosts = ()
+    """Hosts that changed their state."""
+    refused_hosts: Annotated[dict[HostName, Line], Field(max_length=MAX_HOSTS)] = Field(default_factory=dict)
+    """Hosts named that could not, with the reason."""
 
 
 class WorkerStatus(Model):
@@ -254,6 +268,20 @@ class WorkerStatus(Model):
     last_beat: datetime
     alive: bool
     """Whether it was heard of within a lease."""
+
+
+class HostStatus(Model):
+    """A host whose attempts were refused or crashed, as the ledger knows it."""
+
+    host: Line
+    strikes: Count
+    """Failures that count against it, less its successes."""
+    resumes_at: datetime
+    """It gets no job before."""
+    barred_at: datetime | None
+    """Since when it gets no job until an operator releases it; `None` where it is not barred."""
+    reason: Text
+    """The last failure that counted."""
 
 
 Counts = Annotated[dict[Line, Count], Field(max_length=_MAX_GROUPS)]
@@ -276,6 +304,8 @@ class Progress(Model):
     attempts: Counts
     """Attempts by outcome: `success` and every fail reason."""
     workers: Annotated[tuple[WorkerStatus, ...], Field(max_length=_MAX_SESSIONS)]
+    hosts: Annotated[tuple[HostStatus, ...], Field(max_length=_MAX_SESSIONS)] = ()
+    """Hosts that pause or are barred."""
     by_gateway: Counts = Field(default_factory=dict)
     """Archived episodes that lie at a gateway, by its name; those not counted here lie in the core's directory."""
     episodes_per_hour: NonNegative | None
@@ -284,6 +314,11 @@ class Progress(Model):
     """Seconds to the end at that rate; `None` when unknown, 0 when finished."""
     finished: bool
     """Whether no job can change any more without a `retry`."""
+
+    @property
+    def missing(self) -> int:
+        """Planned episodes that are not archived."""
+        return self.planned - self.jobs.get("archived", 0)
 
     @property
     def failures(self) -> dict[str, int]:

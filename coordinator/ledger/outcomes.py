@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import bindparam, delete, insert, select, update
 from sqlalchemy.engine import Connection
 
+from coordinator.ledger import hosts
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, lease_parameters, record_attempt
 from coordinator.ledger.opening import insert_planned, planned_of
@@ -20,6 +21,7 @@ from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
 from coordinator.plan.draw import PlannedJob
 from coordinator.summary import Receipt
+from schemas.keys import host_of
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
 
@@ -32,6 +34,10 @@ SUCCESS = "success"
 _LOST = "lost"
 _HURTS = "crash, hang or invalid bundle"
 _CRASH_PAUSE_S = 1.0
+"""Pause after the first crash of a job; it doubles with each."""
+_CRASHES_ALONE = hosts.STRIKES + 2
+"""Crashes after which a job is quarantined where one host alone has tried it: a host that fails every job is barred
+before any of them comes so far."""
 
 
 _UNDER_LEASE = Prepared(select(*JOB).where(*UNDER_LEASE))
@@ -108,7 +114,15 @@ def adopt(connection: Connection, job_id: int, summary: Receipt, now: datetime) 
     return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
 
 
-def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, successor: Successor) -> bool:
+def fail(
+    connection: Connection,
+    report: Fail,
+    now: datetime,
+    budget: Budget,
+    successor: Successor,
+    *,
+    blames_hosts: bool = True,
+) -> bool:
     """Settles a failed attempt: the next attempt, the next draw, quarantine, or back to the queue unharmed.
 
     Args:
@@ -117,6 +131,7 @@ def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, su
         now: of the report.
         budget: how long to insist.
         successor: gives the next draw of the same cell.
+        blames_hosts: whether a worker's failure counts against its host before it counts against the job.
 
     Returns:
         Whether the report was accepted now, or is the repetition of one that was.
@@ -127,7 +142,7 @@ def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, su
     if report.reason.is_of_the_world:
         return _miss(connection, row, report, now, budget, successor)
     if report.reason.is_of_the_worker:
-        return _hurt(connection, row, report, now, budget)
+        return _hurt(connection, row, report, now, budget, blames_hosts=blames_hosts)
     return _release(connection, row, report, now)
 
 
@@ -168,6 +183,7 @@ def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Rec
         },
     )
     _CREDIT.count(connection, {"by": row.sid})
+    hosts.relieve(connection, row.sid)
     return True
 
 
@@ -196,13 +212,24 @@ def _miss(
     return True
 
 
-def _hurt(connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget) -> bool:
-    """A worker suffered: the same attempt again after a pause, or quarantine when that has happened too often."""
-    crashes = row.crashes + 1
-    is_last = crashes >= budget.crashes
+def _hurt(
+    connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, *, blames_hosts: bool
+) -> bool:
+    """A worker suffered: the same attempt again after a pause, or quarantine when the job is known to be at fault."""
+    crashes, host = row.crashes + 1, host_of(row.sid)
+    is_last = crashes >= budget.crashes and (
+        not blames_hosts
+        or hosts.others_hurt(connection, row, host)
+        or (crashes >= _CRASHES_ALONE and hosts.is_alone(connection, host, now))
+    )
     why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
-    values = {"next_attempt": row.attempt, "until": now.timestamp() + _CRASH_PAUSE_S * crashes, "why": why}
-    return _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False)
+    pause_s = min(hosts.LONGEST_PAUSE_S, _CRASH_PAUSE_S * 2 ** (crashes - 1))
+    values = {"next_attempt": row.attempt, "until": now.timestamp() + pause_s, "why": why}
+    if not _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False):
+        return False
+    if blames_hosts:
+        hosts.strike(connection, host, row, f"{report.reason}: {report.detail}", now)
+    return True
 
 
 def _release(connection: Connection, row: JobRow, report: Fail, now: datetime) -> bool:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from sqlalchemy import Row
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger import claims, operator, outcomes, workers
+from coordinator.ledger import claims, hosts, operator, outcomes, workers
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from coordinator.plan.catalog import Catalog
@@ -46,7 +46,7 @@ from schemas.wire import (
     Trade,
 )
 
-__all__ = ["Answer", "Pull", "Request", "Terms", "parse", "serve"]
+__all__ = ["Answer", "Pull", "Request", "Terms", "fail_attempt", "parse", "serve"]
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
@@ -154,6 +154,18 @@ def serve(connection: Connection, request: Request, terms: Terms, now: datetime)
     return _HANDLERS[type(request.message)](connection, request.message, request.host, terms, now)
 
 
+def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: datetime) -> bool:
+    """Settles a failed attempt under the terms of the run; see `outcomes.fail`."""
+    return outcomes.fail(
+        connection,
+        report,
+        now,
+        terms.plan.budget,
+        lambda planned: redraw(terms.plan, terms.catalog, planned),
+        blames_hosts=terms.errands is None,  # an evaluation says at once what cannot be driven, and is run again
+    )
+
+
 def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: datetime) -> Answer:
     if hello.host != host:
         return Answer(Refusal(error=f"hello: says it is host {hello.host!r} under the key of {host!r}"))
@@ -171,6 +183,8 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
 
 def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> Answer:
     may_start = terms.has_room() and not terms.is_draining()
+    pause_s = hosts.pause_of(connection, host, now)
+    may_start = may_start and pause_s == 0
     row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
@@ -180,7 +194,7 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
         return Answer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
     workers.note_alive(connection, claim.sid, host, now)
     finished = not claims.has_open_jobs(connection)
-    return Answer(ClaimReply(retry_after_s=terms.retry_after_s, finished=finished))
+    return Answer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))
 
 
 def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> Answer:
@@ -198,10 +212,7 @@ def _done(connection: Connection, done: Done, host: str, terms: Terms, now: date
 
 
 def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
-    accepted = outcomes.fail(
-        connection, fail, now, terms.plan.budget, lambda planned: redraw(terms.plan, terms.catalog, planned)
-    )
-    return Answer(Ack(accepted=accepted))
+    return Answer(Ack(accepted=fail_attempt(connection, fail, terms, now)))
 
 
 def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
@@ -210,6 +221,8 @@ def _admin(connection: Connection, request: AdminRequest, host: str, terms: Term
             return Answer(operator.retry(connection, request.indices, now))
         case AdminAction.CANCEL:
             return Answer(operator.cancel(connection, request.indices, now))
+        case AdminAction.RELEASE:
+            return Answer(hosts.release(connection, request.hosts))
         case AdminAction.DRAIN:
             return Answer(AdminReply(changed=()))
 

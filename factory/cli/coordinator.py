@@ -24,6 +24,7 @@ from factory.cli.options import (
     tls_option,
     verbose_option,
 )
+from factory.cli.summary import say_missing
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from factory.site import Site
@@ -73,6 +74,8 @@ def start(
 ) -> int:
     """Hand the jobs of PLAN to workers and archive what they bring; ends when the run is finished.
 
+    The exit status is 1 when the run is finished and episodes are missing, 0 when it is whole or was stopped.
+
     A coordinator does not simulate, so that its gate is skipped unless asked for; it then runs here, before anything
     is handed out.
     """
@@ -101,5 +104,10 @@ def start(
             finished = coordinator.wait(stop=stop)
             if stay or finished:
                 stop.wait(None if stay else _LINGER_S)
-    click.echo("finished" if finished else f"stopped; go on with: factory coordinator start --out {site}", err=True)
-    return 0
+            progress = coordinator.progress()
+    if not progress.finished:
+        click.echo(f"stopped; go on with: factory coordinator start --out {site}", err=True)
+        return 0
+    click.echo("finished", err=True)
+    say_missing(site, progress)
+    return 1 if progress.missing else 0

@@ -20,13 +20,14 @@ from factory.ledger import progress_of
 from factory.listen import require_endpoints
 from factory.site import Site
 from schemas.errors import TransientError, UsageError
-from schemas.wire import Progress, WorkerStatus
+from schemas.wire import HostStatus, Progress, WorkerStatus
 
 __all__ = ["command", "draw_progress", "watch_progress"]
 
 _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
 """Silence of a coordinator that is watched, seconds: a restart takes a few."""
+_REASON_CHARS = 200
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 
 
@@ -102,7 +103,18 @@ def draw_progress(progress: Progress) -> Group:
     away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
     parts = [Text(head, style="bold"), *away]
     groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
-    return Group(*parts, *(_group_table(name, rows) for name, rows in groups.items()), _workers(progress), Text(foot))
+    tables = (_group_table(name, rows) for name, rows in groups.items())
+    return Group(*parts, *tables, _workers(progress), *map(_say_host, progress.hosts), Text(foot))
+
+
+def _say_host(host: HostStatus) -> Text:
+    """Returns why a host gets no jobs, or one at a time, and what to do."""
+    why = f"{host.strikes} failures, last: {' '.join(host.reason[:_REASON_CHARS].split())}"
+    if host.barred_at is None:
+        return Text(f"host {host.host} gets one job at a time, with pauses: {why}", style="yellow")
+    since = f"{host.barred_at:%H:%M:%S}"
+    remedy = f"put it right, then `factory jobs release DIR {host.host}`"
+    return Text(f"host {host.host} is barred since {since}: {why}; {remedy}", style="bold red")
 
 
 def _group_table(name: str, rows: dict[str, dict[str, int]]) -> Table:
@@ -120,8 +132,9 @@ def _workers(progress: Progress) -> Table:
     table.add_column("worker", min_width=28)
     for column in ("slots", "leased", "archived", "state"):
         table.add_column(column, justify="right")
+    barred = {host.host for host in progress.hosts if host.barred_at is not None and not progress.finished}
     for worker in progress.workers:
-        state = _state_of(worker, progress.finished)
+        state = "barred" if worker.host in barred else _state_of(worker, progress.finished)
         table.add_row(worker.sid, str(worker.slots), str(worker.leased), str(worker.archived), state)
     return table
 

@@ -212,10 +212,10 @@ def test_the_last_draw_ends_the_episode_with_its_reason(desk):
 
 @pytest.mark.parametrize("reason", WORKER)
 def test_a_job_that_hurts_workers_is_quarantined_without_a_redraw(desk, reason):
-    for _ in range(2):
-        while (row := desk.claim()) is None or row.idx != 1:
+    for sid in ("one.1", "two.1"):
+        while (row := desk.claim(sid)) is None or row.idx != 1:
             desk.tick(0.5)
-        assert desk.fail(lease_of(row), reason)
+        assert desk.fail(lease_of(row), reason, sid)
     (row,) = desk.rows(1)
     assert (row.state, row.attempt, row.crashes) == ("failed", 1, 2)
     assert row.reason.startswith("quarantined")
