@@ -112,7 +112,7 @@ class Front(Closing):
             return
         if isinstance(request.message, Duty):
             duty = request.message
-            inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most)))
+            inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most, duty.busy)))
             return
         octets = len(inquiry.payload)
         if self._writer.backlog > self._backlog or not self._load.enter(request.host, octets):

@@ -14,7 +14,7 @@ from schemas.base import Bytes, Line, Model, Ordinal, Sha256, Text
 from schemas.job import Job
 from schemas.plan import MAX_EPISODES
 from schemas.scene import Target
-from schemas.wire import Detail, Lease, RouterId, SessionId, Version
+from schemas.wire import Detail, Hosts, Lease, RouterId, SessionId, Version
 
 __all__ = [
     "MAX_FILES",
@@ -56,6 +56,8 @@ class Duty(Model):
     router: RouterId
     most: Annotated[int, Field(ge=0, le=MAX_ORDERS)]
     """Orders it can take now."""
+    busy: Hosts = ()
+    """Hosts of which it has bundles enough."""
 
 
 class Order(Model):
