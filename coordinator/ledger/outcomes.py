@@ -1,6 +1,7 @@
 """How an attempt ends: announced, archived, refused by the world, hurt by or hurting a worker, given back, or lost.
 
-Every function is fenced by the lease and idempotent; a lease that is not in force changes nothing.
+Every function is fenced by the lease, which belongs to a host, and idempotent; a lease that is not in force changes
+nothing.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) ->
     """Notes that a bundle can be pulled; repeating it is harmless."""
     lease = lease_parameters(done.lease)
     known = _UNDER_LEASE.first(connection, lease)
-    if known is None or known.state not in (*HELD_STATES, State.ARCHIVED):
+    if known is None or known.state not in (*HELD_STATES, State.ARCHIVED) or not _is_of_same_host(known, done.sid):
         return Announced(False, None)
     if known.state == State.ARCHIVED:
         return Announced(True, None)
@@ -139,6 +140,8 @@ def fail(
     row = _UNDER_LEASE.first(connection, lease_parameters(report.lease))
     if row is None or row.state not in HELD_STATES:
         return _was_reported(connection, report)
+    if not _is_of_same_host(row, report.sid):
+        return False
     if report.reason.is_of_the_world:
         return _miss(connection, row, report, now, budget, successor)
     if report.reason.is_of_the_worker:
@@ -185,6 +188,11 @@ def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Rec
     _CREDIT.count(connection, {"by": row.sid})
     hosts.relieve(connection, row.sid)
     return True
+
+
+def _is_of_same_host(row: JobRow, sid: str) -> bool:
+    """Whether a session is of the host that the lease was given to: another host's token is worth nothing."""
+    return host_of(row.sid) == host_of(sid)
 
 
 def _was_reported(connection: Connection, report: Fail) -> bool:

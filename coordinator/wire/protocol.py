@@ -176,7 +176,13 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"{terms.version}; episodes of two versions may differ: install the same version on both"
             )
         )
-    workers.introduce(connection, hello, now)
+    if not workers.introduce(connection, hello, now):
+        return Answer(
+            Refusal(
+                error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} sessions that were heard of lately, or all "
+                f"hosts together have {workers.SESSIONS}: stop some, or wait some minutes"
+            )
+        )
     trade = Trade.COLLECTION if terms.errands is None else Trade.EVALUATION
     return Answer(HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade))
 
