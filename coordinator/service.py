@@ -6,6 +6,7 @@ Wires the parts and keeps house (expiry, free space, tables); what a verb means 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -48,6 +49,8 @@ __all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 _WAIT_S = 0.5
+_FAREWELL_S = 3.0
+"""How long a finished run is announced at least: a worker may just be reconnecting."""
 
 log = structlog.get_logger(__name__)
 
@@ -179,6 +182,20 @@ class Coordinator(Closing):
                 return self.is_finished()
             left = None if left is None else left - _WAIT_S
         return True
+
+    def see_off(self, stop: threading.Event | None = None) -> None:
+        """Stays until the workers of a finished run have heard that it is, and have left; a lease long at most.
+
+        Args:
+            stop: ends the wait early when set.
+        """
+        stop = stop or threading.Event()
+        begun = time.monotonic()
+        least = begun + _FAREWELL_S
+        most = begun + _FAREWELL_S + self._settings.lease_ttl_s
+        while (now := time.monotonic()) < most and (now < least or self._router.present):
+            if stop.wait(_WAIT_S):
+                return
 
     def drain(self) -> None:
         """Gives out no more jobs and lets workers leave when theirs are done."""

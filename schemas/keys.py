@@ -50,6 +50,7 @@ class Verb(StrEnum):
     FAIL = "fail"
     PROGRESS = "progress"
     ADMIN = "admin"
+    PING = "ping"  # says that a coordinator is there, and nothing of its run
 
     JOIN = "join"  # from here on what gateways ask
     ORDERS = "orders"

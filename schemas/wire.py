@@ -42,6 +42,7 @@ __all__ = [
     "HostStatus",
     "Lease",
     "LeaseProgress",
+    "Ping",
     "Progress",
     "Refusal",
     "Trade",
@@ -180,6 +181,8 @@ class BeatReply(Model):
     """Bundles that are announced and will be pulled: they need not be announced again."""
     drain: bool = False
     """Whether to claim no more and leave when done."""
+    finished: bool = False
+    """Whether every job has reached its end; a worker whose simulations pause or start learns it here."""
 
 
 class Done(Model):
@@ -208,8 +211,12 @@ class Fail(Model):
     """Wall time spent."""
 
 
+class Ping(Model):
+    """Asks whether a coordinator is there; its answer is an `Ack` that says nothing of the run."""
+
+
 class Ack(Model):
-    """Answer to `done` and `fail`: whether the lease was still theirs."""
+    """Answer to `done` and `fail`, whether the lease was still theirs; to `ping` always true."""
 
     accepted: bool
 

@@ -81,6 +81,8 @@ class Heartbeat:
         if reply.drain and not host.phase.closing.is_set():
             log.info("draining", by="coordinator")
             host.phase.close()
+        if reply.finished:
+            host.phase.finish()
         settled = {*reply.drop, *reply.waiting}
         for entry in spooled:
             if entry.lease not in settled:

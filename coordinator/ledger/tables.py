@@ -174,5 +174,5 @@ workers = Table(
     Column("version", String(40), nullable=False, default=""),
     Column("archived", Integer, nullable=False, default=0),
     Column("last_beat", Double, nullable=False),
-    Index("ix_workers_host", "host"),
+    Index("ix_workers_host", "host", "last_beat"),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Any
 
 from sqlalchemy import bindparam, delete, func, insert, select, update
 from sqlalchemy.engine import Connection
@@ -18,6 +19,11 @@ SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
 _SILENT_S = 300.0
 """Silence after which a session is forgotten where there is no room for another."""
 
+_KNOWN: Select[Any] = select(func.count().label("known"), func.min(workers.c.last_beat).label("oldest")).select_from(
+    workers
+)
+_OF_ALL = Prepared(_KNOWN)
+_OF_HOST = Prepared(_KNOWN.where(workers.c.host == bindparam("name")))
 _HEARD = Prepared(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
 
 
@@ -41,12 +47,14 @@ def note_alive(connection: Connection, sid: str, host: str, now: datetime) -> No
 
 def _make_room(connection: Connection, host: str, now: datetime) -> bool:
     """Returns whether another session of a host can be recorded; forgets silent ones where that is needed."""
-    theirs = workers.c.host == host
-    for which, most in ((theirs, SESSIONS_OF_HOST), (workers.c.sid.is_not(None), SESSIONS)):
-        count = select(func.count()).select_from(workers).where(which)
-        if connection.execute(count).scalar_one() < most:
+    before = now.timestamp() - _SILENT_S
+    of_host, of_all = {"name": host}, dict[str, object]()
+    for parameters, found, most in ((of_host, _OF_HOST, SESSIONS_OF_HOST), (of_all, _OF_ALL, SESSIONS)):
+        row = found.first(connection, parameters)
+        if row is None or row.known < most:
             continue
-        silent = workers.c.last_beat < now.timestamp() - _SILENT_S
-        if connection.execute(delete(workers).where(which, silent)).rowcount == 0:
+        if row.oldest >= before:
             return False
+        of_whom = [workers.c.host == host] if parameters else []
+        connection.execute(delete(workers).where(*of_whom, workers.c.last_beat < before))
     return True

@@ -42,6 +42,7 @@ from schemas.wire import (
     Hello,
     HelloReply,
     Lease,
+    Ping,
     Refusal,
     Trade,
 )
@@ -207,7 +208,14 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
     workers.note_alive(connection, beat.sid, host, now)
     outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
     waiting = tuple(lease_of(row) for row in outcome.waiting)
-    reply = BeatReply(lost=outcome.lost, drop=outcome.drop, waiting=waiting, drain=terms.is_draining())
+    is_idle = len(outcome.lost) == len(beat.live) and len(outcome.drop) == len(beat.spool)
+    reply = BeatReply(
+        lost=outcome.lost,
+        drop=outcome.drop,
+        waiting=waiting,
+        drain=terms.is_draining(),
+        finished=is_idle and not claims.has_open_jobs(connection),
+    )
     return Answer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
 
 
@@ -233,6 +241,10 @@ def _admin(connection: Connection, request: AdminRequest, host: str, terms: Term
             return Answer(AdminReply(changed=()))
 
 
+def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    return Answer(Ack(accepted=True))
+
+
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:
     job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
     target = terms.catalog[job.scene].info.target(job.target_id)
@@ -247,10 +259,11 @@ _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
         Verb.DONE: Done,
         Verb.FAIL: Fail,
         Verb.ADMIN: AdminRequest,
+        Verb.PING: Ping,
     }
 )
 """What each verb carries; `progress` carries nothing and is answered by a reader."""
 
 _HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
-    {Hello: _hello, Claim: _claim, Beat: _beat, Done: _done, Fail: _fail, AdminRequest: _admin}
+    {Hello: _hello, Claim: _claim, Beat: _beat, Done: _done, Fail: _fail, AdminRequest: _admin, Ping: _ping}
 )

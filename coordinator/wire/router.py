@@ -37,6 +37,7 @@ __all__ = ["MAX_KEY_CHARS", "Inquiry", "Router"]
 MAX_KEY_CHARS = 400
 """Of the key that something is asked under: our own have at most 300."""
 
+_MAX_PRESENT = 10_000
 _VERBS = frozenset(verb.value for verb in Verb)
 
 log = structlog.get_logger(__name__)
@@ -109,6 +110,7 @@ class Router(Closing):
         self._scenes = _open_files(run, served)
         self._settings = settings
         self._guard = guard
+        self._present: set[str] = set()
         self._node = Node(listen, self._config, guard.admitted if guard is not None else dict, self._declare)
         self.endpoints = self._node.endpoints
         """Endpoints in force, with their ports."""
@@ -121,6 +123,11 @@ class Router(Closing):
     def is_open(self) -> bool:
         """Whether workers can be heard."""
         return self._node.is_open
+
+    @property
+    def present(self) -> int:
+        """Workers that are connected."""
+        return len(self._present)
 
     def admit(self) -> bool:
         """Opens the session anew when who is admitted has changed; see `Node.admit`."""
@@ -138,6 +145,7 @@ class Router(Closing):
         return router_config(endpoints, self._settings.transport_lease_s, files, admitted, self._connect)
 
     def _declare(self, session: zenoh.Session) -> None:
+        self._present.clear()  # whoever comes back to a new session says so
         session.declare_queryable(verb_pattern(self._run), self._take)
         session.declare_queryable(scene_pattern(self._run), self._serve_scene)
         session.liveliness().declare_subscriber(alive_pattern(self._run), self._note_token)
@@ -148,8 +156,14 @@ class Router(Closing):
 
     def _note_token(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        if sample.kind == zenoh.SampleKind.DELETE and len(key) <= MAX_KEY_CHARS:
-            self._on_gone(sid_of_alive_key(key))
+        if len(key) > MAX_KEY_CHARS:
+            return
+        sid = sid_of_alive_key(key)
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._present.discard(sid)
+            self._on_gone(sid)
+        elif len(self._present) < _MAX_PRESENT:
+            self._present.add(sid)
 
     @staticmethod
     def _is_key_short(query: zenoh.Query) -> bool:

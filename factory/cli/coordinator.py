@@ -32,9 +32,6 @@ from workers.stopping import stop_on_signals
 
 __all__ = ["command"]
 
-_LINGER_S = 5.0
-"""How long a finished run is announced, so that every worker hears it and leaves."""
-
 
 @click.group("coordinator")
 def command() -> None:
@@ -102,8 +99,10 @@ def start(
             for endpoint in coordinator.endpoints:
                 click.echo(f"factory worker --cores 2 --connect {endpoint}")
             finished = coordinator.wait(stop=stop)
-            if stay or finished:
-                stop.wait(None if stay else _LINGER_S)
+            if stay:
+                stop.wait()
+            elif finished:
+                coordinator.see_off(stop)
             progress = coordinator.progress()
     if not progress.finished:
         click.echo(f"stopped; go on with: factory coordinator start --out {site}", err=True)

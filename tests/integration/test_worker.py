@@ -283,3 +283,31 @@ def test_worker_whose_simulations_do_not_start_takes_no_job(tmp_path):
         ):
             worker.join()
         assert not hub.of(Claim)
+
+
+def test_a_worker_whose_simulation_pauses_hears_with_a_beat_that_the_run_is_finished(tmp_path):
+    """Its one slot rests after crashes, so that it claims nothing for a while."""
+    with coordinator(*["die"] * 4) as hub:
+        hub.tells_end_by_beat = True
+        hub.swallow[Verb.CLAIM] = 0
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            hub.wait_until(lambda: len(hub.ended) == 4, "four crashes")
+            claims = len(hub.of(Claim))
+            assert worker.join() == 0
+            assert len(hub.of(Claim)) == claims
+
+
+def test_a_worker_that_heard_of_the_end_leaves_although_nobody_tells_what_to_do_with_its_bundles(tmp_path):
+    with coordinator("bundle", "die") as hub:
+        hub.pulls = False
+        hub.tells_end_by_beat = True
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            hub.wait_until(lambda: bool(hub.of(Done)) and len(hub.ended) == 1, "a bundle and a crash")
+            with hub.changed:
+                hub.archived[1] = b"brought by another"
+            hub.wait_until(lambda: not hub.lease_of(7) and isinstance(hub.heard[-1], Beat), "a beat")
+            hub.swallow[Verb.BEAT] = 1
+            hub.close()
+            hub.open()
+            hub.swallow[Verb.BEAT] = 10**6
+            assert worker.join() == 0
