@@ -19,9 +19,8 @@ SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
 _SILENT_S = 300.0
 """Silence after which a session is forgotten where there is no room for another."""
 
-_KNOWN: Select[Any] = select(func.count().label("known"), func.min(workers.c.last_beat).label("oldest")).select_from(
-    workers
-)
+_OLDEST = func.min(workers.c.last_beat).label("oldest")
+_KNOWN: Any = select(func.count().label("known"), _OLDEST).select_from(workers)
 _OF_ALL = Prepared(_KNOWN)
 _OF_HOST = Prepared(_KNOWN.where(workers.c.host == bindparam("name")))
 _HEARD = Prepared(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
