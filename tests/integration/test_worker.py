@@ -14,10 +14,11 @@ import pytest
 from schemas.errors import WorldError
 from schemas.keys import Verb
 from schemas.terms import FailReason
-from schemas.wire import Beat, Claim, Done, Fail, Hello
-from tests.builders.fake_coordinator import FakeCoordinator, free_endpoint, jobs_saying
+from schemas.wire import MAX_LEASES, Beat, Claim, Done, Fail, Hello, Lease
+from tests.builders.fake_coordinator import RUN, FakeCoordinator, free_endpoint, jobs_saying
 from tests.builders.fake_simulation import bundle_for
 from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
+from workers.spool import Spool, folder_of
 
 
 @contextmanager
@@ -311,3 +312,18 @@ def test_a_worker_that_heard_of_the_end_leaves_although_nobody_tells_what_to_do_
             hub.open()
             hub.swallow[Verb.BEAT] = 10**6
             assert worker.join() == 0
+
+
+def test_a_spool_with_more_bundles_than_a_beat_may_name_is_told_in_several(tmp_path):
+    with Spool(folder_of(tmp_path / "spool", RUN), 1000, 1 << 30) as spool:
+        for number in range(1, 2 * MAX_LEASES + 50):
+            stale = Lease(job_id=number, fence=9, token="9" * 32)
+            spool.path_for(stale).write_bytes(b"x")
+            spool.add(stale, "0" * 64, 1)
+        waiting = len(spool)
+    with coordinator("bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+        assert worker.join() == 0
+        beats = [beat for beat in hub.of(Beat) if isinstance(beat, Beat)]
+    assert max(len(beat.spool) for beat in beats) == MAX_LEASES
+    assert len({lease for beat in beats for lease in beat.spool if lease.fence == 9}) == waiting
+    assert not list((tmp_path / "spool").rglob("*.zip"))
