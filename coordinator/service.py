@@ -25,6 +25,7 @@ from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.guard import require_ledger
+from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.progress import count_frames, read_progress
 from coordinator.ledger.writer import Writer
@@ -49,6 +50,7 @@ __all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 _WAIT_S = 0.5
+_BARRED_S = 5.0
 _FAREWELL_S = 3.0
 """How long a finished run is announced at least: a worker may just be reconnecting."""
 
@@ -108,6 +110,7 @@ class Coordinator(Closing):
         self._draining = threading.Event()
         self._changed = threading.Event()
         self._has_room = True
+        self._barred: frozenset[str] = frozenset()
         self._meters = Meters()
         self._terms = Terms(
             plan=plan,
@@ -268,6 +271,7 @@ class Coordinator(Closing):
                 "look_for_room": (1.0, self._look_for_room),
                 "admit": (settings.admission_s, self._admit),
                 "write_tables": (settings.checkpoint_s, self._write_tables),
+                "warn_of_barred": (_BARRED_S, self._warn_of_barred),
             }
         )
 
@@ -276,6 +280,16 @@ class Coordinator(Closing):
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
+
+    def _warn_of_barred(self) -> None:
+        with self._reader.connect() as connection:
+            barred = {host.host: host for host in troubled(connection) if host.barred_at is not None}
+        for name in sorted(barred.keys() - self._barred):
+            remedy = f"put it right, then `factory jobs release DIR {name}`"
+            log.warning(
+                "host_barred", host=name, failures=barred[name].strikes, last=barred[name].reason, remedy=remedy
+            )
+        self._barred = frozenset(barred)
 
     def _admit(self) -> None:
         if self._router.admit():

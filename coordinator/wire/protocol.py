@@ -60,6 +60,8 @@ _MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
     }
 )
 """Most bytes of a verb's message, where that is not `_SMALL_MESSAGE_BYTES`: no larger one is read."""
+_NAME_END, _BYTES_A_NAME = b'":', 24
+"""A full beat has a name every 27 bytes; thousands of unknown names would each become an error of their own."""
 _SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
@@ -131,6 +133,8 @@ def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]
     most = _MESSAGE_BYTES.get(Verb(verb), _SMALL_MESSAGE_BYTES)
     if len(payload) > most:
         return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")
+    if most < MAX_MESSAGE_BYTES and payload.count(_NAME_END) > most // _BYTES_A_NAME:
+        return Refusal(error=f"{verb}: more names than such a message can have; do both sides run the same version?")
     try:
         message = known[Verb(verb)].model_validate_json(payload)
     except ValidationError as error:

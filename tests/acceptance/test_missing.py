@@ -12,7 +12,7 @@ ENDPOINT = ("--listen", "tcp/127.0.0.1:0")
 def test_missing_episodes_end_a_run_with_1_and_the_reason(factory: FactoryCli, plan: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     hub = factory.start("coordinator", "start", plan, "--out", out, *ENDPOINT)
-    wait_for((out / ".coordinator.json").exists)
+    wait_for((out / ".coordinator.json").exists, 400)  # scenes are built first
     factory("jobs", "cancel", out, "--all")
     _, said = hub.communicate(timeout=120)
     assert hub.returncode == 1

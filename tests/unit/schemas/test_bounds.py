@@ -13,12 +13,14 @@ from pydantic import Field, TypeAdapter, ValidationError, create_model
 import coordinator.wire.relay
 import schemas.wire
 from coordinator.check.validator import Verdict
-from coordinator.wire.protocol import parse
+from coordinator.wire.protocol import Request, parse
+from coordinator.wire.relay import MAX_FILES, Duty, Inventory, Refused
 from coordinator.wire.relay_desk import RELAY_MESSAGES
-from schemas.base import Model
+from schemas.base import MAX_COUNT, MAX_ROWS, Model
 from schemas.episode import EpisodeMeta
 from schemas.scene import SceneInfo
-from schemas.wire import Beat, Fail, Lease, Refusal
+from schemas.terms import FailReason
+from schemas.wire import MAX_LEASES, Beat, Done, Fail, Lease, LeaseProgress, Refusal
 from workers.order import Report
 from workers.spool import Spooled
 
@@ -145,3 +147,22 @@ def test_a_beat_of_too_many_leases_is_refused() -> None:
     leases = [LEASE | {"job_id": number} for number in range(1, 400)]
     with pytest.raises(ValidationError, match="at most 256"):
         Beat.model_validate({"sid": "a", "spool": leases})
+
+
+def test_the_largest_honest_messages_are_read() -> None:
+    lease = Lease(job_id=MAX_ROWS, fence=MAX_COUNT, token="f" * 32)
+    sid = "h" * 48 + "." + "f" * 8
+    live = tuple(LeaseProgress(lease=lease, step=MAX_COUNT) for _ in range(MAX_LEASES))
+    messages = {
+        "beat": Beat(sid=sid, live=live, spool=(lease,) * MAX_LEASES, via="f" * 32),
+        "fail": Fail(sid=sid, lease=lease, reason=FailReason.CRASH, detail='{"a": 1}' * 250, seconds=1e9),
+        "done": Done(sid=sid, lease=lease, sha256="f" * 64, size=1 << 40, via="f" * 32),
+        "inventory": Inventory(first=1, last=MAX_COUNT, files=((MAX_COUNT, 1 << 40),) * MAX_FILES),
+        "orders": Duty(router="f" * 32, most=64, busy=("h" * 48,) * 64),
+        "refused": Refused(sid=sid, lease=lease, detail="\N{SNOWMAN}" * 2000),
+    }
+    for verb, message in messages.items():
+        known = RELAY_MESSAGES if verb in RELAY_MESSAGES else None
+        request = parse(verb, "h" * 48, message.model_dump_json().encode(), known)
+        assert isinstance(request, Request), (verb, request)
+        assert request.message == message
