@@ -15,14 +15,11 @@ T = TypeVar("T")
 class FairQueue(Generic[T]):
     """Work that waits, safe to use from any thread.
 
-    An owner that comes anew counts as served for as long as the least served one, so that it has no debt and no credit.
-
-    Args:
-        most: items of one owner that may be under way at a time.
+    An owner has a second item under way only while nobody else waits. One that comes anew counts as served for as long
+    as the least served one, so that it has no debt and no credit.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self) -> None:
         self._changed = threading.Condition()
         self._waiting: dict[str, deque[T]] = {}
         self._under_way: Counter[str] = Counter()
@@ -88,5 +85,4 @@ class FairQueue(Generic[T]):
             return left
 
     def _next(self) -> str | None:
-        ready = [owner for owner in self._waiting if self._under_way[owner] < self._most]
-        return min(ready, key=self._served.__getitem__, default=None)
+        return min(self._waiting, key=lambda owner: (self._under_way[owner], self._served[owner]), default=None)

@@ -130,14 +130,13 @@ class Pullers(Closing):
         self._settings = settings
         self._on_archived = on_archived
         self._meters = meters or Meters()
-        self._queue: FairQueue[_Transfer] = FairQueue(settings.pullers)
+        self._queue: FairQueue[_Transfer] = FairQueue()
         self._busy: dict[int, int] = {}
         """Episode -> bytes of its bundle that are still to come."""
         self._guard = threading.Lock()
         self._stop = threading.Event()
         self._threads = [
-            threading.Thread(target=self._run, name=f"puller-{number}")
-            for number in range(settings.pullers + 1)  # one more than a single host may occupy
+            threading.Thread(target=self._run, name=f"puller-{number}") for number in range(settings.pullers)
         ]
         for thread in self._threads:
             thread.start()
