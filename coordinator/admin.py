@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 from coordinator.archive.staging import Staging
-from coordinator.ledger import operator
+from coordinator.ledger import hosts, operator
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.wire.ask import OPERATOR, ask_admin
@@ -72,10 +72,12 @@ def _check_readable(url: str) -> None:
 def _administer_offline(url: str, request: AdminRequest, now: datetime) -> AdminReply:
     if request.action is AdminAction.DRAIN:
         raise UsageError("no coordinator runs on the directory, so there is nobody to drain")
-    change = operator.retry if request.action is AdminAction.RETRY else operator.cancel
     engine = open_writer(url)
     try:
         with engine.begin() as connection:
+            if request.action is AdminAction.RELEASE:
+                return hosts.release(connection, request.hosts)
+            change = operator.retry if request.action is AdminAction.RETRY else operator.cancel
             return change(connection, request.indices, now)
     finally:
         engine.dispose()

@@ -7,15 +7,12 @@ from datetime import datetime
 
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.writer import Writer
-from coordinator.plan.draw import redraw
 from coordinator.summary import Receipt
-from coordinator.wire.protocol import Pull, Terms
+from coordinator.wire.protocol import Pull, Terms, fail_attempt
 from schemas.terms import FailReason
-from schemas.wire import Fail
+from schemas.wire import Fail, cut_detail
 
-__all__ = ["MAX_DETAIL_CHARS", "LedgerBook"]
-
-MAX_DETAIL_CHARS = 2000
+__all__ = ["LedgerBook"]
 
 
 class LedgerBook:
@@ -45,14 +42,10 @@ class LedgerBook:
 
     def refuse(self, pull: Pull, detail: str) -> None:
         """See `Book`."""
-        report = Fail(sid=pull.sid, lease=pull.lease, reason=FailReason.INVALID, detail=detail[:MAX_DETAIL_CHARS])
-        terms = self._terms
-        self._writer.call(
-            lambda connection: outcomes.fail(
-                connection,
-                report,
-                self._clock(),
-                terms.plan.budget,
-                lambda planned: redraw(terms.plan, terms.catalog, planned),
-            )
+        report = Fail(
+            sid=pull.sid,
+            lease=pull.lease,
+            reason=FailReason.INVALID,
+            detail=cut_detail(detail),
         )
+        self._writer.call(lambda connection: fail_attempt(connection, report, self._terms, self._clock()))

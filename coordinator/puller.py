@@ -5,16 +5,17 @@ Fails fast and forgets: whatever goes wrong on the way, the worker's next beat a
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import structlog
 
 from coordinator.archive.contract import Archive, Staged
+from coordinator.fair_queue import FairQueue
 from coordinator.meters import Meter, Meters
 from coordinator.settings import CoordinatorSettings
 from coordinator.summary import EpisodeSummary, Receipt
@@ -23,7 +24,7 @@ from schemas.bundle import MAX_BUNDLE_BYTES
 from schemas.closing import Closing
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job, episode_id
-from schemas.keys import Chunk
+from schemas.keys import Chunk, host_of
 from schemas.scene import Target
 from schemas.wire import Lease
 
@@ -31,6 +32,10 @@ __all__ = ["Book", "Checker", "Judge", "Nearby", "Pullers", "nothing_nearby"]
 
 _VALIDATION_S = 120.0
 """Lease granted once a bundle is here whole: its worker may die now."""
+_TURN_S = 0.25
+"""How long a bundle is fetched while others wait."""
+_QUEUED = 2
+"""Bundles of one host that may wait for each puller of a gateway, the one under way included."""
 
 log = structlog.get_logger(__name__)
 
@@ -79,8 +84,32 @@ class Book(Protocol):
         """Reports a bundle that is not what was asked for."""
 
 
+@dataclass
+class _Transfer:
+    """A bundle on its way; it may take several turns."""
+
+    pull: Pull
+    staged: Staged | None = None
+    """Its part file, once that is open."""
+    seconds: float = 0.0
+    """Spent on fetching."""
+
+    @property
+    def open_file(self) -> Staged:
+        assert self.staged is not None
+        return self.staged
+
+    def abandon(self) -> None:
+        """Deletes the part file, unless it was published."""
+        if self.staged is not None:
+            self.staged.abandon()
+
+
 class Pullers(Closing):
-    """A few threads that bring bundles home, one of an episode at a time; a context manager."""
+    """A few threads that fetch bundles, one of an episode at a time; a context manager.
+
+    Hosts take turns, so that those which serve slowly do not delay the others.
+    """
 
     def __init__(
         self,
@@ -101,8 +130,9 @@ class Pullers(Closing):
         self._settings = settings
         self._on_archived = on_archived
         self._meters = meters or Meters()
-        self._queue: queue.SimpleQueue[Pull | None] = queue.SimpleQueue()
-        self._busy: set[int] = set()
+        self._queue: FairQueue[_Transfer] = FairQueue()
+        self._busy: dict[int, int] = {}
+        """Episode -> bytes of its bundle that are still to come."""
         self._guard = threading.Lock()
         self._stop = threading.Event()
         self._threads = [
@@ -116,8 +146,8 @@ class Pullers(Closing):
         with self._guard:
             if pull.job.index in self._busy or self._stop.is_set():
                 return
-            self._busy.add(pull.job.index)
-        self._queue.put(pull)
+            self._busy[pull.job.index] = 0
+        self._queue.put(host_of(pull.sid), _Transfer(pull))
 
     @property
     def waiting(self) -> int:
@@ -125,44 +155,76 @@ class Pullers(Closing):
         with self._guard:
             return len(self._busy)
 
+    @property
+    def busy_hosts(self) -> tuple[str, ...]:
+        """Hosts of which so many bundles are queued that more would only wait."""
+        return tuple(host for host, count in self._queue.sizes().items() if count >= _QUEUED * self._settings.pullers)
+
     def close(self) -> None:
         """Stops at the next chunk; part files are removed."""
         self._stop.set()
-        for _ in self._threads:
-            self._queue.put(None)
+        for transfer in self._queue.close():
+            transfer.abandon()
         for thread in self._threads:
             thread.join()
 
     def _run(self) -> None:
-        while (pull := self._queue.get()) is not None:
-            try:
-                if not self._stop.is_set():
-                    self._bring(pull)
-            except FactoryError as error:
-                self._meters.add(Meter.PULLS_FAILED)
-                log.warning("pull_failed", episode=episode_id(pull.job.index), worker=pull.sid, error=str(error))
-            except Exception:
-                log.exception("pull_crashed", episode=episode_id(pull.job.index), worker=pull.sid)
-            finally:
+        while (taken := self._queue.take()) is not None:
+            host, transfer = taken
+            begun = time.monotonic()
+            is_over = self._serve(host, transfer) or self._stop.is_set()
+            if is_over:
+                transfer.abandon()
                 with self._guard:
-                    self._busy.discard(pull.job.index)
+                    self._busy.pop(transfer.pull.job.index, None)
+            self._queue.give(host, time.monotonic() - begun, None if is_over else transfer)
 
-    def _bring(self, pull: Pull) -> None:
-        if not self._book.keep(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
-            return
-        if pull.size > MAX_BUNDLE_BYTES:
-            self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
-            return
-        self._demand_room(pull.size)
-        with self._archive.stage(pull.job.index) as staged:
-            self._transfer(pull, staged)
-            if staged.sha256 != pull.sha256:
-                self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
-                return
+    def _serve(self, host: str, transfer: _Transfer) -> bool:
+        """Goes on with a bundle for a turn; returns whether it is over, one way or another."""
+        pull = transfer.pull
+        try:
+            return self._stop.is_set() or self._bring(host, transfer)
+        except FactoryError as error:
+            self._meters.add(Meter.PULLS_FAILED)
+            log.warning("pull_failed", episode=episode_id(pull.job.index), worker=pull.sid, error=str(error))
+        except Exception:
+            log.exception("pull_crashed", episode=episode_id(pull.job.index), worker=pull.sid)
+        return True
+
+    def _bring(self, host: str, transfer: _Transfer) -> bool:
+        pull = transfer.pull
+        if transfer.staged is None and not self._begin(transfer):
+            return True
+        if not self._transfer(host, transfer):
+            return False
+        staged = transfer.open_file
+        if staged.size < pull.size:
+            self._refuse(
+                pull,
+                f"too slow: {staged.size} of {pull.size} bytes in {transfer.seconds:.0f} s; a worker has to serve "
+                f"{self._settings.min_bytes_per_s:.0f} bytes a second",
+            )
+        elif staged.sha256 != pull.sha256:
+            self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
+        else:
             self._book.keep(pull, _VALIDATION_S)
             summary = self._judge(pull, staged.path)
             if summary is not None:
                 self._publish(pull, staged, summary)
+        return True
+
+    def _begin(self, transfer: _Transfer) -> bool:
+        """Opens the part file of a bundle that is wanted; returns whether it is."""
+        pull = transfer.pull
+        if not self._book.keep(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
+            return False
+        if pull.size > MAX_BUNDLE_BYTES:
+            self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
+            return False
+        self._demand_room(pull)
+        transfer.staged = self._archive.stage(pull.job.index)
+        self._take_nearby(pull, transfer.staged)
+        return True
 
     def _is_way_clear(self, index: int) -> bool:
         """Whether the episode's place is free; what an unfinished commit left there is removed."""
@@ -173,13 +235,21 @@ class Pullers(Closing):
         self._archive.unpublish(index)
         return True
 
-    def _demand_room(self, size: int) -> None:
-        free, wanted = self._archive.free_bytes(), size + self._settings.reserve_bytes
-        if free < wanted:
-            raise TransientError(f"{free} bytes free, {wanted} wanted for the bundle and the reserve: free some space")
+    def _demand_room(self, pull: Pull) -> None:
+        with self._guard:
+            to_come = sum(self._busy.values())
+            free, wanted = self._archive.free_bytes(), pull.size + to_come + self._settings.reserve_bytes
+            if free < wanted:
+                raise TransientError(
+                    f"{free} bytes free, {wanted} wanted for the bundle, {to_come} bytes under way and the reserve: "
+                    "free some space"
+                )
+            self._busy[pull.job.index] = pull.size
 
-    def _transfer(self, pull: Pull, staged: Staged) -> None:
-        self._take_nearby(pull, staged)
+    def _transfer(self, host: str, transfer: _Transfer) -> bool:
+        """Fetches for one turn; returns whether no more is to be fetched: all is here, or it comes too slowly."""
+        pull, staged, begun = transfer.pull, transfer.open_file, time.monotonic()
+        earlier_s = transfer.seconds
         while staged.size < pull.size:
             if self._stop.is_set():
                 raise TransientError("the coordinator is closing; the bundle waits in its spool")
@@ -187,6 +257,15 @@ class Pullers(Closing):
             data = self._fetch(pull.sid, pull.lease, Chunk(staged.size, length))
             self._meters.add(Meter.PULLED_BYTES, len(data))
             staged.write(data)
+            with self._guard:
+                self._busy[pull.job.index] = pull.size - staged.size
+            turn_s = time.monotonic() - begun
+            transfer.seconds = earlier_s + turn_s
+            if transfer.seconds > self._settings.slow_start_s + staged.size / self._settings.min_bytes_per_s:
+                return True
+            if turn_s > _TURN_S and staged.size < pull.size and self._queue.has_others(host):
+                return False
+        return True
 
     def _take_nearby(self, pull: Pull, staged: Staged) -> None:
         """Spares a bundle on the archive's own disk the way over the network and the second copy."""

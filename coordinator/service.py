@@ -6,6 +6,7 @@ Wires the parts and keeps house (expiry, free space, tables); what a verb means 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -25,6 +26,7 @@ from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.guard import require_ledger
+from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.progress import count_frames, read_progress
 from coordinator.ledger.writer import Writer
@@ -51,6 +53,9 @@ DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 _WAIT_S = 0.5
 _THUMBNAILS_S = 2.0
 """Time for thumbnails at the end of a run that is not finished."""
+_BARRED_S = 5.0
+_FAREWELL_S = 3.0
+"""How long a finished run is announced at least: a worker may just be reconnecting."""
 
 log = structlog.get_logger(__name__)
 
@@ -108,6 +113,7 @@ class Coordinator(Closing):
         self._draining = threading.Event()
         self._changed = threading.Event()
         self._has_room = True
+        self._barred: frozenset[str] = frozenset()
         self._meters = Meters()
         self._terms = Terms(
             plan=plan,
@@ -184,6 +190,20 @@ class Coordinator(Closing):
             left = None if left is None else left - _WAIT_S
         return True
 
+    def see_off(self, stop: threading.Event | None = None) -> None:
+        """Stays until the workers of a finished run have heard that it is, and have left; a lease long at most.
+
+        Args:
+            stop: ends the wait early when set.
+        """
+        stop = stop or threading.Event()
+        begun = time.monotonic()
+        least = begun + _FAREWELL_S
+        most = begun + _FAREWELL_S + self._settings.lease_ttl_s
+        while (now := time.monotonic()) < most and (now < least or self._router.present):
+            if stop.wait(_WAIT_S):
+                return
+
     def drain(self) -> None:
         """Gives out no more jobs and lets workers leave when theirs are done."""
         self._draining.set()
@@ -255,6 +275,7 @@ class Coordinator(Closing):
                 "look_for_room": (1.0, self._look_for_room),
                 "admit": (settings.admission_s, self._admit),
                 "write_tables": (settings.checkpoint_s, self._write_tables),
+                "warn_of_barred": (_BARRED_S, self._warn_of_barred),
             }
         )
 
@@ -263,6 +284,16 @@ class Coordinator(Closing):
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
+
+    def _warn_of_barred(self) -> None:
+        with self._reader.connect() as connection:
+            barred = {host.host: host for host in troubled(connection) if host.barred_at is not None}
+        for name in sorted(barred.keys() - self._barred):
+            remedy = f"put it right, then `factory jobs release DIR {name}`"
+            log.warning(
+                "host_barred", host=name, failures=barred[name].strikes, last=barred[name].reason, remedy=remedy
+            )
+        self._barred = frozenset(barred)
 
     def _admit(self) -> None:
         if self._router.admit():

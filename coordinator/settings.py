@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from schemas.base import Model, Positive
+from schemas.base import Model, NonNegative, Positive
 from schemas.keys import MAX_CHUNK_BYTES
 
 __all__ = ["CoordinatorSettings"]
@@ -26,6 +26,10 @@ class CoordinatorSettings(Model):
     """Bytes asked of a worker at a time."""
     pull_timeout_s: Positive = 2.0
     """How long a worker may take to answer for one chunk."""
+    min_bytes_per_s: Positive = 128 << 10
+    """Rate at which a worker has to serve a bundle; a slower one is refused, and the job goes to others."""
+    slow_start_s: NonNegative = 10.0
+    """How long a transfer may take before it has to keep that rate."""
     reserve_bytes: Annotated[int, Field(ge=0)] = 2 << 30
     """Free space below which no job is given out and no bundle pulled."""
     checkpoint_s: Positive = 30.0

@@ -11,12 +11,14 @@ from typing import Annotated, Protocol
 
 from pydantic import Field
 
-from schemas.base import Model, Name, NonNegative, Sha256
+from schemas.base import Bytes, Count, Finite, Line, Model, Name, NonNegative, Ordinal, PrimPath, Sha256
 from schemas.episode import EpisodeMeta
 from schemas.terms import EndReason, ExpertName, Split, Tier
 
 __all__ = ["PUBLISHED_COLUMNS", "EpisodeSummary", "Receipt", "file_name_of", "summary_of"]
 
+_MAX_SOFTWARE_CHARS = 1 << 18
+"""As JSON, whatever characters the names and versions of a fingerprint have."""
 PUBLISHED_COLUMNS = (
     "episode_id",
     "split",
@@ -68,65 +70,65 @@ class EpisodeSummary(Model):
     episode_id: Name
     split: Split
     scene: Name
-    instruction: str
+    instruction: Line
     target_category: Name
     target_id: Name
     spawn_tier: Tier
     spawn_dist_m: NonNegative
     """Planar distance from the spawn to the target's centroid, metres."""
-    num_steps: Annotated[int, Field(ge=1)]
+    num_steps: Ordinal
     """T: frames and actions."""
     trajectory_length_m: NonNegative
     """TL, metres."""
     final_ne_m: NonNegative
     """NE, planar, metres."""
-    collision_count: Annotated[int, Field(ge=0)]
+    collision_count: Count
     """Steps with a contact other than the floor."""
     template_id: Name
 
-    index: Annotated[int, Field(ge=1)]
+    index: Ordinal
     """Number of the episode in the plan."""
     colour: Name
     """Colour word of the target, or `unknown`."""
     phrase_is_unique: bool
     """Whether category and colour fit one target of the scene only."""
-    target_prim_path: str
-    goal_x_m: float
-    goal_y_m: float
-    goal_z_m: float
+    target_prim_path: PrimPath
+    goal_x_m: Finite
+    goal_y_m: Finite
+    goal_z_m: Finite
     """Centroid of the target in the world frame, metres."""
-    spawn_x_m: float
-    spawn_y_m: float
-    spawn_yaw_rad: float
+    spawn_x_m: Finite
+    spawn_y_m: Finite
+    spawn_yaw_rad: Finite
     """base_link at frame 0 in the world frame."""
-    spawn_draws: Annotated[int, Field(ge=1)]
+    spawn_draws: Ordinal
     expert: ExpertName
-    draw: Annotated[int, Field(ge=0)]
+    draw: Count
     """How often target and template were drawn anew."""
-    attempt: Annotated[int, Field(ge=1)]
+    attempt: Ordinal
     """Number of the attempt that succeeded."""
     end_reason: EndReason
     final_ne_3d_m: NonNegative
     min_ne_m: NonNegative
-    steps_visible: Annotated[int, Field(ge=0)]
+    steps_visible: Count
     """Steps in which the expert saw the target."""
     scene_sha256: Sha256
     """Digest of the compiled scene."""
     plan_digest: Sha256
-    run: str
-    content_digest: str
+    run: Line
+    content_digest: Line
     """XXH3-128 over the decoded content; equal for equal content, whatever compressed it."""
     file_sha256: Sha256
-    file_bytes: Annotated[int, Field(ge=1)]
-    file_name: str
+    file_bytes: Annotated[Bytes, Field(ge=1)]
+    file_name: Line
     """Path of the bundle below the dataset's directory."""
-    format: int
+    format: Count
     """Version of the bundle."""
     created_at: datetime
-    worker: str
-    renderer: str
-    cpu: str
-    software: str
+    worker: Line
+    renderer: Line
+    cpu: Line
+    software: Annotated[str, Field(max_length=_MAX_SOFTWARE_CHARS)]
     """Package versions as JSON with sorted keys."""
     geodesic_m: NonNegative | None
     """Shortest way along the floor from the spawn to the success circle, metres; null where there is none."""

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import MutableMapping
+from typing import Any
 
 import structlog
 
-__all__ = ["configure_logs"]
+__all__ = ["MAX_FIELD_CHARS", "bound_fields", "configure_logs"]
+
+MAX_FIELD_CHARS = 1000
+"""Of one field of a line; what a peer sends may be longer."""
+_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))} | {10: "\\n", 9: "\\t"}
 
 
 def configure_logs(verbose: bool = False) -> None:
@@ -18,9 +24,29 @@ def configure_logs(verbose: bool = False) -> None:
             structlog.contextvars.merge_contextvars,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty()),
+            bound_fields,
+            # structlog's own choice prints the local variables of every frame: keys, tokens, megabytes of messages
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
+            ),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
         cache_logger_on_first_use=True,
     )
+
+
+def bound_fields(_logger: Any, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Keeps every field on its line and short: control characters are spelt out, a long text loses its end."""
+    for name, value in event.items():
+        if isinstance(value, str):
+            event[name] = _bounded(value)
+        elif isinstance(value, bytes | list | tuple | dict | set | frozenset):
+            event[name] = _bounded(repr(value))
+    return event
+
+
+def _bounded(text: str) -> str:
+    if len(text) > MAX_FIELD_CHARS:
+        text = f"{text[:MAX_FIELD_CHARS]}... ({len(text)} characters)"
+    return text.translate(_CONTROLS)

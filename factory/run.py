@@ -99,11 +99,29 @@ def run_locally(
                 progress = coordinator.progress()
                 tell(progress)
                 crew.look_after(progress.jobs.get("archived", 0))
+                _require_work(run, progress)
         progress = coordinator.progress()
         tell(progress)
         if progress.finished:
             shutil.rmtree(run.root / _SPOOL, ignore_errors=True)  # nothing in it is wanted any more
         return progress
+
+
+def _require_work(run: LocalRun, progress: Progress) -> None:
+    """Ends a run in which nobody gets a job any more.
+
+    Raises:
+        WorldError: the host of all workers, this one, is barred.
+    """
+    barred = [host for host in progress.hosts if host.barred_at is not None]
+    if not barred or progress.finished or progress.jobs.get("submitted", 0):
+        return
+    host, site = barred[0], run.store or run.root
+    raise WorldError(
+        f"host {host.host} is barred after {host.strikes} failures, last: {host.reason}; {progress.missing} of "
+        f"{progress.planned} episodes are missing. Put the host right, then `factory jobs release {site} {host.host}` "
+        f"and `factory run --out {site}`"
+    )
 
 
 class _Crew:

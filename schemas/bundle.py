@@ -18,7 +18,7 @@ from pydantic_core import from_json
 from schemas.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, RGB_FRAME, ArraySpec
 from schemas.container import ContainerReader, ContainerWriter, Limits
 from schemas.digest import content_digest, frame_digest
-from schemas.episode import BUNDLE_FORMAT, EpisodeMeta
+from schemas.episode import BUNDLE_FORMAT, MAX_FRAMES, EpisodeMeta
 from schemas.errors import InvalidBundle
 from schemas.lap import Lap, no_lap
 from schemas.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
@@ -26,7 +26,6 @@ from schemas.png import decode_png, encode_png
 
 __all__ = ["MAX_BUNDLE_BYTES", "MAX_FRAMES", "BundleReader", "BundleWriter", "EpisodeArrays", "member_names"]
 
-MAX_FRAMES = 1000
 MAX_BUNDLE_BYTES = 2 << 30
 _META = "meta.json"
 _RGB_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX, 3)

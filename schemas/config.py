@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from schemas.base import Fraction, Model, NonNegative, Positive
+from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
 
 __all__ = ["CameraConfig", "ExpertConfig", "PlannerConfig", "RobotConfig", "SpawnConfig", "TaskConfig"]
 
@@ -23,11 +23,11 @@ class TaskConfig(Model):
     """Timeout, steps."""
     success_radius_m: Positive = 1.0
     """Largest planar base-to-centroid distance of a success, metres."""
-    hold_steps: Annotated[int, Field(ge=1)] = 5
+    hold_steps: Annotated[int, Field(ge=1, le=1000)] = 5
     """Consecutive stationary steps inside the radius that make a success."""
     stationary_speed_mps: Positive = 0.02
     """Measured planar speed below which the robot is stationary, m/s."""
-    stall_steps: Annotated[int, Field(ge=2)] = 16
+    stall_steps: Annotated[int, Field(ge=2, le=1000)] = 16
     """Window of the stall detection, steps."""
     stall_progress_m: Positive = 0.01
     """Net planar progress over the window below which the robot is stalled, metres."""
@@ -62,9 +62,9 @@ class RobotConfig(Model):
 class CameraConfig(Model):
     """The right eye of the front stereo camera as a pinhole (DESIGN 3.7); pose in the base_link frame."""
 
-    name: str = "front_hawk/right"
-    x_m: float = 0.1003
-    y_m: float = -0.075
+    name: Line = "front_hawk/right"
+    x_m: Finite = 0.1003
+    y_m: Finite = -0.075
     z_m: Positive = 0.3444
     fov_deg: Annotated[float, Field(gt=1, lt=170)] = 90.0
     """Horizontal and vertical field of view; 90 degrees at 640 px is fx = fy = 320 px."""
@@ -82,7 +82,7 @@ class SpawnConfig(Model):
     """How many poses an attempt tries in physics before it counts as a failed spawn."""
     grid_draws: Annotated[int, Field(ge=1, le=10000)] = 400
     """How many distances (far: surveyed points) a draw tries on the occupancy grid."""
-    warmup_steps: Annotated[int, Field(ge=1)] = 3
+    warmup_steps: Annotated[int, Field(ge=1, le=10_000)] = 3
     max_displacement_m: Positive = 0.08
     """Largest planar displacement during the warm-up, metres."""
     max_penetration_m: Positive = 0.005
@@ -100,7 +100,7 @@ class ExpertConfig(Model):
     """k_w: rad/s per unit of normalised column error, and per radian of heading error."""
     speed_gain: Positive = 0.7
     """k_v, 1/s."""
-    min_mask_px: Annotated[int, Field(ge=1)] = 32
+    min_mask_px: Annotated[int, Field(ge=1, le=640 * 640)] = 32
     """Pixels of the target from which on it counts as visible."""
     avoidance_speed_mps: Positive = 0.1
     """Speed cap while an obstacle is near; above zero, so that a stall can be told."""

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from schemas.base import Model
+from typing import Annotated
+
+from pydantic import Field, StringConstraints
+
+from schemas.base import Line, Model
 
 __all__ = ["Fingerprint"]
+
+_Word = Annotated[str, StringConstraints(max_length=200)]
 
 
 class Fingerprint(Model):
     """Versions and machine traits that can shape the last bit of a frame (DESIGN 3.14)."""
 
-    software: dict[str, str]
+    software: Annotated[dict[_Word, _Word], Field(max_length=64)]
     """Package name -> version of all that touches the bytes, our own included."""
-    renderer: str
+    renderer: Line
     """The renderer's own description, e.g. the GL renderer string."""
-    cpu: str
+    cpu: Line
     """CPU model name and machine type."""

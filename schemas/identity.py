@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from schemas.errors import UsageError
+from schemas.wire import HOST_PATTERN
 
 __all__ = [
     "ADMITTED_FILE",
@@ -28,7 +29,7 @@ __all__ = [
 CA_FILE, CERTIFICATE_FILE, KEY_FILE, NAME_FILE = "ca.pem", "host.pem", "host.key", "name.txt"
 ADMITTED_FILE = "hosts.txt"
 """Beside a coordinator's certificate: whom it lets in."""
-_HOST_NAME = re.compile(r"[a-z0-9](?:[a-z0-9-]{0,46}[a-z0-9])?")
+_HOST_NAME = re.compile(HOST_PATTERN)
 
 
 class Role(StrEnum):

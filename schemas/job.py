@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from schemas.base import Model, Name, Sha256
+from schemas.base import Bytes, Count, Line, Model, Name, Ordinal, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
 from schemas.plan import MAX_EPISODES
 from schemas.terms import ExpertName, Split, Tier
@@ -25,20 +25,20 @@ def episode_id(index: int) -> str:
 class Job(Model):
     """One attempt at one planned episode; a pure function of plan, scene, index and attempt."""
 
-    run: str
+    run: Line
     """Name of the run the job belongs to."""
     plan_digest: Sha256
-    root_seed: Annotated[int, Field(ge=0)]
+    root_seed: Annotated[int, Field(ge=0, lt=2**63)]
     index: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
     """Number of the episode in the plan, from 1."""
-    draw: Annotated[int, Field(ge=0)]
+    draw: Count
     """How often target and template were drawn anew because the former ones were hopeless."""
-    attempt: Annotated[int, Field(ge=1)]
+    attempt: Ordinal
     """Number of the attempt over all draws, from 1; rises only when the world said no."""
     scene: Name
     scene_sha256: Sha256
     """Digest of the compiled package."""
-    scene_bytes: Annotated[int, Field(ge=1)]
+    scene_bytes: Annotated[Bytes, Field(ge=1)]
     """Size of the compiled package."""
     tier: Tier
     split: Split
@@ -47,7 +47,7 @@ class Job(Model):
     colour: Name
     """Colour word that the instruction may use, or `unknown`."""
     template_id: Name
-    instruction: str
+    instruction: Line
     expert: ExpertName
     task: TaskConfig
     robot: RobotConfig

@@ -20,6 +20,7 @@ __all__ = [
     "any_hello_key",
     "bundle_key",
     "bundle_selector",
+    "host_of",
     "parse_bundle_chunk",
     "parse_chunk",
     "scene_key",
@@ -49,6 +50,7 @@ class Verb(StrEnum):
     FAIL = "fail"
     PROGRESS = "progress"
     ADMIN = "admin"
+    PING = "ping"  # says that a coordinator is there, and nothing of its run
 
     JOIN = "join"  # from here on what gateways ask
     ORDERS = "orders"
@@ -118,6 +120,11 @@ def sid_belongs_to(sid: str, host: str) -> bool:
     A host's name has no dot, so that no host's sessions look like another's, whatever the two are called.
     """
     return "." not in host and (sid == host or sid.startswith(f"{host}."))
+
+
+def host_of(sid: str) -> str:
+    """Returns the host of a session id."""
+    return sid.partition(".")[0]
 
 
 def scene_key(run: str, sha256: str) -> str:

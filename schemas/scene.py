@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from schemas.arrays import ArraySpec
-from schemas.base import Model, Name, NonNegative, Positive
+from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Positive, PrimPath, Text
 from schemas.container import ContainerReader, ContainerWriter, Limits
 from schemas.errors import InvalidBundle
 from schemas.ndarray import decode_npy_zst, encode_npy_zst
 from schemas.terms import Tier
 
 __all__ = [
+    "MAX_INSTANCES",
     "MAX_LIGHT_MAP_PX",
     "SCENE_ARRAYS",
     "SCENE_FORMAT",
@@ -39,18 +40,21 @@ SCENE_FORMAT = 2
 TEXTURE_SIZE_PX = 512
 MAX_LIGHT_MAP_PX = 2048
 """Longest side of a light map."""
+MAX_INSTANCES = 65535
+"""Ids that the id image has room for."""
 MAX_SCENE_BYTES = 512 << 20
 _LIMITS = Limits(members=64, member_bytes=MAX_SCENE_BYTES)
 
-Vector3 = tuple[float, float, float]
+Vector3 = tuple[Finite, Finite, Finite]
+Tiers = Annotated[tuple[Tier, ...], Field(max_length=len(Tier))]
 
 
 class Instance(Model):
     """One thing that the id image can show."""
 
-    id: Annotated[int, Field(ge=1, le=65535)]
+    id: Annotated[int, Field(ge=1, le=MAX_INSTANCES)]
     """The value in `seg_front`."""
-    prim_path: str
+    prim_path: PrimPath
     """Path of the USD prim."""
     category: Name | None = None
     """One of the scene's categories, or `None` for walls, floors and clutter."""
@@ -62,17 +66,17 @@ class Target(Model):
     target_id: Name
     """Stable name within the scene, e.g. `chair_007`."""
     category: Name
-    instance_id: Annotated[int, Field(ge=1, le=65535)]
-    prim_path: str
+    instance_id: Annotated[int, Field(ge=1, le=MAX_INSTANCES)]
+    prim_path: PrimPath
     centroid_m: Vector3
     """Centre of the bounding box in the world frame, metres."""
     size_m: Vector3
     """Extent of the bounding box along the world axes, metres."""
     colour: Name = "unknown"
     """Dominant colour name, or `unknown`."""
-    straight_tiers: tuple[Tier, ...] = ()
+    straight_tiers: Tiers = ()
     """Tiers with a start pose from which the straight line to the success circle is free."""
-    connected_tiers: tuple[Tier, ...] = ()
+    connected_tiers: Tiers = ()
     """Tiers with a start pose from which the success circle can be driven to."""
 
     @property
@@ -85,26 +89,26 @@ class Target(Model):
 class SceneInfo(Model):
     """The JSON part of the package."""
 
-    format: int = SCENE_FORMAT
+    format: Count = SCENE_FORMAT
     name: Name
-    source: str
+    source: Text
     """What was compiled, in words: `built-in office, seed 0` or the file name of a USD stage."""
-    source_sha256: str
+    source_sha256: Line
     """Digest of all that went in: layers, textures, rules, compiler version."""
     metres_per_unit: Positive
     """Of the source stage; everything in the package is in metres, z up."""
     bounds_m: tuple[Vector3, Vector3]
     """Lower and upper corner of the visible geometry."""
-    grid_origin_m: tuple[float, float]
+    grid_origin_m: tuple[Finite, Finite]
     """World x, y of the outer corner of grid cell (0, 0)."""
     grid_resolution_m: Positive = 0.05
-    targets: tuple[Target, ...]
-    instances: tuple[Instance, ...]
+    targets: Annotated[tuple[Target, ...], Field(max_length=MAX_INSTANCES)]
+    instances: Annotated[tuple[Instance, ...], Field(max_length=MAX_INSTANCES)]
     texture_count: Annotated[int, Field(ge=0, le=64)] = 0
-    floor_height_m: float = 0.0
+    floor_height_m: Finite = 0.0
     free_area_m2: NonNegative = 0.0
     """Area of the connected floor on which the robot can stand."""
-    notes: tuple[str, ...] = ()
+    notes: Annotated[tuple[Text, ...], Field(max_length=100_000)] = ()
     """What the importer had to skip or guess, one line each."""
 
     @model_validator(mode="after")

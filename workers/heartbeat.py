@@ -11,7 +11,7 @@ from importlib.metadata import version
 import structlog
 
 from schemas.keys import Verb
-from schemas.wire import Ack, Beat, BeatReply, Done, Hello, HelloReply, Trade
+from schemas.wire import MAX_LEASES, Ack, Beat, BeatReply, Done, Hello, HelloReply, LeaseProgress, Trade
 from workers.host import Host
 from workers.spool import Spooled
 
@@ -59,13 +59,21 @@ class Heartbeat:
         host = self._host
         live = host.leases.live()  # before the spool: an attempt that ends meanwhile is in both, never in neither
         spooled = host.spool.entries()
+        for start in range(0, max(len(live), len(spooled), 1), MAX_LEASES):
+            part = slice(start, start + MAX_LEASES)
+            if not self._beat_part(live[part], spooled[part]):
+                self._note_silence()
+                return
+        self._look_for_evaluation()
+
+    def _beat_part(self, live: tuple[LeaseProgress, ...], spooled: tuple[Spooled, ...]) -> bool:
+        """Sends as many leases as one beat may have; returns whether it was answered."""
+        host = self._host
         beat = Beat(sid=host.sid, live=live, spool=tuple(entry.lease for entry in spooled), via=host.link.via)
         reply = host.link.ask(Verb.BEAT, beat, BeatReply, host.phase.ask_timeout_s)
         if reply is None:
-            self._note_silence()
-            return
+            return False
         self._note_answer()
-        self._look_for_evaluation()
         host.leases.lose(reply.lost)
         for lease in reply.drop:
             if host.spool.drop(lease):
@@ -73,10 +81,13 @@ class Heartbeat:
         if reply.drain and not host.phase.closing.is_set():
             log.info("draining", by="coordinator")
             host.phase.close()
+        if reply.finished:
+            host.phase.finish()
         settled = {*reply.drop, *reply.waiting}
         for entry in spooled:
             if entry.lease not in settled:
                 self._announce(entry)
+        return True
 
     def _announce(self, entry: Spooled) -> None:
         """Repeats what the slot has announced already: the coordinator, or this worker, may have been restarted."""

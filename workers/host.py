@@ -38,10 +38,22 @@ class Phase:
         self.error: BaseException | None = None
         """What made the worker fail, if anything."""
         self._deadline = float("inf")
+        self._finished: float | None = None
 
     def close(self) -> None:
         """Lets work under way finish."""
         self.closing.set()
+
+    def finish(self) -> None:
+        """Lets the worker leave because every job of the run has ended: nothing that it has is wanted any more."""
+        if self._finished is None:
+            self._finished = time.monotonic()
+        self.close()
+
+    @property
+    def finished_s(self) -> float:
+        """Seconds since it was told that the run is finished; 0 when it was not."""
+        return 0.0 if self._finished is None else time.monotonic() - self._finished
 
     def stop(self, within_s: float) -> None:
         """Ends all work; whatever still wants an answer has `within_s` seconds for it."""

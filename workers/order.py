@@ -8,14 +8,12 @@ from typing import Annotated, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from schemas.base import Model, NonNegative, Sha256
+from schemas.base import Bytes, Count, Line, Model, NonNegative, Sha256
 from schemas.job import Job
 from schemas.terms import FailReason
+from schemas.wire import MAX_DETAIL_CHARS, Detail
 
-__all__ = ["MAX_DETAIL", "Order", "Report", "ReportKind", "failure", "read_report", "to_line"]
-
-MAX_DETAIL = 2000
-"""Characters of a failure's detail that are passed on."""
+__all__ = ["Order", "Report", "ReportKind", "failure", "read_report", "to_line"]
 
 
 class Order(Model):
@@ -47,15 +45,15 @@ class Report(Model):
     """What a simulation has to say."""
 
     kind: ReportKind
-    step: Annotated[int, Field(ge=0)] = 0
+    step: Count = 0
     """Steps of the attempt so far."""
     reason: FailReason | None = None
-    detail: Annotated[str, Field(max_length=MAX_DETAIL)] = ""
+    detail: Detail = ""
     sha256: Sha256 | None = None
     """Of the bundle."""
-    size: Annotated[int, Field(ge=1)] | None = None
+    size: Annotated[Bytes, Field(ge=1)] | None = None
     """Of the bundle, bytes."""
-    renderer: str = ""
+    renderer: Line = ""
     """What draws, when ready."""
     seconds: NonNegative = 0.0
     """Wall time of the attempt."""
@@ -71,8 +69,9 @@ class Report(Model):
 
 def failure(reason: FailReason, detail: str, step: int = 0, seconds: float = 0.0) -> Report:
     """Returns the report of an attempt without a bundle; a long detail loses its middle."""
-    if len(detail) > MAX_DETAIL:
-        half = MAX_DETAIL // 2 - 3
+    detail = detail.replace("\0", "")
+    if len(detail) > MAX_DETAIL_CHARS:
+        half = MAX_DETAIL_CHARS // 2 - 3
         detail = f"{detail[:half]} ... {detail[-half:]}"
     return Report(kind=ReportKind.FAILURE, reason=reason, detail=detail, step=step, seconds=seconds)
 

@@ -69,7 +69,7 @@ class Slot:
         if reply.job is not None and reply.lease is not None:
             self._work(reply.job, reply.lease, reply)
         elif reply.finished:
-            self._host.phase.close()
+            self._host.phase.finish()
         else:
             self._host.pause(min(max(reply.retry_after_s, 0.05), _LONGEST_IDLE_S))
 
@@ -94,8 +94,8 @@ class Slot:
     def _hear_ready(self) -> Report | Death:
         while True:
             heard = self._simulation.hear(_POLL_S)
-            if self._host.phase.stopping.is_set():
-                raise _Stopped
+            if self._host.phase.closing.is_set():
+                raise _Stopped  # nothing is claimed any more, so that nobody needs the process
             if heard is not None:
                 return heard
 

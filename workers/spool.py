@@ -19,13 +19,15 @@ from typing import Annotated, Self
 import structlog
 from pydantic import Field, ValidationError
 
-from schemas.base import Model, Sha256
+from schemas.base import Bytes, Model, Sha256
 from schemas.errors import WorldError
 from schemas.wire import Lease
 
 __all__ = ["Spool", "Spooled", "find_bundle", "folder_of"]
 
 _MAX_SIBLINGS = 256
+_FOLDER_MODE, _FILE_MODE = 0o700, 0o600
+"""A sidecar holds the token of a lease."""
 _LOCK, _PART, _BUNDLE, _SIDECAR = "lock", ".part", ".zip", ".json"
 
 log = structlog.get_logger(__name__)
@@ -50,8 +52,7 @@ class Spooled(Model):
 
     lease: Lease
     sha256: Sha256
-    size: Annotated[int, Field(ge=1)]
-    """Bytes."""
+    size: Annotated[Bytes, Field(ge=1)]
 
 
 class Spool:
@@ -187,7 +188,8 @@ def _stem(lease: Lease) -> str:
 def _take_folder(root: Path) -> tuple[Path, int]:
     for number in range(_MAX_SIBLINGS):
         folder = root / str(number)
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=_FOLDER_MODE, parents=True, exist_ok=True)
+        folder.chmod(_FOLDER_MODE)  # one of an older version could be read by everybody
         lock = _try_lock(folder)
         if lock is not None:
             return folder, lock
@@ -195,7 +197,7 @@ def _take_folder(root: Path) -> tuple[Path, int]:
 
 
 def _try_lock(folder: Path) -> int | None:
-    descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    descriptor = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _FILE_MODE)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -255,7 +257,8 @@ def _read_sidecar(path: Path) -> Spooled | None:
 
 def _write_synced(path: Path, data: bytes) -> None:
     part = path.with_name(path.name + _PART)
-    with part.open("wb") as file:
+    part.unlink(missing_ok=True)
+    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, _FILE_MODE), "wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

@@ -18,16 +18,18 @@ import structlog
 from pydantic import Field, ValidationError
 
 from coordinator.summary import EpisodeSummary
-from schemas.base import Model
+from schemas.base import Line, Model
 from schemas.closing import Closing
 from schemas.errors import InvalidBundle, TransientError
 from schemas.job import Job
 from schemas.scene import Target
 
-__all__ = ["Limits", "Task", "Validator", "Verdict"]
+__all__ = ["MAX_FINDINGS", "MAX_FINDING_CHARS", "Limits", "Task", "Validator", "Verdict"]
 
 log = structlog.get_logger(__name__)
 
+MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
+"""Of one verdict; a child that ran a hostile bundle is believed no further."""
 _TRIES = 2
 _STARTUP_S = 60.0
 
@@ -55,7 +57,7 @@ class Verdict(Model):
     """What a child answers: one line of JSON; exactly one of the two says something."""
 
     summary: EpisodeSummary | None = None
-    findings: tuple[str, ...] = ()
+    findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
 
 
 class Validator(Closing):

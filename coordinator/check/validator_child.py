@@ -11,15 +11,12 @@ import sys
 from pathlib import Path
 
 from coordinator.check.validate import validate
-from coordinator.check.validator import Limits, Task, Verdict
+from coordinator.check.validator import MAX_FINDING_CHARS, MAX_FINDINGS, Limits, Task, Verdict
 from coordinator.summary import summary_of
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.errors import InvalidBundle
 
 __all__ = ["judge", "main"]
-
-_MAX_FINDINGS = 100
-_MAX_FINDING_CHARS = 500
 
 
 def judge(task: Task) -> Verdict:
@@ -38,7 +35,7 @@ def judge(task: Task) -> Verdict:
         findings = list(error.findings)
     except OSError as error:
         findings = [f"cannot be read: {error}"]
-    return Verdict(findings=tuple(finding[:_MAX_FINDING_CHARS] for finding in findings[:_MAX_FINDINGS]))
+    return Verdict(findings=tuple(finding[:MAX_FINDING_CHARS] for finding in findings[:MAX_FINDINGS]))
 
 
 def _confine(limits: Limits) -> None:

@@ -10,11 +10,9 @@ from coordinator.summary import Receipt
 from coordinator.wire.protocol import Pull
 from coordinator.wire.relay import Archived, Hold, Inventory, InventoryReply, Refused
 from schemas.keys import Verb
-from schemas.wire import Ack
+from schemas.wire import Ack, cut_detail
 
 __all__ = ["RemoteBook"]
-
-_DETAIL_CHARS = 2000
 
 
 class RemoteBook:
@@ -49,4 +47,8 @@ class RemoteBook:
 
     def refuse(self, pull: Pull, detail: str) -> None:
         """See `Book`."""
-        self._core.ask(Verb.REFUSED, Refused(sid=pull.sid, lease=pull.lease, detail=detail[:_DETAIL_CHARS]), Ack)
+        self._core.ask(
+            Verb.REFUSED,
+            Refused(sid=pull.sid, lease=pull.lease, detail=cut_detail(detail)),
+            Ack,
+        )

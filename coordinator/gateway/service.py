@@ -26,7 +26,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.vitals import Snapshot
 from coordinator.wire.node import Node
 from coordinator.wire.protocol import Pull
-from coordinator.wire.relay import Duty, Join, JoinReply, Order, Orders
+from coordinator.wire.relay import MAX_ORDERS, Duty, Join, JoinReply, Order, Orders
 from coordinator.wire.tls import Guard
 from coordinator.wire.zenoh_config import router_config
 from schemas.closing import Closing
@@ -37,8 +37,6 @@ from schemas.wire import Lease
 __all__ = ["Gateway"]
 
 _ORDERS_S = 0.25
-_QUEUED = 2
-"""Bundles a puller may have, the one under way included."""
 _SILENCE_S = 10.0
 
 log = structlog.get_logger(__name__)
@@ -172,9 +170,10 @@ class Gateway(Closing):
     def _fetch_orders(self) -> None:
         """Asks what to pull; without room for nothing, which tells the core still that the gateway is there."""
         has_room = self._archive.free_bytes() >= self._settings.reserve_bytes
-        free = max(0, _QUEUED * self._settings.pullers - self._pullers.waiting) if has_room else 0
+        free = max(0, MAX_ORDERS - self._pullers.waiting) if has_room else 0
+        duty = Duty(router=self._node.router_id, most=free, busy=self._pullers.busy_hosts)
         try:
-            told = self._core.ask(Verb.ORDERS, Duty(router=self._node.router_id, most=free), Orders)
+            told = self._core.ask(Verb.ORDERS, duty, Orders)
         except TransientError as error:
             log.debug("no_orders", error=str(error))
             return

@@ -14,6 +14,7 @@ from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, is_i
 from coordinator.ledger.prepared import Prepared
 from coordinator.ledger.states import OPEN_STATES, Event, State
 from coordinator.ledger.tables import jobs
+from schemas.keys import host_of
 from schemas.wire import Beat, Lease
 
 __all__ = [
@@ -103,11 +104,12 @@ def claim(
         may_start: whether a job may be given out that the token does not hold yet.
 
     Returns:
-        The job's row; `None` when nothing is due, or the token has been used up.
+        The job's row; `None` when nothing is due, the token has been used up, or it is another host's.
     """
     known = _HOLDER.first(connection, {"of_token": token})
     if known is not None:
-        return known if known.state in HELD_STATES else None
+        is_theirs = known.state in HELD_STATES and host_of(known.sid) == host_of(sid)
+        return known if is_theirs else None
     if not may_start:
         return None
     lease = {"of_token": token, "by": sid, "until": now.timestamp() + ttl_s}
@@ -115,11 +117,15 @@ def claim(
 
 
 def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> BeatOutcome:
-    """Extends every lease of a host that is in force and says what is lost, unwanted, or waits to be pulled."""
+    """Extends every lease of a host that is in force and returns what is lost, unwanted, or waits to be pulled.
+
+    A lease belongs to the host that claimed the job: with another host's token nothing can be done.
+    """
+    host = host_of(beat.sid)
     named = {lease.job_id for lease in (*(live.lease for live in beat.live), *beat.spool)}
     rows = {row.id: row for row in connection.execute(_BY_IDS, {"ids": sorted(named)})} if named else {}
-    live = [item for item in beat.live if _is_held(rows.get(item.lease.job_id), item.lease)]
-    spool = [lease for lease in beat.spool if _is_held(rows.get(lease.job_id), lease)]
+    live = [item for item in beat.live if _is_held(rows.get(item.lease.job_id), item.lease, host)]
+    spool = [lease for lease in beat.spool if _is_held(rows.get(lease.job_id), lease, host)]
     steps = {item.lease: item.step for item in live}
     held = dict.fromkeys((*steps, *spool))
     if held:
@@ -177,8 +183,9 @@ def has_open_jobs(connection: Connection) -> bool:
     return connection.execute(ANY_OPEN).first() is not None
 
 
-def _is_held(row: Row[Any] | None, lease: Lease) -> bool:
-    return row is not None and row.state in HELD_STATES and (row.fence, row.token) == (lease.fence, lease.token)
+def _is_held(row: Row[Any] | None, lease: Lease, host: str) -> bool:
+    is_in_force = row is not None and row.state in HELD_STATES and (row.fence, row.token) == (lease.fence, lease.token)
+    return is_in_force and row is not None and host_of(row.sid) == host
 
 
 def _extend_all(connection: Connection, held: Iterable[tuple[Lease, int]], until: float, sid: str) -> None:

@@ -6,7 +6,10 @@ advisory lock, so that it too has one writer; creates no table and runs no query
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sqlite3
+import stat
 import time
 from pathlib import Path
 from typing import Any
@@ -24,6 +27,7 @@ __all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "sh
 _EXAMPLES = "give e.g. sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
 """Of the advisory lock: one writer a database."""
+_OTHERS = 0o007
 _LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
 """A server notices late that a killed coordinator is gone."""
 _PRAGMAS = ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000", "mmap_size=0", "foreign_keys=ON")
@@ -51,6 +55,7 @@ def open_writer(url: str) -> Engine:
         return engine
     engine = _create(url)
     if engine.dialect.name == "sqlite":
+        _keep_private(url)
         event.listen(engine, "connect", _prepare_writer)
         event.listen(engine, "begin", _begin_immediate)
     return engine
@@ -111,6 +116,20 @@ def checkpoint_log(connection: Connection) -> None:
         raw = connection.connection.driver_connection
         if isinstance(raw, sqlite3.Connection):
             raw.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
+def _keep_private(url: str) -> None:
+    """Makes the files of a ledger, which hold the tokens of leases, unreadable for others; a group's rights stay."""
+    database = make_url(url).database
+    if not database or database.startswith((":", "file:")):
+        return
+    with contextlib.suppress(FileExistsError, FileNotFoundError):  # of a missing folder the database tells
+        os.close(os.open(database, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+    for path in sqlite_files(url):
+        mode = path.stat().st_mode
+        if mode & _OTHERS:
+            with contextlib.suppress(PermissionError):  # of another owner, who gave it away
+                path.chmod(stat.S_IMODE(mode) & ~_OTHERS)
 
 
 def _sqlite_file(url: str) -> Path:

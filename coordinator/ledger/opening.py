@@ -87,7 +87,7 @@ def open_run(
     with engine.begin() as connection:
         if holds_run(connection):
             _check_is_ours(read_info(connection), plan, catalog)
-            METADATA.create_all(connection)  # what a ledger of an older format lacks
+            _bring_up_to_date(connection)
             _write_info(connection, {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)})
             return False
         planned = expand(plan, catalog) if planned is None else planned
@@ -95,6 +95,14 @@ def open_run(
         insert_planned(connection, planned, now)
         _write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
         return True
+
+
+def _bring_up_to_date(connection: Connection) -> None:
+    """Adds the tables and indexes that a ledger of an older version lacks."""
+    METADATA.create_all(connection)
+    for table in METADATA.tables.values():
+        for index in table.indexes:
+            index.create(connection, checkfirst=True)
 
 
 def read_info(connection: Connection) -> LedgerInfo:

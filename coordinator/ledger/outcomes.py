@@ -1,6 +1,7 @@
 """How an attempt ends: announced, archived, refused by the world, hurt by or hurting a worker, given back, or lost.
 
-Every function is fenced by the lease and idempotent; a lease that is not in force changes nothing.
+Every function is fenced by the lease, which belongs to a host, and idempotent; a lease that is not in force changes
+nothing.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import bindparam, delete, insert, select, update
 from sqlalchemy.engine import Connection
 
+from coordinator.ledger import hosts
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, lease_parameters, record_attempt
 from coordinator.ledger.opening import insert_planned, planned_of
@@ -20,6 +22,7 @@ from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
 from coordinator.plan.draw import PlannedJob
 from coordinator.summary import Receipt
+from schemas.keys import host_of
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
 
@@ -32,6 +35,10 @@ SUCCESS = "success"
 _LOST = "lost"
 _HURTS = "crash, hang or invalid bundle"
 _CRASH_PAUSE_S = 1.0
+"""Pause after the first crash of a job; it doubles with each."""
+_CRASHES_ALONE = hosts.STRIKES + 2
+"""Crashes after which a job is quarantined where one host alone has tried it: a host that fails every job is barred
+before any of them comes so far."""
 
 
 _UNDER_LEASE = Prepared(select(*JOB).where(*UNDER_LEASE))
@@ -87,7 +94,7 @@ def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) ->
     """Notes that a bundle can be pulled; repeating it is harmless."""
     lease = lease_parameters(done.lease)
     known = _UNDER_LEASE.first(connection, lease)
-    if known is None or known.state not in (*HELD_STATES, State.ARCHIVED):
+    if known is None or known.state not in (*HELD_STATES, State.ARCHIVED) or not _is_of_same_host(known, done.sid):
         return Announced(False, None)
     if known.state == State.ARCHIVED:
         return Announced(True, None)
@@ -108,7 +115,15 @@ def adopt(connection: Connection, job_id: int, summary: Receipt, now: datetime) 
     return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
 
 
-def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, successor: Successor) -> bool:
+def fail(
+    connection: Connection,
+    report: Fail,
+    now: datetime,
+    budget: Budget,
+    successor: Successor,
+    *,
+    blames_hosts: bool = True,
+) -> bool:
     """Settles a failed attempt: the next attempt, the next draw, quarantine, or back to the queue unharmed.
 
     Args:
@@ -117,6 +132,7 @@ def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, su
         now: of the report.
         budget: how long to insist.
         successor: gives the next draw of the same cell.
+        blames_hosts: whether a worker's failure counts against its host before it counts against the job.
 
     Returns:
         Whether the report was accepted now, or is the repetition of one that was.
@@ -124,10 +140,12 @@ def fail(connection: Connection, report: Fail, now: datetime, budget: Budget, su
     row = _UNDER_LEASE.first(connection, lease_parameters(report.lease))
     if row is None or row.state not in HELD_STATES:
         return _was_reported(connection, report)
+    if not _is_of_same_host(row, report.sid):
+        return False
     if report.reason.is_of_the_world:
         return _miss(connection, row, report, now, budget, successor)
     if report.reason.is_of_the_worker:
-        return _hurt(connection, row, report, now, budget)
+        return _hurt(connection, row, report, now, budget, blames_hosts=blames_hosts)
     return _release(connection, row, report, now)
 
 
@@ -168,7 +186,13 @@ def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Rec
         },
     )
     _CREDIT.count(connection, {"by": row.sid})
+    hosts.relieve(connection, row.sid)
     return True
+
+
+def _is_of_same_host(row: JobRow, sid: str) -> bool:
+    """Whether a session is of the host that the lease was given to: another host's token is worth nothing."""
+    return host_of(row.sid) == host_of(sid)
 
 
 def _was_reported(connection: Connection, report: Fail) -> bool:
@@ -196,13 +220,24 @@ def _miss(
     return True
 
 
-def _hurt(connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget) -> bool:
-    """A worker suffered: the same attempt again after a pause, or quarantine when that has happened too often."""
-    crashes = row.crashes + 1
-    is_last = crashes >= budget.crashes
+def _hurt(
+    connection: Connection, row: JobRow, report: Fail, now: datetime, budget: Budget, *, blames_hosts: bool
+) -> bool:
+    """A worker suffered: the same attempt again after a pause, or quarantine when the job is known to be at fault."""
+    crashes, host = row.crashes + 1, host_of(row.sid)
+    is_last = crashes >= budget.crashes and (
+        not blames_hosts
+        or hosts.others_hurt(connection, row, host)
+        or (crashes >= _CRASHES_ALONE and hosts.is_alone(connection, host, now))
+    )
     why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""
-    values = {"next_attempt": row.attempt, "until": now.timestamp() + _CRASH_PAUSE_S * crashes, "why": why}
-    return _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False)
+    pause_s = min(hosts.LONGEST_PAUSE_S, _CRASH_PAUSE_S * 2 ** (crashes - 1))
+    values = {"next_attempt": row.attempt, "until": now.timestamp() + pause_s, "why": why}
+    if not _settle(connection, _QUARANTINE if is_last else _HURT, row, report, now, values, settles=False):
+        return False
+    if blames_hosts:
+        hosts.strike(connection, host, row, f"{report.reason}: {report.detail}", now)
+    return True
 
 
 def _release(connection: Connection, row: JobRow, report: Fail, now: datetime) -> bool:

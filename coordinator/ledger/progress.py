@@ -10,6 +10,7 @@ from sqlalchemy import Row, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.hosts import troubled
 from coordinator.ledger.keepers import count_by_gateway
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
@@ -60,6 +61,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         redrawn=connection.execute(_REDRAWN).scalar_one(),
         attempts={row[0]: row[1] for row in connection.execute(_BY_OUTCOME)},
         workers=_workers(connection, now, facts.lease_ttl_s),
+        hosts=troubled(connection),
         by_gateway=dict(count_by_gateway(connection)),
         episodes_per_hour=pace.per_hour,
         eta_s=pace.eta_s,

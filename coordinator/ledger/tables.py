@@ -15,6 +15,7 @@ __all__ = [
     "attempts",
     "episodes",
     "events",
+    "hosts",
     "info",
     "jobs",
     "keepers",
@@ -24,7 +25,7 @@ __all__ = [
 LEDGER_FORMAT = 2
 """2: episodes may lie at gateways, which an older coordinator would take for lost."""
 
-ADDED_LATER = frozenset({"keepers"})
+ADDED_LATER = frozenset({"hosts", "keepers"})
 """Tables that a whole ledger of an older format lacks; opening it for writing adds them."""
 
 METADATA = MetaData()
@@ -152,6 +153,18 @@ keepers = Table(
     comment="Archived episodes that lie at a gateway; the others lie in the coordinator's own directory.",
 )
 
+hosts = Table(
+    "hosts",
+    METADATA,
+    Column("host", String(80), primary_key=True),
+    Column("strikes", Integer, nullable=False, comment="failures that count against the host, less its successes"),
+    Column("last_job", _RowId, nullable=False, comment="job of the last strike"),
+    Column("resumes_at", Double, nullable=False, comment="it gets no job before"),
+    Column("barred_at", Double, comment="since when it gets no job until an operator releases it"),
+    Column("reason", Text, nullable=False, comment="the last failure, in words"),
+    comment="Hosts whose attempts were refused or crashed; the others have no row.",
+)
+
 workers = Table(
     "workers",
     METADATA,
@@ -161,4 +174,5 @@ workers = Table(
     Column("version", String(40), nullable=False, default=""),
     Column("archived", Integer, nullable=False, default=0),
     Column("last_beat", Double, nullable=False),
+    Index("ix_workers_host", "host", "last_beat"),
 )

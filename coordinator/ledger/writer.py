@@ -17,6 +17,7 @@ from sqlalchemy.engine import Connection
 from sqlalchemy.exc import OperationalError, SQLAlchemyError
 
 from coordinator.ledger.engine import checkpoint_log
+from coordinator.log_limit import LogLimit, describe_error
 from schemas.closing import Closing
 from schemas.errors import TransientError, WorldError
 
@@ -27,6 +28,7 @@ GROUP = 256
 
 T = TypeVar("T")
 log = structlog.get_logger(__name__)
+_LIMIT = LogLimit()
 
 
 class _Request(Generic[T]):
@@ -153,7 +155,7 @@ def _run_apart(connection: Connection, batch: Sequence[_Request[Any]]) -> list[A
         with connection.begin():
             return [_run_guarded(connection, request) for request in batch]
     except (SQLAlchemyError, WorldError) as error:
-        log.error("commit_failed", requests=len(batch), error=str(error), remedy="look after the ledger's disk")
+        _say("commit_failed", error, requests=len(batch), remedy="look after the ledger's disk")
         return [_transient(error)] * len(batch)
 
 
@@ -165,13 +167,20 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
         raise  # a full disk or a lost server has ended the whole transaction, savepoints and all
     except SQLAlchemyError as error:
         savepoint.rollback()
-        log.error("request_failed", error=str(error))
+        _say("request_failed", error)
         return _transient(error)
     except Exception as error:  # noqa: BLE001 - belongs to the one who asked
         savepoint.rollback()
         return error
     savepoint.commit()
     return result
+
+
+def _say(event: str, error: SQLAlchemyError | WorldError, **fields: object) -> None:
+    """Logs what the database said, without the parameters of the statement: tokens are among them."""
+    left_out = _LIMIT.admit(event)
+    if left_out is not None:
+        log.error(event, error=describe_error(getattr(error, "orig", None) or error), left_out=left_out, **fields)
 
 
 def _transient(error: SQLAlchemyError | WorldError) -> TransientError:

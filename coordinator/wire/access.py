@@ -20,7 +20,7 @@ _VERBS: Mapping[Role, Sequence[Verb]] = {
     Role.WORKER: (Verb.HELLO, Verb.CLAIM, Verb.BEAT, Verb.DONE, Verb.FAIL, Verb.PROGRESS),
     Role.OPERATOR: (Verb.PROGRESS, Verb.ADMIN),
     Role.GATEWAY: (Verb.JOIN, Verb.ORDERS, Verb.HOLD, Verb.ARCHIVED, Verb.REFUSED, Verb.INVENTORY),
-    Role.EVALUATOR: (Verb.PROGRESS,),
+    Role.EVALUATOR: (Verb.PING,),
 }
 _SERVING = ["declare_queryable", "reply", "liveliness_token"]
 

@@ -14,9 +14,9 @@ from schemas.base import Model
 from schemas.errors import TransientError, WorldError
 from schemas.identity import TlsFiles
 from schemas.keys import Verb, any_hello_key
-from schemas.wire import AdminReply, AdminRequest, Progress, Refusal
+from schemas.wire import Ack, AdminReply, AdminRequest, Ping, Progress, Refusal
 
-__all__ = ["OPERATOR", "ask_admin", "ask_progress"]
+__all__ = ["OPERATOR", "ask_admin", "ask_presence", "ask_progress"]
 
 OPERATOR = "operator"
 _TIMEOUT_S = 10.0
@@ -35,6 +35,15 @@ def ask_progress(endpoints: Sequence[str], name: str = OPERATOR, tls: TlsFiles |
         TransientError: nobody answers there.
     """
     return _ask(endpoints, Verb.PROGRESS, None, Progress, name, tls)
+
+
+def ask_presence(endpoints: Sequence[str], name: str = OPERATOR, tls: TlsFiles | None = None) -> None:
+    """Makes sure that a coordinator is there and admits this side; learns nothing of its run.
+
+    Raises:
+        TransientError: nobody answers there.
+    """
+    _ask(endpoints, Verb.PING, Ping(), Ack, name, tls)
 
 
 def ask_admin(

@@ -6,11 +6,16 @@ Keeps orders until their gateway fetches them, and nothing durable: what is forg
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
 
 from coordinator.wire.protocol import Pull
+from schemas.keys import host_of
 
 __all__ = ["Dispatch"]
+
+_OF_ONE_HOST = 4
+"""Orders of one host that a gateway is given at a time."""
 
 
 class Dispatch:
@@ -40,17 +45,30 @@ class Dispatch:
         if gateway is None:
             self._pull_here(pull)
 
-    def take(self, gateway: str, router: str, most: int) -> tuple[Pull, ...]:
+    def take(self, gateway: str, router: str, most: int, busy: Collection[str] = ()) -> tuple[Pull, ...]:
         """Hands a gateway its orders, the oldest first.
 
         Args:
             gateway: its name.
             router: zenoh's id of its session; from now on what is announced via that is the gateway's.
             most: orders it can take.
+            busy: hosts of which it has enough.
         """
         with self._guard:
             if self._gateways.get(router) != gateway:
                 former = {known: name for known, name in self._gateways.items() if name != gateway}
                 self._gateways = former | {router: gateway}
             orders = self._orders.setdefault(gateway, {})
-            return tuple(orders.pop(index) for index in list(orders)[:most])
+            return tuple(orders.pop(index) for index in _choose(orders, most, busy))
+
+
+def _choose(orders: Mapping[int, Pull], most: int, busy: Collection[str]) -> list[int]:
+    """Returns which orders a gateway is given: the oldest, a few of each host."""
+    chosen: list[int] = []
+    by_host = Counter(dict.fromkeys(busy, _OF_ONE_HOST))
+    for index, pull in orders.items():
+        host = host_of(pull.sid)
+        if len(chosen) < most and by_host[host] < _OF_ONE_HOST:
+            by_host[host] += 1
+            chosen.append(index)
+    return chosen

@@ -15,8 +15,10 @@ import structlog
 
 from coordinator.ledger import claims
 from coordinator.ledger.writer import Writer
+from coordinator.log_limit import LogLimit, describe_error
 from coordinator.meters import Meter, Meters
 from coordinator.wire.dispatch import Dispatch
+from coordinator.wire.load import Load
 from coordinator.wire.protocol import Answer, Request, Terms, parse, serve
 from coordinator.wire.relay import Archived, Duty, Inventory, Join, JoinReply
 from coordinator.wire.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
@@ -29,6 +31,8 @@ from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusa
 __all__ = ["Front"]
 
 _READS_WAITING = 16
+_WAITING_BYTES = 16 << 20
+"""Of messages that wait for the ledger; parsed they take ten times as much memory."""
 _VERBS = frozenset(verb.value for verb in Verb)
 
 log = structlog.get_logger(__name__)
@@ -45,7 +49,7 @@ class Front(Closing):
         dispatch: takes a bundle that waits to be pulled, and tells gateways what is theirs.
         on_archived: a gateway has archived, or lost, an episode.
         on_drain: an operator wants the workers to leave.
-        backlog: requests that may wait; further ones get no answer and are asked again.
+        backlog: requests that may wait, an eighth of them of one host; further ones get no answer and are asked again.
         meters: where questions are counted.
     """
 
@@ -73,33 +77,25 @@ class Front(Closing):
         self._meters = meters or Meters()
         self._reads = ThreadPoolExecutor(1, thread_name_prefix="ledger-reader")
         self._free_reads = threading.Semaphore(_READS_WAITING)
+        self._load = Load(backlog, _WAITING_BYTES)
+        self._limit = LogLimit()
 
     def take(self, inquiry: Inquiry) -> None:
-        """Takes a question; the answer follows when it is durable."""
-        if inquiry.verb in _VERBS:
-            self._meters.note_request(inquiry.verb)
-        if inquiry.verb == Verb.PROGRESS:
-            self._take_read(inquiry)
-            return
-        if self._writer.backlog > self._backlog:
-            inquiry.drop()
-            return
-        is_relay = inquiry.verb in RELAY_MESSAGES
-        request = parse(inquiry.verb, inquiry.host, inquiry.payload, RELAY_MESSAGES if is_relay else None)
-        if isinstance(request, Refusal):
-            log.info("refused", host=inquiry.host, verb=inquiry.verb, reason=request.error)
-            inquiry.answer(request)
-            return
-        if isinstance(request.message, Duty):
-            duty = request.message
-            inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most)))
-            return
-        do = serve_gateway if is_relay else serve
-        future = self._writer.submit(lambda connection: do(connection, request, self._terms, self._clock()))
-        future.add_done_callback(partial(self._reply, inquiry, request))
+        """Takes a question; the answer follows when it is durable. Never raises."""
+        try:
+            if inquiry.verb in _VERBS:
+                self._meters.note_request(inquiry.verb)
+            if inquiry.verb == Verb.PROGRESS:
+                self._take_read(inquiry)
+            else:
+                self._take_message(inquiry)
+        except Exception as error:  # noqa: BLE001 - runs in zenoh's thread, which serves others too
+            self._fail(inquiry, error)
 
     def note_gone(self, sid: str) -> None:
         """A worker's link has closed: that only shortens its leases, for it may be back in a moment."""
+        if self._writer.backlog > self._backlog:
+            return  # a hint only
         hint_s = self._terms.lease_ttl_s / 2
         self._writer.submit(lambda connection: claims.shorten(connection, sid, self._clock(), hint_s))
 
@@ -107,26 +103,60 @@ class Front(Closing):
         """Ends the reading thread."""
         self._reads.shutdown(cancel_futures=True)
 
-    def _reply(self, inquiry: Inquiry, request: Request, future: Future[Answer]) -> None:
-        error = future.exception()
-        if isinstance(error, TransientError):
+    def _take_message(self, inquiry: Inquiry) -> None:
+        is_relay = inquiry.verb in RELAY_MESSAGES
+        request = parse(inquiry.verb, inquiry.host, inquiry.payload, RELAY_MESSAGES if is_relay else None)
+        if isinstance(request, Refusal):
+            self._log(log.info, "refused", inquiry, reason=request.error)
+            inquiry.answer(request)
+            return
+        if isinstance(request.message, Duty):
+            duty = request.message
+            inquiry.answer(orders_for(self._dispatch.take(request.host, duty.router, duty.most, duty.busy)))
+            return
+        octets = len(inquiry.payload)
+        if self._writer.backlog > self._backlog or not self._load.enter(request.host, octets):
             inquiry.drop()
-        elif error is not None:
-            log.error("request_failed", host=inquiry.host, verb=inquiry.verb, exc_info=error)
-            inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
-        else:
-            answer = future.result()
-            if isinstance(request.message, AdminRequest):
-                self._note_operator(request.message)
-            if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
-                self._dispatch.take(request.host, request.message.router, 0)
-            if isinstance(request.message, Archived | Inventory):
-                self._on_archived()
-            if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
-                self._meters.add(Meter.CLAIMS)
-            inquiry.answer(answer.reply)
-            for pull in answer.pulls:
-                self._dispatch.offer(pull)
+            return
+        do = serve_gateway if is_relay else serve
+        future = self._writer.submit(lambda connection: do(connection, request, self._terms, self._clock()))
+        future.add_done_callback(partial(self._reply, inquiry, request, octets))
+
+    def _reply(self, inquiry: Inquiry, request: Request, octets: int, future: Future[Answer]) -> None:
+        """Answers in the one answering thread; nothing that goes wrong with a request may reach the next."""
+        self._load.leave(request.host, octets)
+        error = future.exception()
+        try:
+            if isinstance(error, TransientError):
+                inquiry.drop()
+            elif error is not None:
+                self._fail(inquiry, error)
+            else:
+                self._answer(inquiry, request, future.result())
+        except Exception as unforeseen:  # noqa: BLE001 - see above
+            self._fail(inquiry, unforeseen)
+
+    def _answer(self, inquiry: Inquiry, request: Request, answer: Answer) -> None:
+        if isinstance(request.message, AdminRequest):
+            self._note_operator(request.message)
+        if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
+            self._dispatch.take(request.host, request.message.router, 0)
+        if isinstance(request.message, Archived | Inventory):
+            self._on_archived()
+        if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
+            self._meters.add(Meter.CLAIMS)
+        inquiry.answer(answer.reply)
+        for pull in answer.pulls:
+            self._dispatch.offer(pull)
+
+    def _fail(self, inquiry: Inquiry, error: BaseException) -> None:
+        self._log(log.error, "request_failed", inquiry, error=describe_error(error))
+        inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
+
+    def _log(self, write: Callable[..., None], event: str, inquiry: Inquiry, **fields: object) -> None:
+        left_out = self._limit.admit(f"{event} {inquiry.host}")
+        if left_out is not None:
+            write(event, host=inquiry.host, verb=inquiry.verb, left_out=left_out, **fields)
 
     def _note_operator(self, request: AdminRequest) -> None:
         log.info("operator", action=request.action, episodes=len(request.indices) or "all")
@@ -143,8 +173,8 @@ class Front(Closing):
         self._free_reads.release()
         if future.cancelled():
             inquiry.drop()
-        elif future.exception() is not None:
-            log.error("read_failed", verb=inquiry.verb, exc_info=future.exception())
+        elif (error := future.exception()) is not None:
+            self._log(log.error, "read_failed", inquiry, error=describe_error(error))
             inquiry.drop()
         else:
             inquiry.answer(future.result())

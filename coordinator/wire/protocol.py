@@ -15,13 +15,14 @@ from pydantic import ValidationError
 from sqlalchemy import Row
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger import claims, operator, outcomes, workers
+from coordinator.ledger import claims, hosts, operator, outcomes, workers
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.draw import redraw, to_job
 from coordinator.plan.errands import Errands
 from schemas.base import Model
+from schemas.identity import is_host_name
 from schemas.job import Job
 from schemas.keys import Verb, sid_belongs_to
 from schemas.plan import Plan
@@ -41,13 +42,27 @@ from schemas.wire import (
     Hello,
     HelloReply,
     Lease,
+    Ping,
     Refusal,
     Trade,
 )
 
-__all__ = ["Answer", "Pull", "Request", "Terms", "parse", "serve"]
+__all__ = ["Answer", "Pull", "Request", "Terms", "fail_attempt", "parse", "serve"]
 
 M = TypeVar("M", bound=Model)
+_SMALL_MESSAGE_BYTES = 16 << 10
+_MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
+    {
+        Verb.BEAT: 64 << 10,
+        Verb.INVENTORY: 64 << 10,
+        Verb.ADMIN: MAX_MESSAGE_BYTES,
+        Verb.ARCHIVED: MAX_MESSAGE_BYTES,
+    }
+)
+"""Most bytes of a verb's message, where that is not `_SMALL_MESSAGE_BYTES`: no larger one is read."""
+_NAME_END, _BYTES_A_NAME = b'":', 24
+"""A full beat has a name every 27 bytes; thousands of unknown names would each become an error of their own."""
+_SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
 
 
 @dataclass(frozen=True)
@@ -107,28 +122,53 @@ def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]
     Args:
         verb: last part of the key.
         host: who asks, by the key.
-        payload: at most `MAX_MESSAGE_BYTES` of JSON.
+        payload: JSON, at most as many bytes as the verb may have.
         known: what each verb carries; by default the verbs of workers and operators.
     """
     known = known or _MESSAGES
     if verb not in known:
         return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(known)}")
-    if len(payload) > MAX_MESSAGE_BYTES:
-        return Refusal(error=f"{verb}: {len(payload)} bytes, more than {MAX_MESSAGE_BYTES}")
+    if not is_host_name(host):
+        return Refusal(error=f"{verb}: {host[:_SHOWN_CHARS]!r} is no name for a host; give one such as node-07")
+    most = _MESSAGE_BYTES.get(Verb(verb), _SMALL_MESSAGE_BYTES)
+    if len(payload) > most:
+        return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")
+    if most < MAX_MESSAGE_BYTES and payload.count(_NAME_END) > most // _BYTES_A_NAME:
+        return Refusal(error=f"{verb}: more names than such a message can have; do both sides run the same version?")
     try:
         message = known[Verb(verb)].model_validate_json(payload)
     except ValidationError as error:
-        places = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:10])
-        return Refusal(error=f"{verb}: not understood ({places}); do both sides run the same version?")
+        return Refusal(error=f"{verb}: not understood ({_mistakes(error)}); do both sides run the same version?")
     sid = getattr(message, "sid", None)
     if known is _MESSAGES and sid is not None and not sid_belongs_to(sid, host):
         return Refusal(error=f"{verb}: session {sid!r} is not of host {host!r}; session ids begin with their host")
     return Request(host, message)
 
 
+def _mistakes(error: ValidationError) -> str:
+    """Returns the first mistakes in words; of a message that is all mistakes only their number, which costs nothing."""
+    count = error.error_count()
+    if count > 10 * _SHOWN_MISTAKES:
+        return f"{count} mistakes"
+    found = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
+    return "; ".join(f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
+
+
 def serve(connection: Connection, request: Request, terms: Terms, now: datetime) -> Answer:
     """Does what a request asks, within the caller's transaction."""
     return _HANDLERS[type(request.message)](connection, request.message, request.host, terms, now)
+
+
+def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: datetime) -> bool:
+    """Settles a failed attempt under the terms of the run; see `outcomes.fail`."""
+    return outcomes.fail(
+        connection,
+        report,
+        now,
+        terms.plan.budget,
+        lambda planned: redraw(terms.plan, terms.catalog, planned),
+        blames_hosts=terms.errands is None,  # an evaluation says at once what cannot be driven, and is run again
+    )
 
 
 def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: datetime) -> Answer:
@@ -141,13 +181,21 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"{terms.version}; episodes of two versions may differ: install the same version on both"
             )
         )
-    workers.introduce(connection, hello, now)
+    if not workers.introduce(connection, hello, now):
+        return Answer(
+            Refusal(
+                error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} sessions that were heard of lately, or all "
+                f"hosts together have {workers.SESSIONS}: stop some, or wait some minutes"
+            )
+        )
     trade = Trade.COLLECTION if terms.errands is None else Trade.EVALUATION
     return Answer(HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade))
 
 
 def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> Answer:
     may_start = terms.has_room() and not terms.is_draining()
+    pause_s = hosts.pause_of(connection, host, now)
+    may_start = may_start and pause_s == 0
     row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
@@ -157,14 +205,21 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
         return Answer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
     workers.note_alive(connection, claim.sid, host, now)
     finished = not claims.has_open_jobs(connection)
-    return Answer(ClaimReply(retry_after_s=terms.retry_after_s, finished=finished))
+    return Answer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))
 
 
 def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> Answer:
     workers.note_alive(connection, beat.sid, host, now)
     outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
     waiting = tuple(lease_of(row) for row in outcome.waiting)
-    reply = BeatReply(lost=outcome.lost, drop=outcome.drop, waiting=waiting, drain=terms.is_draining())
+    is_idle = len(outcome.lost) == len(beat.live) and len(outcome.drop) == len(beat.spool)
+    reply = BeatReply(
+        lost=outcome.lost,
+        drop=outcome.drop,
+        waiting=waiting,
+        drain=terms.is_draining(),
+        finished=is_idle and not claims.has_open_jobs(connection),
+    )
     return Answer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
 
 
@@ -175,10 +230,7 @@ def _done(connection: Connection, done: Done, host: str, terms: Terms, now: date
 
 
 def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
-    accepted = outcomes.fail(
-        connection, fail, now, terms.plan.budget, lambda planned: redraw(terms.plan, terms.catalog, planned)
-    )
-    return Answer(Ack(accepted=accepted))
+    return Answer(Ack(accepted=fail_attempt(connection, fail, terms, now)))
 
 
 def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
@@ -187,8 +239,14 @@ def _admin(connection: Connection, request: AdminRequest, host: str, terms: Term
             return Answer(operator.retry(connection, request.indices, now))
         case AdminAction.CANCEL:
             return Answer(operator.cancel(connection, request.indices, now))
+        case AdminAction.RELEASE:
+            return Answer(hosts.release(connection, request.hosts))
         case AdminAction.DRAIN:
             return Answer(AdminReply(changed=()))
+
+
+def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    return Answer(Ack(accepted=True))
 
 
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:
@@ -205,10 +263,11 @@ _MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
         Verb.DONE: Done,
         Verb.FAIL: Fail,
         Verb.ADMIN: AdminRequest,
+        Verb.PING: Ping,
     }
 )
 """What each verb carries; `progress` carries nothing and is answered by a reader."""
 
 _HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
-    {Hello: _hello, Claim: _claim, Beat: _beat, Done: _done, Fail: _fail, AdminRequest: _admin}
+    {Hello: _hello, Claim: _claim, Beat: _beat, Done: _done, Fail: _fail, AdminRequest: _admin, Ping: _ping}
 )

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import FailFast, Field
 
 from coordinator.summary import EpisodeSummary
-from schemas.base import Model, Sha256
+from schemas.base import Bytes, Line, Model, Ordinal, Sha256, Text
 from schemas.job import Job
+from schemas.plan import MAX_EPISODES
 from schemas.scene import Target
-from schemas.wire import Lease, RouterId
+from schemas.wire import Detail, Hosts, Lease, RouterId, SessionId, Version
 
 __all__ = [
     "MAX_FILES",
+    "MAX_ORDERS",
     "Archived",
     "Duty",
     "Hold",
@@ -31,13 +33,12 @@ __all__ = [
 ]
 
 MAX_FILES, MAX_ORDERS = 1000, 64
-Index = Annotated[int, Field(ge=1)]
 
 
 class Join(Model):
     """A gateway looks for the run it is to serve; from now on what is announced via its router is its own to pull."""
 
-    version: str
+    version: Version
     """Of minivla-factory."""
     router: RouterId
 
@@ -45,7 +46,7 @@ class Join(Model):
 class JoinReply(Model):
     """Which run that is."""
 
-    run: str
+    run: Line
     plan_digest: Sha256
 
 
@@ -55,15 +56,17 @@ class Duty(Model):
     router: RouterId
     most: Annotated[int, Field(ge=0, le=MAX_ORDERS)]
     """Orders it can take now."""
+    busy: Hosts = ()
+    """Hosts of which it has bundles enough."""
 
 
 class Order(Model):
     """A bundle to pull, with all that validating it needs."""
 
     lease: Lease
-    sid: str
+    sid: SessionId
     sha256: Sha256
-    size: Annotated[int, Field(ge=1)]
+    size: Annotated[Bytes, Field(ge=1)]
     job: Job
     target: Target
 
@@ -71,7 +74,7 @@ class Order(Model):
 class Orders(Model):
     """What to pull; given out once, and again when the worker announces it again."""
 
-    orders: tuple[Order, ...] = ()
+    orders: Annotated[tuple[Order, ...], Field(max_length=MAX_ORDERS)] = ()
 
 
 class Hold(Model):
@@ -92,17 +95,17 @@ class Archived(Model):
 class Refused(Model):
     """A bundle that is not what its job asked for."""
 
-    sid: str
+    sid: SessionId
     lease: Lease
-    detail: Annotated[str, Field(max_length=2000)]
+    detail: Detail
 
 
 class Inventory(Model):
     """The files of a gateway whose numbers lie between two bounds, both included."""
 
-    first: Index
-    last: Index
-    files: Annotated[tuple[tuple[Index, Annotated[int, Field(ge=0)]], ...], Field(max_length=MAX_FILES)]
+    first: Ordinal
+    last: Ordinal
+    files: Annotated[tuple[tuple[Ordinal, Bytes], ...], Field(max_length=MAX_FILES), FailFast()]
     """Episode and bytes."""
     is_new: bool = False
     """Whether its directory was just made: then nothing can be there by right, and nothing is given up either."""
@@ -111,8 +114,8 @@ class Inventory(Model):
 class Stray(Model):
     """A file that the ledger does not own at this gateway."""
 
-    index: Index
-    why: str
+    index: Ordinal
+    why: Text
     job: Job | None = None
     """What a sound file would be of, when the ledger still wants one; nobody else wants it without."""
     target: Target | None = None
@@ -121,6 +124,6 @@ class Stray(Model):
 class InventoryReply(Model):
     """What the ledger says to an inventory."""
 
-    strays: tuple[Stray, ...] = ()
-    lost: tuple[Index, ...] = ()
+    strays: Annotated[tuple[Stray, ...], Field(max_length=2 * MAX_FILES)] = ()
+    lost: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_EPISODES)] = ()
     """Episodes the ledger owned there whose file is gone or of another size; they are made anew."""

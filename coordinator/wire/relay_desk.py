@@ -16,9 +16,9 @@ from coordinator.ledger import claims, keepers, outcomes
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.states import OPEN_STATES, State
-from coordinator.plan.draw import redraw, to_job
+from coordinator.plan.draw import to_job
 from coordinator.summary import EpisodeSummary
-from coordinator.wire.protocol import Answer, Pull, Request, Terms
+from coordinator.wire.protocol import Answer, Pull, Request, Terms, fail_attempt
 from coordinator.wire.relay import (
     Archived,
     Duty,
@@ -35,7 +35,7 @@ from coordinator.wire.relay import (
 from schemas.base import Model
 from schemas.keys import Verb
 from schemas.terms import FailReason
-from schemas.wire import Ack, Fail, Refusal
+from schemas.wire import Ack, Fail, Refusal, cut_detail
 
 __all__ = ["RELAY_MESSAGES", "orders_for", "serve_gateway"]
 
@@ -96,13 +96,12 @@ def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: d
 
 def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, now: datetime) -> Model:
     report = Fail(
-        sid=told.sid, lease=told.lease, reason=FailReason.INVALID, detail=f"at gateway {gateway}: {told.detail}"[:2000]
+        sid=told.sid,
+        lease=told.lease,
+        reason=FailReason.INVALID,
+        detail=cut_detail(f"at gateway {gateway}: {told.detail}"),
     )
-    budget = terms.plan.budget
-    accepted = outcomes.fail(
-        connection, report, now, budget, lambda planned: redraw(terms.plan, terms.catalog, planned)
-    )
-    return Ack(accepted=accepted)
+    return Ack(accepted=fail_attempt(connection, report, terms, now))
 
 
 def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:

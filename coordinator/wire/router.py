@@ -32,8 +32,12 @@ from schemas.keys import (
 )
 from schemas.wire import Lease
 
-__all__ = ["Inquiry", "Router"]
+__all__ = ["MAX_KEY_CHARS", "Inquiry", "Router"]
 
+MAX_KEY_CHARS = 400
+"""Of the key that something is asked under: our own have at most 300."""
+
+_MAX_PRESENT = 10_000
 _VERBS = frozenset(verb.value for verb in Verb)
 
 log = structlog.get_logger(__name__)
@@ -47,9 +51,13 @@ class Inquiry:
         self.payload = query.payload.to_bytes() if query.payload is not None else b""
         self._run = run
         self._query = query
+        self._is_open = True
 
     def answer(self, reply: Model) -> None:
-        """Sends the reply; an asker that is gone is no error."""
+        """Sends the reply, if none was sent yet; an asker that is gone is no error."""
+        if not self._is_open:
+            return
+        self._is_open = False
         # a client that does not know the run asks under a wildcard, but the reply needs a plain key
         key = verb_key(self._run, self.host, Verb(self.verb)) if self.verb in _VERBS else str(self._query.key_expr)
         try:
@@ -60,6 +68,7 @@ class Inquiry:
 
     def drop(self) -> None:
         """Leaves the question unanswered; the asker repeats it."""
+        self._is_open = False
         self._query.drop()
 
 
@@ -101,6 +110,7 @@ class Router(Closing):
         self._scenes = _open_files(run, served)
         self._settings = settings
         self._guard = guard
+        self._present: set[str] = set()
         self._node = Node(listen, self._config, guard.admitted if guard is not None else dict, self._declare)
         self.endpoints = self._node.endpoints
         """Endpoints in force, with their ports."""
@@ -113,6 +123,11 @@ class Router(Closing):
     def is_open(self) -> bool:
         """Whether workers can be heard."""
         return self._node.is_open
+
+    @property
+    def present(self) -> int:
+        """Workers that are connected."""
+        return len(self._present)
 
     def admit(self) -> bool:
         """Opens the session anew when who is admitted has changed; see `Node.admit`."""
@@ -130,18 +145,38 @@ class Router(Closing):
         return router_config(endpoints, self._settings.transport_lease_s, files, admitted, self._connect)
 
     def _declare(self, session: zenoh.Session) -> None:
+        self._present.clear()  # whoever comes back to a new session says so
         session.declare_queryable(verb_pattern(self._run), self._take)
         session.declare_queryable(scene_pattern(self._run), self._serve_scene)
         session.liveliness().declare_subscriber(alive_pattern(self._run), self._note_token)
 
     def _take(self, query: zenoh.Query) -> None:
-        self._on_inquiry(Inquiry(self._run, query))
+        if self._is_key_short(query):
+            self._on_inquiry(Inquiry(self._run, query))
 
     def _note_token(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if len(key) > MAX_KEY_CHARS:
+            return
+        sid = sid_of_alive_key(key)
         if sample.kind == zenoh.SampleKind.DELETE:
-            self._on_gone(sid_of_alive_key(str(sample.key_expr)))
+            self._present.discard(sid)
+            self._on_gone(sid)
+        elif len(self._present) < _MAX_PRESENT:
+            self._present.add(sid)
+
+    @staticmethod
+    def _is_key_short(query: zenoh.Query) -> bool:
+        length = len(str(query.key_expr))
+        if length <= MAX_KEY_CHARS:
+            return True
+        with query:
+            query.reply_err(f"a key of {length} characters; at most {MAX_KEY_CHARS} are read")
+        return False
 
     def _serve_scene(self, query: zenoh.Query) -> None:
+        if not self._is_key_short(query):
+            return
         with query:
             key = str(query.key_expr)
             descriptor = self._scenes.get(key)

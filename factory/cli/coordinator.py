@@ -26,15 +26,13 @@ from factory.cli.options import (
     tls_option,
     verbose_option,
 )
+from factory.cli.summary import say_missing
 from factory.logs import configure_logs
 from factory.settings import scene_cache
 from factory.site import Site
 from workers.stopping import stop_on_signals
 
 __all__ = ["command"]
-
-_LINGER_S = 5.0
-"""How long a finished run is announced, so that every worker hears it and leaves."""
 
 
 @click.group("coordinator", cls=CommandGroup)
@@ -82,8 +80,8 @@ def start(
     """Give the jobs of a plan to workers and archive their episodes.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
-    The command ends when the run is finished. With --gate the pilot is simulated on this host before the first job is
-    given out.
+    The command ends when the run is finished, with 1 when episodes are missing; stopped before that, it ends with 0.
+    With --gate the pilot is simulated on this host before the first job is given out.
     """
     configure_logs(verbose)
     guard, listen = open_door(tls, listen)
@@ -108,7 +106,14 @@ def start(
             for endpoint in coordinator.endpoints:
                 click.echo(f"factory worker --cores 2 --connect {endpoint}")
             finished = coordinator.wait(stop=stop)
-            if stay or finished:
-                stop.wait(None if stay else _LINGER_S)
-    click.echo("finished" if finished else f"stopped; go on with: factory coordinator start --out {site}", err=True)
-    return 0
+            if stay:
+                stop.wait()
+            elif finished:
+                coordinator.see_off(stop)
+            progress = coordinator.progress()
+    if not progress.finished:
+        click.echo(f"stopped; go on with: factory coordinator start --out {site}", err=True)
+        return 0
+    click.echo("finished", err=True)
+    say_missing(site, progress)
+    return 1 if progress.missing else 0

@@ -1,4 +1,4 @@
-"""`factory jobs`: single jobs with their attempts and reasons; retry of failed ones; cancelling."""
+"""`factory jobs`: single jobs with their attempts and reasons; retry and cancelling; release of barred hosts."""
 
 from __future__ import annotations
 
@@ -23,16 +23,17 @@ from factory.cli.output import json_option, print_json, print_table, print_text
 from factory.ledger import read_ledger
 from factory.site import Site
 from schemas.errors import UsageError
+from schemas.identity import require_host_name
 from schemas.job import episode_id
 from schemas.terms import Split, Tier
-from schemas.wire import AdminAction, AdminReply, AdminRequest
+from schemas.wire import MAX_INDICES, AdminAction, AdminReply, AdminRequest
 
 __all__ = ["command"]
 
 
 @click.group("jobs", cls=CommandGroup)
 def command() -> None:
-    """List, show, retry and cancel the jobs of a run."""
+    """List, show, retry and cancel jobs; release barred hosts."""
 
 
 @command.command("list")
@@ -148,6 +149,30 @@ def cancel(
     return _administer(site, AdminAction.CANCEL, episodes, everything, ledger, tls, as_json)
 
 
+@command.command("release")
+@site_argument
+@click.argument("hosts", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="Every host that pauses or is barred.")
+@ledger_option
+@tls_option
+@json_option
+def release(
+    site: Site, hosts: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+) -> int:
+    """Give jobs again to HOSTS that pause or are barred."""
+    if bool(hosts) == everything:
+        raise UsageError("which hosts to release? name them as `factory status` does, or give --all")
+    request = AdminRequest(action=AdminAction.RELEASE, hosts=tuple(require_host_name(name) for name in hosts))
+    reply = _ask(site, request, ledger, tls)
+    if as_json:
+        print_json(reply.model_dump(mode="json"))
+    else:
+        click.echo(f"release: {len(reply.hosts)} hosts {', '.join(reply.hosts)}")
+        for host, reason in reply.refused_hosts.items():
+            click.echo(f"  {host}: {reason}", err=True)
+    return 1 if reply.refused_hosts else 0
+
+
 def _administer(
     site: Site,
     action: AdminAction,
@@ -157,22 +182,27 @@ def _administer(
     tls: Path | None,
     as_json: bool,
 ) -> int:
-    from coordinator.admin import administer  # opens zenoh
-
     if bool(names) == everything:
         raise UsageError(f"which jobs to {action}? name episodes, or give --all")
+    if len(names) > MAX_INDICES:
+        raise UsageError(f"{len(names)} episodes; name at most {MAX_INDICES} at a time, or give --all")
     request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
-    now = datetime.now(UTC)
-    if tls is None:
-        reply = administer(site.home, request, now, ledger)
-    else:
-        files, name = read_credentials(tls)
-        reply = administer(site.home, request, now, ledger, name=name, tls=files)
+    reply = _ask(site, request, ledger, tls)
     if as_json:
         print_json(reply.model_dump(mode="json"))
     else:
         _print_reply(reply, action)
     return 1 if reply.refused else 0
+
+
+def _ask(site: Site, request: AdminRequest, ledger: str | None, tls: Path | None) -> AdminReply:
+    from coordinator.admin import administer  # opens zenoh
+
+    now = datetime.now(UTC)
+    if tls is None:
+        return administer(site.home, request, now, ledger)
+    files, name = read_credentials(tls)
+    return administer(site.home, request, now, ledger, name=name, tls=files)
 
 
 def _print_reply(reply: AdminReply, action: AdminAction) -> None:

@@ -22,7 +22,7 @@ from factory.cli.options import (
     workers_option,
 )
 from factory.cli.output import json_option, print_json, say_duration
-from factory.cli.summary import print_summary, summarise
+from factory.cli.summary import print_summary, say_missing, summarise
 from factory.logs import configure_logs
 from factory.run import LocalRun, run_locally
 from factory.settings import scene_cache
@@ -84,7 +84,8 @@ def command(
         print_json(summary)
     else:
         print_summary(summary)
-    return 1 if progress.jobs.get("failed", 0) else 0
+    say_missing(site, progress)
+    return 1 if progress.missing else 0
 
 
 class _RunBar(Bars):

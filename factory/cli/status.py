@@ -20,7 +20,7 @@ from factory.listen import require_endpoints
 from factory.site import Site
 from schemas.errors import TransientError, UsageError
 from schemas.terms import BUILTIN_CATEGORIES
-from schemas.wire import Progress, WorkerStatus
+from schemas.wire import HostStatus, Progress, WorkerStatus
 
 __all__ = ["command", "draw_progress", "watch_progress"]
 
@@ -29,6 +29,7 @@ _PATIENCE_S = 60.0
 """Silence of a coordinator that is watched, seconds: a restart takes a few."""
 _FIRST = max(map(len, BUILTIN_CATEGORIES))
 """Width of the first columns, so that the numbers of all tables are below each other."""
+_REASON_CHARS = 200
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 _ALWAYS = ("pending", "leased", "archived")
 """States whose columns are shown even where no job has them."""
@@ -112,7 +113,18 @@ def draw_progress(progress: Progress) -> Group:
     groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
     states = [state for state in _COLUMNS if state in _ALWAYS or progress.jobs.get(state)]
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
-    return Group(Text(head, style="bold"), *away, *tables, _workers(progress), Text(foot))
+    hosts = map(_describe_host, progress.hosts)
+    return Group(Text(head, style="bold"), *away, *tables, _workers(progress), *hosts, Text(foot))
+
+
+def _describe_host(host: HostStatus) -> Text:
+    """Returns why a host gets no jobs, or one at a time, and what to do."""
+    why = f"{host.strikes} failures, last: {' '.join(host.reason[:_REASON_CHARS].split())}"
+    if host.barred_at is None:
+        return Text(f"host {host.host} gets one job at a time, with pauses: {why}", style="yellow")
+    since = f"{host.barred_at:%H:%M:%S}"
+    remedy = f"repair the host, then run `factory jobs release DIR {host.host}`"
+    return Text(f"host {host.host} is barred since {since}: {why}; {remedy}", style="bold red")
 
 
 def _group_table(name: str, rows: dict[str, dict[str, int]], states: list[str]) -> FittedTable:
@@ -121,7 +133,11 @@ def _group_table(name: str, rows: dict[str, dict[str, int]], states: list[str]) 
 
 
 def _workers(progress: Progress) -> FittedTable:
-    body = [(w.sid, w.slots, w.leased, w.archived, _state_of(w, progress.finished)) for w in progress.workers]
+    barred = {host.host for host in progress.hosts if host.barred_at is not None and not progress.finished}
+    body = [
+        (w.sid, w.slots, w.leased, w.archived, "barred" if w.host in barred else _state_of(w, progress.finished))
+        for w in progress.workers
+    ]
     return FittedTable("", ("worker", "slots", "leased", "archived", "state"), body, _FIRST)
 
 

@@ -12,7 +12,7 @@ from factory.dataset import Dataset
 from schemas.terms import FailReason
 from schemas.wire import Progress
 
-__all__ = ["print_summary", "summarise"]
+__all__ = ["print_summary", "say_missing", "summarise"]
 
 _WORDS = {str(FailReason.RELEASED): "given back"}
 """What an outcome is called where its own name says little."""
@@ -33,8 +33,28 @@ def summarise(root: Place, progress: Progress) -> dict[str, Any]:
         "attempts": progress.attempts,
         "redrawn": progress.redrawn,
         "failed": progress.jobs.get("failed", 0),
+        "missing": progress.missing,
         "next": f"factory verify {root} --deep",
     }
+
+
+def say_missing(site: object, progress: Progress) -> None:
+    """Prints why a finished run lacks episodes and what to do, on stderr; nothing when it is whole.
+
+    Args:
+        site: the dataset's directory or URL.
+        progress: of the run.
+    """
+    if not progress.missing:
+        return
+    ends = {state: progress.jobs.get(state, 0) for state in ("failed", "cancelled")}
+    counts = ", ".join(f"{count} {state}" for state, count in ends.items() if count)
+    state = next((state for state, count in ends.items() if count), "failed")
+    click.echo(
+        f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): "
+        f"`factory jobs list {site} --state {state}` says why, `factory jobs retry {site} EPISODE` queues one again",
+        err=True,
+    )
 
 
 def print_summary(summary: dict[str, Any]) -> None:
@@ -45,6 +65,4 @@ def print_summary(summary: dict[str, Any]) -> None:
     print_table("", ("scene", "episodes"), summary["by_scene"].items())
     tries = ", ".join(f"{count} {_WORDS.get(outcome, outcome)}" for outcome, count in summary["attempts"].items())
     print_text(f"attempts: {tries}; targets redrawn: {summary['redrawn']}")
-    if summary["failed"]:
-        click.echo(f"{summary['failed']} jobs failed: factory jobs list {summary['dataset']} --state failed", err=True)
     print_text(f"next:    {summary['next']}")

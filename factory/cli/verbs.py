@@ -30,7 +30,7 @@ VERBS = MappingProxyType(
         "scene": Verb(_MAKE, "Build, import, inspect and draw scenes."),
         "gate": Verb(_MAKE, "Measure the success rate of first attempts in one scene."),
         "status": Verb(_INSPECT, "Show the progress of a run and its workers."),
-        "jobs": Verb(_INSPECT, "List, show, retry and cancel the jobs of a run."),
+        "jobs": Verb(_INSPECT, "List, show, retry and cancel jobs; release barred hosts."),
         "verify": Verb(_INSPECT, "Check the files, tables and hashes of a dataset."),
         "repair": Verb(_INSPECT, "Repair a damaged dataset, its ledger and its tables."),
         "replay": Verb(_INSPECT, "Simulate one episode again and compare its content."),

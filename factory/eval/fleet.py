@@ -22,7 +22,7 @@ from coordinator.ledger.states import State
 from coordinator.plan.errands import Errands, Parcel
 from coordinator.service import Coordinator, utc_now
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.ask import ask_progress
+from coordinator.wire.ask import ask_presence
 from coordinator.wire.tls import Guard
 from factory.eval.campaign import Campaign
 from factory.eval.errands import attachments_of, catalog_of, number_orders, plan_of, planned_of, text_of
@@ -38,7 +38,7 @@ __all__ = ["Door", "run_fleet"]
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20)
 """Results are small."""
-_POLL_S, _LINGER_S = 0.5, 3.0
+_POLL_S = 0.5
 _NAMED = 5
 
 
@@ -108,7 +108,8 @@ def run_fleet(
         while not (is_over or stop.is_set()):
             is_over = coordinator.wait(_POLL_S, stop)
             intake.take(root)
-        stop.wait(_LINGER_S if is_over else 0.0)  # every worker hears that it may leave
+        if is_over:
+            coordinator.see_off(stop)
     if is_over:
         _require_whole(root, store)
         shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
@@ -120,9 +121,9 @@ def run_fleet(
 def _look_for_coordinator(door: Door) -> None:
     """Says so when nobody is there."""
     if door.guard is None:
-        ask_progress(door.connect)
+        ask_presence(door.connect)
     else:
-        ask_progress(door.connect, door.guard.name, door.guard.files)
+        ask_presence(door.connect, door.guard.name, door.guard.files)
 
 
 def _try_failed_again(root: Path) -> None:

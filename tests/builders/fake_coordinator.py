@@ -78,6 +78,7 @@ class FakeCoordinator:
         self.pulls = True
         self.drains = False
         self.refuses = ""
+        self.tells_end_by_beat = False
         self.changed = threading.Condition(threading.RLock())
         self._leases: dict[int, Lease] = {}
         self._fences: Counter[int] = Counter()
@@ -167,7 +168,8 @@ class FakeCoordinator:
             case Beat():
                 lost = tuple(item.lease for item in message.live if not self._holds(item.lease))
                 drop = tuple(lease for lease in message.spool if not self._holds(lease))
-                return BeatReply(lost=lost, drop=drop, drain=self.drains)
+                finished = self.tells_end_by_beat and not self._open_jobs()
+                return BeatReply(lost=lost, drop=drop, drain=self.drains, finished=finished)
             case Done():
                 if self._holds(message.lease):
                     self._due.put(message)
@@ -183,12 +185,15 @@ class FakeCoordinator:
         held = next((lease for lease in self._leases.values() if lease.token == claim.token), None)
         if held is not None:
             return ClaimReply(job=self.jobs[held.job_id], lease=held)
-        open_jobs = self.jobs.keys() - self.archived.keys() - self.ended.keys()
+        open_jobs = self._open_jobs()
         for number in sorted(open_jobs - self._leases.keys()):
             self._fences[number] += 1
             lease = self._leases[number] = Lease(job_id=number, fence=self._fences[number], token=claim.token)
             return ClaimReply(job=self.jobs[number], lease=lease)
         return ClaimReply(retry_after_s=0.1, finished=not open_jobs)
+
+    def _open_jobs(self) -> set[int]:
+        return self.jobs.keys() - self.archived.keys() - self.ended.keys()
 
     def _fail(self, fail: Fail) -> bool:
         if not self._holds(fail.lease):

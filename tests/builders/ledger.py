@@ -101,6 +101,7 @@ class Desk:
         self.now = datetime(2026, 1, 2, tzinfo=UTC)
         self.engine: Engine = open_writer(url)
         self._tokens = itertools.count(1)
+        self._holders: dict[str, str] = {}
         open_run(self.engine, self.plan, self.catalog, TTL_S, self.now)
 
     @contextmanager
@@ -118,8 +119,14 @@ class Desk:
         return f"{next(self._tokens):032x}"
 
     def claim(self, sid: str = "host-1", token: str | None = None) -> Row[Any] | None:
+        token = token or self.new_token()
+        self._holders.setdefault(token, sid)
         with self.open() as connection:
-            return claims.claim(connection, sid, token or self.new_token(), self.now, TTL_S)
+            return claims.claim(connection, sid, token, self.now, TTL_S)
+
+    def holder_of(self, lease: Lease) -> str:
+        """Returns the session that claimed the job."""
+        return self._holders.get(lease.token, "host-1")
 
     def lease(self, sid: str = "host-1") -> Lease:
         """Claims and returns the lease; there must be a job."""
@@ -127,13 +134,15 @@ class Desk:
         assert row is not None
         return lease_of(row)
 
-    def done(self, lease: Lease, sid: str = "host-1", sha256: str = SHA256) -> bool:
-        report = Done(sid=sid, lease=lease, sha256=sha256, size=1000)
+    def done(self, lease: Lease, sid: str | None = None, sha256: str = SHA256) -> bool:
+        report = Done(sid=sid or self.holder_of(lease), lease=lease, sha256=sha256, size=1000)
         with self.open() as connection:
             return outcomes.announce(connection, report, self.now, TTL_S).accepted
 
-    def fail(self, lease: Lease, reason: FailReason, sid: str = "host-1") -> bool:
-        report = Fail(sid=sid, lease=lease, reason=reason, detail="measured", steps=7, seconds=1.5)
+    def fail(self, lease: Lease, reason: FailReason, sid: str | None = None) -> bool:
+        report = Fail(
+            sid=sid or self.holder_of(lease), lease=lease, reason=reason, detail="measured", steps=7, seconds=1.5
+        )
         with self.open() as connection:
             return outcomes.fail(
                 connection,

@@ -16,7 +16,7 @@ import zenoh
 from coordinator.gateway.service import Gateway
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.ask import ask_progress
+from coordinator.wire.ask import ask_presence, ask_progress
 from coordinator.wire.tls import Guard
 from coordinator.wire.zenoh_config import client_config
 from factory.dataset import Dataset
@@ -72,7 +72,7 @@ def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> lis
 
 def is_answered(hub: Coordinator, pki: Path) -> bool:
     try:
-        ask_progress(hub.endpoints, "desk", files_of(pki, "desk"))
+        ask_presence(hub.endpoints, "desk", files_of(pki, "desk"))
     except TransientError:
         return False
     return True
@@ -109,6 +109,13 @@ def test_an_evaluator_can_neither_work_nor_steer(hub, pki):
         assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token="0" * 32), ClaimReply) is None
         assert greedy.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply) is None
     assert hub.progress().jobs["pending"] == 2000
+
+
+def test_an_evaluator_learns_nothing_of_the_progress_of_a_collection(hub, pki):
+    assert is_answered(hub, pki)
+    with pytest.raises(TransientError):
+        ask_progress(hub.endpoints, "desk", files_of(pki, "desk"))
+    assert ask_progress(hub.endpoints, "boss", files_of(pki, "boss")).planned == 2000
 
 
 def test_an_evaluator_hears_and_answers_nothing_of_the_collection(hub, pki):

@@ -14,10 +14,11 @@ import pytest
 from schemas.errors import WorldError
 from schemas.keys import Verb
 from schemas.terms import FailReason
-from schemas.wire import Beat, Claim, Done, Fail, Hello
-from tests.builders.fake_coordinator import FakeCoordinator, free_endpoint, jobs_saying
+from schemas.wire import MAX_LEASES, Beat, Claim, Done, Fail, Hello, Lease
+from tests.builders.fake_coordinator import RUN, FakeCoordinator, free_endpoint, jobs_saying
 from tests.builders.fake_simulation import bundle_for
 from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
+from workers.spool import Spool, folder_of
 
 
 @contextmanager
@@ -283,3 +284,46 @@ def test_worker_whose_simulations_do_not_start_takes_no_job(tmp_path):
         ):
             worker.join()
         assert not hub.of(Claim)
+
+
+def test_a_worker_whose_simulation_pauses_hears_with_a_beat_that_the_run_is_finished(tmp_path):
+    """Its one slot rests after crashes, so that it claims nothing for a while."""
+    with coordinator(*["die"] * 4) as hub:
+        hub.tells_end_by_beat = True
+        hub.swallow[Verb.CLAIM] = 0
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            hub.wait_until(lambda: len(hub.ended) == 4, "four crashes")
+            claims = len(hub.of(Claim))
+            assert worker.join() == 0
+            assert len(hub.of(Claim)) == claims
+
+
+def test_a_worker_that_heard_of_the_end_leaves_although_nobody_tells_what_to_do_with_its_bundles(tmp_path):
+    with coordinator("bundle", "die") as hub:
+        hub.pulls = False
+        hub.tells_end_by_beat = True
+        with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+            hub.wait_until(lambda: bool(hub.of(Done)) and len(hub.ended) == 1, "a bundle and a crash")
+            with hub.changed:
+                hub.archived[1] = b"brought by another"
+            hub.wait_until(lambda: not hub.lease_of(7) and isinstance(hub.heard[-1], Beat), "a beat")
+            hub.swallow[Verb.BEAT] = 1
+            hub.close()
+            hub.open()
+            hub.swallow[Verb.BEAT] = 10**6
+            assert worker.join() == 0
+
+
+def test_a_spool_with_more_bundles_than_a_beat_may_name_is_told_in_several(tmp_path):
+    with Spool(folder_of(tmp_path / "spool", RUN), 1000, 1 << 30) as spool:
+        for number in range(1, 2 * MAX_LEASES + 50):
+            stale = Lease(job_id=number, fence=9, token="9" * 32)
+            spool.path_for(stale).write_bytes(b"x")
+            spool.add(stale, "0" * 64, 1)
+        waiting = len(spool)
+    with coordinator("bundle") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
+        assert worker.join() == 0
+        beats = [beat for beat in hub.of(Beat) if isinstance(beat, Beat)]
+    assert max(len(beat.spool) for beat in beats) == MAX_LEASES
+    assert len({lease for beat in beats for lease in beat.spool if lease.fence == 9}) == waiting
+    assert not list((tmp_path / "spool").rglob("*.zip"))

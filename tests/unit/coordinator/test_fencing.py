@@ -90,7 +90,7 @@ class Ledger(RuleBasedStateMachine):
     def beat(self, number: int) -> None:
         lease = self.grant(number)
         was_current, before = self.is_current(lease), self.desk.rows()
-        beat = Beat(sid="host-0", live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
+        beat = Beat(sid=self.desk.holder_of(lease), live=(LeaseProgress(lease=lease, step=3),), spool=(lease,))
         with self.desk.open() as connection:
             outcome = claims.beat(connection, beat, self.desk.now, TTL_S)
         assert (lease in outcome.lost) == (lease in outcome.drop) == (not was_current)

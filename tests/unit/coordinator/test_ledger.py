@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
+import stat
 from collections.abc import Iterator
 from datetime import timedelta
 
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger import claims, operator, outcomes
+from coordinator.ledger import claims, operator, outcomes, workers
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.opening import open_run, read_info
@@ -19,7 +21,7 @@ from coordinator.ledger.states import State
 from coordinator.ledger.tables import LEDGER_FORMAT, attempts, episodes, info
 from schemas.errors import UsageError, WorldError
 from schemas.terms import FailReason
-from schemas.wire import Beat, Lease, LeaseProgress
+from schemas.wire import Beat, Hello, Lease, LeaseProgress
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan, summary_for
 
 WORLD = [reason for reason in FailReason if reason.is_of_the_world]
@@ -212,10 +214,10 @@ def test_the_last_draw_ends_the_episode_with_its_reason(desk):
 
 @pytest.mark.parametrize("reason", WORKER)
 def test_a_job_that_hurts_workers_is_quarantined_without_a_redraw(desk, reason):
-    for _ in range(2):
-        while (row := desk.claim()) is None or row.idx != 1:
+    for sid in ("one.1", "two.1"):
+        while (row := desk.claim(sid)) is None or row.idx != 1:
             desk.tick(0.5)
-        assert desk.fail(lease_of(row), reason)
+        assert desk.fail(lease_of(row), reason, sid)
     (row,) = desk.rows(1)
     assert (row.state, row.attempt, row.crashes) == ("failed", 1, 2)
     assert row.reason.startswith("quarantined")
@@ -400,3 +402,57 @@ def test_what_is_asked_with_every_claim_is_found_by_an_index(statement, index):
         plan = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {text}", (1,) * text.count("?")).all()
     assert all(index in row.detail for row in plan if "jobs" in row.detail), plan
     assert not any("TEMP B-TREE" in row.detail for row in plan), plan
+
+
+@pytest.mark.parametrize("former", [None, 0o644, 0o664])
+def test_a_ledger_holds_tokens_and_is_not_for_others_to_read(tmp_path, former):
+    file = tmp_path / "ledger.db"
+    if former is not None:
+        file.touch()
+        file.chmod(former)
+    umask = os.umask(0)
+    try:
+        desk = Desk(url=f"sqlite:///{file}")
+        desk.lease()
+        modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
+        desk.engine.dispose()
+    finally:
+        os.umask(umask)
+    assert set(modes) == {"ledger.db", "ledger.db-wal", "ledger.db-shm"}
+    assert set(modes.values()) == {0o600 if former is None else former & ~0o007}
+
+
+def test_a_lease_belongs_to_the_host_that_claimed_it(desk):
+    token = desk.new_token()
+    lease = lease_of(desk.claim("host-1.a", token))
+    before = desk.rows()
+    assert desk.claim("thief.a", token) is None
+    assert not desk.done(lease, "thief.a")
+    assert not desk.fail(lease, FailReason.RELEASED, "thief.a")
+    with desk.open() as connection:
+        beat = Beat(sid="thief.a", live=(LeaseProgress(lease=lease, step=1),), spool=(lease,))
+        assert claims.beat(connection, beat, desk.now, TTL_S) == claims.BeatOutcome((lease,), (lease,), ())
+    assert desk.rows() == before
+    assert desk.done(lease, "host-1.b")
+    assert not desk.fail(lease, FailReason.CRASH, "host-10.a")
+    assert desk.archive(lease)
+    assert not desk.done(lease, "thief.a")
+
+
+def test_sessions_are_bounded_and_silent_ones_make_room(desk, monkeypatch):
+    def hello(host: str, number: int) -> bool:
+        with desk.open() as connection:
+            return workers.introduce(
+                connection, Hello(sid=f"{host}.{number}", host=host, slots=1, version="1"), desk.now
+            )
+
+    monkeypatch.setattr(workers, "SESSIONS_OF_HOST", 5)
+    monkeypatch.setattr(workers, "SESSIONS", 8)
+    assert [hello("one", number) for number in range(7)] == [True] * 5 + [False] * 2
+    assert hello("one", 3)
+    assert [hello("two", number) for number in range(4)] == [True] * 3 + [False]
+    with desk.open() as connection:
+        workers.note_alive(connection, "one.9", "one", desk.now)
+        assert len(read_progress(connection, desk.now).workers) == 8
+    desk.now += timedelta(hours=1)
+    assert [hello("three", number) for number in range(6)] == [True] * 5 + [False]

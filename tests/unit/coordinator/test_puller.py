@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+
+import pytest
 
 from coordinator.archive.opening import open_archive
 from coordinator.puller import Nearby, Pullers, nothing_nearby
@@ -119,3 +122,90 @@ def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: 
     with brought(tmp_path, vanished) as (house, place):
         assert place.read_bytes() == BUNDLE
         assert len(house.fetched) == 3
+
+
+class Crowd(House):
+    """Workers of several hosts; those whose name begins with `slow` take their time for every chunk."""
+
+    def __init__(self, pause_s: float) -> None:
+        super().__init__()
+        self.pause_s = pause_s
+        self.owned: list[str] = []
+        self.changed = threading.Event()
+
+    def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
+        if sid.startswith("slow"):
+            time.sleep(self.pause_s)
+        return super().fetch(sid, lease, chunk)
+
+    def own(self, pull: Pull, _receipt: Any) -> bool:
+        self.owned.append(pull.sid)
+        self.changed.set()
+        return True
+
+
+def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> Pull:
+    target: Any = None
+    lease = LEASE.model_copy(update={"job_id": index})
+    return Pull(lease, sid, hashlib.sha256(data).hexdigest(), len(data), job_for(index), target)
+
+
+@pytest.mark.parametrize("slow_hosts", [1, 2, 10])
+def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_hosts: int) -> None:
+    crowd = Crowd(pause_s=0.3)
+    settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=0)
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+    ):
+        for number in range(3 * slow_hosts):
+            pullers.offer(pull_of(f"slow-{number % slow_hosts}.1", number + 10))
+        time.sleep(0.5)
+        pullers.offer(pull_of("quick.1", 7))
+        assert crowd.changed.wait(60)
+    assert crowd.owned[0] == "quick.1"
+    assert list((tmp_path / "data" / ".staging").iterdir()) == []
+
+
+def test_bundles_that_take_turns_arrive_whole(tmp_path: Path) -> None:
+    crowd = Crowd(pause_s=0.1)
+    settings = CoordinatorSettings(pullers=1, chunk_bytes=1024, reserve_bytes=0)
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+    ):
+        for number in range(4):
+            pullers.offer(pull_of(f"slow-{number}.1", number + 1))
+        while pullers.waiting:
+            time.sleep(0.05)
+    assert len(crowd.owned) == 4
+    assert crowd.judged == [BUNDLE] * 4
+    assert crowd.refused == []
+
+
+def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
+    crowd = Crowd(pause_s=0.05)
+    settings = CoordinatorSettings(
+        pullers=1, chunk_bytes=1024, reserve_bytes=0, slow_start_s=0.2, min_bytes_per_s=10_000_000
+    )
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+    ):
+        pullers.offer(pull_of("slow-1.1", 1))
+        assert crowd.done.wait(30)
+    assert crowd.owned == []
+    assert "too slow" in crowd.refused[0]
+
+
+def test_room_is_counted_for_bundles_that_are_under_way(tmp_path: Path) -> None:
+    crowd = Crowd(pause_s=0.1)
+    with open_archive(tmp_path / "data") as archive:
+        free = archive.free_bytes()
+        settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=max(0, free - (1 << 30)))
+        with Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers:
+            for number in (1, 2):
+                pullers.offer(replace(pull_of(f"slow-{number}.1", number), size=(1 << 30) - (200 << 20)))
+            while pullers.waiting == 2:
+                time.sleep(0.02)
+            assert pullers.waiting == 1

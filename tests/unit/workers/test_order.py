@@ -8,8 +8,9 @@ import pytest
 from pydantic import ValidationError
 
 from schemas.terms import FailReason
+from schemas.wire import MAX_DETAIL_CHARS
 from tests.builders.bundle import job_for
-from workers.order import MAX_DETAIL, Order, Report, ReportKind, failure, read_report, to_line
+from workers.order import Order, Report, ReportKind, failure, read_report, to_line
 
 
 def test_order_is_one_line_whatever_the_instruction_says():
@@ -30,7 +31,7 @@ def test_chatter_on_the_pipe_is_no_report():
 
 def test_long_detail_keeps_both_ends():
     detail = failure(FailReason.CRASH, "begin" + "x" * 5000 + "end").detail
-    assert len(detail) <= MAX_DETAIL
+    assert len(detail) <= MAX_DETAIL_CHARS
     assert detail.startswith("begin")
     assert detail.endswith("end")
 

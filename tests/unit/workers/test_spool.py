@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import stat
 from pathlib import Path
 
 import pytest
@@ -152,3 +154,17 @@ def test_clearing_removes_an_unfinished_attempt_but_no_bundle(tmp_path):
         for under in (lease(1), lease(2)):
             spool.clear(under)
         assert {path.name for path in spool.directory.iterdir()} == {"lock", "1.1.zip", "1.1.json"}
+
+
+def test_what_tells_the_token_of_a_lease_can_be_read_by_its_owner_only(tmp_path):
+    (tmp_path / "run" / "0").mkdir(parents=True, mode=0o755)
+    umask = os.umask(0)
+    try:
+        with open_spool(tmp_path / "run") as one, open_spool(tmp_path / "run") as two:
+            for spool in (one, two):
+                put(spool, lease())
+                assert stat.S_IMODE(spool.directory.stat().st_mode) == 0o700
+                sidecars = list(spool.directory.glob("*.json"))
+                assert [stat.S_IMODE(path.stat().st_mode) for path in sidecars] == [0o600]
+    finally:
+        os.umask(umask)

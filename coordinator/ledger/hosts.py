@@ -1,0 +1,159 @@
+"""Which hosts harm jobs: strikes, the pauses that follow them, and the bar that an operator lifts. Moves no job.
+
+A host with a strike gets one job at a time until it brings an episode. A job is at fault only where several hosts, or
+one host over a long time, have failed it; until then the host is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import Row, bindparam, func, insert, inspect, or_, select, update
+from sqlalchemy.engine import Connection
+
+from coordinator.ledger.moves import JobRow, is_in
+from coordinator.ledger.prepared import Prepared
+from coordinator.ledger.states import State
+from coordinator.ledger.tables import attempts, hosts, jobs, workers
+from schemas.keys import host_of
+from schemas.terms import FailReason
+from schemas.wire import AdminReply, HostStatus
+
+__all__ = [
+    "LONGEST_PAUSE_S",
+    "STRIKES",
+    "is_alone",
+    "others_hurt",
+    "pause_of",
+    "release",
+    "relieve",
+    "strike",
+    "troubled",
+]
+
+STRIKES = 8
+"""Strikes after which a host is barred; with the pauses between them that takes two minutes at least."""
+LONGEST_PAUSE_S = 60.0
+_FIRST_PAUSE_S = 1.0
+_BARRED_PAUSE_S = 30.0
+"""How long a barred host waits before it asks again."""
+_ABSENT_S = 300.0
+"""Silence after which a host counts no more among those that could try a job."""
+_HARM = tuple(reason.value for reason in FailReason if reason.is_of_the_worker)
+
+_FIND = Prepared(select(*hosts.c).where(hosts.c.host == bindparam("name")))
+_RELIEVE = Prepared(
+    update(hosts)
+    .where(hosts.c.host == bindparam("name"), hosts.c.strikes > 0, hosts.c.barred_at.is_(None))
+    .values(strikes=hosts.c.strikes // 2, resumes_at=0.0)
+)
+
+
+def pause_of(connection: Connection, host: str, now: datetime) -> float:
+    """Returns how many seconds a host has to wait for another job; 0 when it may have one."""
+    row = _FIND.first(connection, {"name": host})
+    if row is None or row.strikes == 0:
+        return 0.0
+    if row.barred_at is not None:
+        return _BARRED_PAUSE_S
+    if row.resumes_at > now.timestamp():
+        return float(row.resumes_at - now.timestamp())
+    return _FIRST_PAUSE_S if _holds_job(connection, host) else 0.0
+
+
+def strike(connection: Connection, host: str, job: JobRow, reason: str, now: datetime) -> None:
+    """Counts a failure against a host, which then pauses, twice as long each time, and in the end is barred.
+
+    Failures during a pause are of jobs that were given out before it: they do not count again.
+    """
+    at = now.timestamp()
+    row = _FIND.first(connection, {"name": host})
+    if row is None:
+        fresh = {"host": host, "strikes": 0, "last_job": 0, "resumes_at": 0.0, "barred_at": None, "reason": ""}
+        connection.execute(insert(hosts), fresh)
+    elif row.barred_at is not None or row.resumes_at > at or _is_of_job(connection, host, row, job, now):
+        return
+    strikes = 1 + (row.strikes if row is not None else 0)
+    values = {
+        "strikes": strikes,
+        "last_job": job.id,
+        "resumes_at": at + min(LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2 ** (strikes - 1)),
+        "barred_at": at if strikes >= STRIKES else None,
+        "reason": reason,
+    }
+    connection.execute(update(hosts).where(hosts.c.host == host).values(values))
+
+
+def relieve(connection: Connection, sid: str) -> None:
+    """Takes back half of the strikes of a host that has brought an episode."""
+    _RELIEVE.count(connection, {"name": host_of(sid)})
+
+
+def release(connection: Connection, names: Sequence[str]) -> AdminReply:
+    """Lets hosts have jobs again as if they had never failed.
+
+    Args:
+        connection: within a transaction.
+        names: of hosts; empty means every one that has strikes.
+    """
+    known = {row.host for row in _troubled(connection)}
+    freed = tuple(sorted(known if not names else known & set(names)))
+    if freed:
+        clean = {"strikes": 0, "last_job": 0, "resumes_at": 0.0, "barred_at": None, "reason": ""}
+        connection.execute(update(hosts).where(hosts.c.host.in_(freed)).values(clean))
+    unknown = {name: "it is not barred, and does not pause" for name in names if name not in known}
+    return AdminReply(changed=(), hosts=freed, refused_hosts=unknown)
+
+
+def troubled(connection: Connection) -> tuple[HostStatus, ...]:
+    """Returns the hosts that have strikes, by name."""
+    return tuple(
+        HostStatus(
+            host=row.host,
+            strikes=row.strikes,
+            resumes_at=datetime.fromtimestamp(row.resumes_at, UTC),
+            barred_at=None if row.barred_at is None else datetime.fromtimestamp(row.barred_at, UTC),
+            reason=row.reason,
+        )
+        for row in _troubled(connection)
+    )
+
+
+def others_hurt(connection: Connection, job: JobRow, host: str) -> bool:
+    """Returns whether the job has failed on another host too, since its crashes were last counted from nothing."""
+    recent = (
+        select(attempts.c.sid)
+        .where(attempts.c.job_id == job.id, attempts.c.outcome.in_(_HARM))
+        .order_by(attempts.c.id.desc())
+        .limit(job.crashes)
+    )
+    return any(host_of(sid) != host for sid in connection.execute(recent).scalars())
+
+
+def is_alone(connection: Connection, host: str, now: datetime) -> bool:
+    """Returns whether no other host is there that could try a job."""
+    barred = select(hosts.c.host).where(hosts.c.barred_at.is_not(None))
+    since = now.timestamp() - _ABSENT_S
+    others = select(workers.c.sid).where(
+        workers.c.host != host, workers.c.last_beat >= since, workers.c.host.not_in(barred)
+    )
+    return connection.execute(others.limit(1)).first() is None
+
+
+def _is_of_job(connection: Connection, host: str, row: JobRow, job: JobRow, now: datetime) -> bool:
+    """Whether the last strike was for the same job and nobody else could try it: then the job may be at fault."""
+    return bool(row.strikes) and row.last_job == job.id and is_alone(connection, host, now)
+
+
+def _holds_job(connection: Connection, host: str) -> bool:
+    theirs = or_(jobs.c.sid == host, jobs.c.sid.like(f"{host}.%"))
+    held = select(func.count()).select_from(jobs).where(is_in(State.LEASED, State.SUBMITTED), theirs)
+    return connection.execute(held).scalar_one() > 0
+
+
+def _troubled(connection: Connection) -> Sequence[Row[Any]]:
+    if not inspect(connection).has_table(hosts.name):  # an older ledger, not opened for writing since
+        return ()
+    return connection.execute(select(hosts).where(hosts.c.strikes > 0).order_by(hosts.c.host)).all()
