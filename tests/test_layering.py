@@ -32,6 +32,7 @@ DOORS = {
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
     "prometheus_client": {"coordinator/http/exposition.py"},
     "cryptography": {"factory/keys/"},
+    "pyseccomp": {"coordinator/check/sandbox.py"},
     "huggingface_hub": {"factory/push/hub.py"},
     "av": {"factory/export/video.py", "factory/film.py"},
     "matplotlib": {"factory/report/canvas.py"},

@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 import click
 
+from schemas.child import SAFE_PATH
 from schemas.errors import FactoryError, UsageError
 from workers.one_core import one_core
 
@@ -80,6 +81,7 @@ def cli() -> None:
 def main() -> None:
     """Runs the command line and exits with the code of what happened."""
     _take_surroundings()
+    os.environ[SAFE_PATH] = "1"  # for the processes that multiprocessing starts
     sys.exit(_run())
 
 

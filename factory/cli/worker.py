@@ -12,6 +12,7 @@ from coordinator.wire.tls import read_credentials
 from factory.cli.options import renderer_option, tls_option, verbose_option
 from factory.listen import require_endpoints
 from factory.logs import configure_logs
+from schemas.child import python_module
 from schemas.terms import RendererKind
 from workers.settings import WorkerSettings
 from workers.stopping import stop_at_eof, stop_on_signals
@@ -76,5 +77,4 @@ def command(
 
 
 def _errand_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
-    words = (sys.executable, "-m", "factory.eval.station", "--renderer", renderer)
-    return (*words, "--import-policies") if import_policies else words
+    return python_module("factory.eval.station", "--renderer", renderer, *["--import-policies"] * import_policies)
