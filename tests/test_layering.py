@@ -31,6 +31,7 @@ DOORS = {
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
     "prometheus_client": {"coordinator/http/exposition.py"},
+    "tornado": {"coordinator/http/server.py"},
     "cryptography": {"factory/keys/"},
     "pyseccomp": {"coordinator/check/sandbox.py"},
     "huggingface_hub": {"factory/push/hub.py"},
