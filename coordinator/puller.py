@@ -24,6 +24,7 @@ from schemas.closing import Closing
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job, episode_id
 from schemas.keys import Chunk
+from schemas.repeated import Repeated
 from schemas.scene import Target
 from schemas.wire import Lease
 
@@ -102,6 +103,7 @@ class Pullers(Closing):
         self._on_archived = on_archived
         self._meters = meters or Meters()
         self._queue: queue.SimpleQueue[Pull | None] = queue.SimpleQueue()
+        self._failing = Repeated(log, "pull_failed")
         self._busy: set[int] = set()
         self._guard = threading.Lock()
         self._stop = threading.Event()
@@ -138,11 +140,10 @@ class Pullers(Closing):
             try:
                 if not self._stop.is_set():
                     self._bring(pull)
-            except FactoryError as error:
-                self._meters.add(Meter.PULLS_FAILED)
-                log.warning("pull_failed", episode=episode_id(pull.job.index), worker=pull.sid, error=str(error))
-            except Exception:
-                log.exception("pull_crashed", episode=episode_id(pull.job.index), worker=pull.sid)
+            except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next beat
+                if isinstance(error, FactoryError):
+                    self._meters.add(Meter.PULLS_FAILED)
+                self._failing.fail(error, episode=episode_id(pull.job.index), worker=pull.sid)
             finally:
                 with self._guard:
                     self._busy.discard(pull.job.index)
@@ -218,6 +219,7 @@ class Pullers(Closing):
         self._archive.publish(staged, index)
         if self._book.own(pull, receipt):
             self._meters.add(Meter.ARCHIVED)
+            self._failing.succeed()
             log.info("archived", episode=episode_id(index), worker=pull.sid, steps=receipt.num_steps)
             self._on_archived()
         else:

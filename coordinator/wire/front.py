@@ -12,6 +12,7 @@ from datetime import datetime
 from functools import partial
 
 import structlog
+from sqlalchemy.exc import SQLAlchemyError
 
 from coordinator.ledger import claims
 from coordinator.ledger.writer import Writer
@@ -24,6 +25,7 @@ from coordinator.wire.router import Inquiry
 from schemas.closing import Closing
 from schemas.errors import TransientError
 from schemas.keys import Verb
+from schemas.repeated import Repeated
 from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 __all__ = ["Front"]
@@ -72,6 +74,8 @@ class Front(Closing):
         self._backlog = backlog
         self._meters = meters or Meters()
         self._reads = ThreadPoolExecutor(1, thread_name_prefix="ledger-reader")
+        self._failing = Repeated(log, "request_failed")
+        self._unread = Repeated(log, "read_failed", (SQLAlchemyError,))
         self._free_reads = threading.Semaphore(_READS_WAITING)
 
     def take(self, inquiry: Inquiry) -> None:
@@ -112,7 +116,7 @@ class Front(Closing):
         if isinstance(error, TransientError):
             inquiry.drop()
         elif error is not None:
-            log.error("request_failed", host=inquiry.host, verb=inquiry.verb, exc_info=error)
+            self._failing.fail(error, host=inquiry.host, verb=inquiry.verb)
             inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
         else:
             answer = future.result()
@@ -143,8 +147,9 @@ class Front(Closing):
         self._free_reads.release()
         if future.cancelled():
             inquiry.drop()
-        elif future.exception() is not None:
-            log.error("read_failed", verb=inquiry.verb, exc_info=future.exception())
+        elif (error := future.exception()) is not None:
+            self._unread.fail(error, verb=inquiry.verb)
             inquiry.drop()
         else:
+            self._unread.succeed()
             inquiry.answer(future.result())

@@ -28,8 +28,8 @@ Configure = Callable[[Sequence[str], Admitted], zenoh.Config]
 """(endpoints to listen on, who is admitted) -> configuration."""
 
 _THREADS = "(rx: (worker_threads: 8), acc: (worker_threads: 32))"
-"""Threads of zenoh's runtimes. Two receiving threads freeze when two clients block. An accepting thread waits for the peer
-whenever it closes a connection that made no handshake; a single one closed 150 such connections a second."""
+"""Threads of zenoh's runtimes. Two receiving threads freeze when two clients block. An accepting thread waits for the
+peer whenever it closes a connection that made no handshake; a single one closed 150 such connections a second."""
 _ANY_PORT = ":0"
 _PORT_TRIES = 5
 _REOPEN_PAUSE_S = 0.2
