@@ -32,7 +32,7 @@ def judge(task: Task, file: BinaryIO) -> Verdict:
     """Validates one open bundle in this very process."""
     try:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-        size = file.tell()
+        size = file.seek(0, os.SEEK_END)
         if size > MAX_BUNDLE_BYTES:
             return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
         with BundleReader(file) as bundle:
