@@ -60,7 +60,7 @@ def _is_sound(target: Target, data: bytes, folder: Path) -> bool:
         target.run(data, folder)
     except FactoryError:
         return True
-    except (Exception, _Hang):
+    except (Exception, _Hang):  # noqa: BLE001 - whatever a parser raises is the finding
         signal.alarm(0)
         traceback.print_exc()
         place = folder / f"finding-{hashlib.sha256(data).hexdigest()[:12]}"
