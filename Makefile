@@ -1,12 +1,13 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long |
-# scenes-check | test-formats | test-install | test-lerobot | test-train. Everything is in .venv.
+# scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit. Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 JUDGE  := .venv-judge
 TRAIN  := .venv-train
+AUDIT  := .venv-audit
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos chaos-long scenes-check test-formats test-install test-lerobot test-train clean
+.PHONY: setup run test check bench chaos chaos-long scenes-check test-formats test-install test-lerobot test-train fuzz audit clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -116,5 +117,19 @@ $(TRAIN)/.ready: requirements.txt
 scenes-check: $(READY)
 	$(VENV)/bin/python -m pytest tests/contract/test_scenes.py tests/contract/test_scene_layouts.py --scene-seeds 20
 
+# every parser of foreign bytes (messages, plans, bundles, scenes, tables, stages) on damaged files, in processes with 4 GiB:
+# fails on an exception that is not ours, a crash or a hang; the input is left in build/fuzz
+fuzz: $(READY)
+	$(VENV)/bin/python -m tests.fuzz.campaign --minutes 12
+
+# known vulnerabilities of the locked packages; says so where no advisory database can be reached
+audit: $(AUDIT)/.ready
+	$(AUDIT)/bin/python tests/judges/audit.py $(AUDIT)/bin/pip-audit requirements.txt
+
+$(AUDIT)/.ready:
+	$(PYTHON) -m venv $(AUDIT)
+	$(AUDIT)/bin/python -m pip install --quiet "pip-audit==2.10.1"
+	touch $(AUDIT)/.ready
+
 clean:
-	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) $(AUDIT) build .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,4 +1,4 @@
-"""A thread that does chores at their intervals; a chore that fails is logged and done again next time."""
+"""A thread that does chores at their intervals; one that fails is logged once and tried again, more and more seldom."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import time
 from collections.abc import Callable, Mapping
 
 import structlog
+from sqlalchemy.exc import SQLAlchemyError
 
 from schemas.closing import Closing
+from schemas.repeated import Repeated
 
 __all__ = ["Chore", "Housekeeper"]
 
@@ -17,8 +19,8 @@ Chore = tuple[float, Callable[[], None]]
 
 _SHARE = 20
 """A chore rests at least so many times as long as it took."""
-_AFTER_FAILURE_S = 2.0
-"""Least pause after a chore that failed: one that is done four times a second would fill the log."""
+_AFTER_FAILURE_S, _LONGEST_S = 2.0, 15.0
+"""Pause after the first failure of a chore; it doubles up to the second. A longer interval of the chore stays."""
 
 log = structlog.get_logger(__name__)
 
@@ -28,6 +30,7 @@ class Housekeeper(Closing):
 
     def __init__(self, chores: Mapping[str, Chore]) -> None:
         self._chores = chores
+        self._failing = {name: Repeated(log.bind(chore=name), "chore_failed", (SQLAlchemyError,)) for name in chores}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="housekeeper")
         self._thread.start()
@@ -48,10 +51,13 @@ class Housekeeper(Closing):
             name = min(due, key=due.__getitem__)
             pause, work = self._chores[name]
             began = time.monotonic()
+            failing = self._failing[name]
             try:
                 work()
-            except Exception:
-                log.exception("chore_failed", chore=name)
-                pause = max(pause, _AFTER_FAILURE_S)
+            except Exception as error:  # noqa: BLE001 - the loop of chores: logged, and done again
+                failing.fail(error)
+                pause = max(pause, min(_AFTER_FAILURE_S * 2 ** min(failing.failures - 1, 10), _LONGEST_S))
+            else:
+                failing.succeed()
             ended = time.monotonic()
             due[name] = ended + max(pause, _SHARE * (ended - began) if pause >= 1 else 0.0)

@@ -25,6 +25,7 @@ from schemas.closing import Closing
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job, episode_id
 from schemas.keys import Chunk, host_of
+from schemas.repeated import Repeated
 from schemas.scene import Target
 from schemas.wire import Lease
 
@@ -131,6 +132,7 @@ class Pullers(Closing):
         self._on_archived = on_archived
         self._meters = meters or Meters()
         self._queue: FairQueue[_Transfer] = FairQueue()
+        self._failing = Repeated(log, "pull_failed")
         self._busy: dict[int, int] = {}
         """Episode -> bytes of its bundle that are still to come."""
         self._guard = threading.Lock()
@@ -184,11 +186,10 @@ class Pullers(Closing):
         pull = transfer.pull
         try:
             return self._stop.is_set() or self._bring(host, transfer)
-        except FactoryError as error:
-            self._meters.add(Meter.PULLS_FAILED)
-            log.warning("pull_failed", episode=episode_id(pull.job.index), worker=pull.sid, error=str(error))
-        except Exception:
-            log.exception("pull_crashed", episode=episode_id(pull.job.index), worker=pull.sid)
+        except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next beat
+            if isinstance(error, FactoryError):
+                self._meters.add(Meter.PULLS_FAILED)
+            self._failing.fail(error, episode=episode_id(pull.job.index), worker=pull.sid)
         return True
 
     def _bring(self, host: str, transfer: _Transfer) -> bool:
@@ -297,6 +298,7 @@ class Pullers(Closing):
         self._archive.publish(staged, index)
         if self._book.own(pull, receipt):
             self._meters.add(Meter.ARCHIVED)
+            self._failing.succeed()
             log.info("archived", episode=episode_id(index), worker=pull.sid, steps=receipt.num_steps)
             self._on_archived()
         else:

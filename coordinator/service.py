@@ -19,6 +19,7 @@ from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.opening import open_archive
 from coordinator.book import LedgerBook
 from coordinator.check.validator import Validator
+from coordinator.clock import ClockWatch, seconds_since_boot
 from coordinator.dataset.checkpoint import is_checkpoint_owed, write_checkpoint
 from coordinator.dataset.meta import GateOutcome
 from coordinator.dataset.split_tables import write_split_tables
@@ -78,6 +79,7 @@ class Coordinator(Closing):
         guard: certificates and who is admitted; `None` lets in whoever can connect.
         checker: judges bundles and is closed with the coordinator; by default sandboxed children, one a puller.
         clock: the time; an argument, so that a test can let leases run out.
+        elapsed: seconds that pass evenly, by which a clock that was set is noticed.
         gate: what a pilot found before a new run; goes into the dataset's description.
         store: where the dataset lies, when in object storage.
         errands: jobs in the place of the plan's draws; what they bring is kept, and no tables of episodes are written.
@@ -101,6 +103,7 @@ class Coordinator(Closing):
         guard: Guard | None = None,
         checker: Judge | None = None,
         clock: Callable[[], datetime] = utc_now,
+        elapsed: Callable[[], float] = seconds_since_boot,
         gate: Sequence[GateOutcome] = (),
         store: ObjectPath | None = None,
         errands: Errands | None = None,
@@ -110,6 +113,7 @@ class Coordinator(Closing):
         self._gate = tuple(gate)
         self._settings = settings = settings or CoordinatorSettings()
         self._clock = clock
+        self._watch = ClockWatch(clock, elapsed)
         self._draining = threading.Event()
         self._changed = threading.Event()
         self._has_room = True
@@ -280,6 +284,7 @@ class Coordinator(Closing):
         )
 
     def _expire(self) -> None:
+        self._mind_clock()
         expired = self._writer.call(lambda connection: claims.expire(connection, self._clock()))
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
@@ -294,6 +299,15 @@ class Coordinator(Closing):
                 "host_barred", host=name, failures=barred[name].strikes, last=barred[name].reason, remedy=remedy
             )
         self._barred = frozenset(barred)
+
+    def _mind_clock(self) -> None:
+        """Starts all leases anew when the clock was set, for they end at times of the former one."""
+        jump_s = self._watch.jump_s()
+        if jump_s:
+            ttl_s = self._settings.lease_ttl_s
+            held = self._writer.call(lambda connection: claims.grant_grace(connection, self._clock(), ttl_s))
+            self._watch.accept()
+            log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases begin anew")
 
     def _admit(self) -> None:
         if self._router.admit():

@@ -4,7 +4,7 @@
 python=$1
 
 has_egl() {
-    LP_NUM_THREADS=0 "$python" -c 'import moderngl; moderngl.create_context(standalone=True, backend="egl").release()' >/dev/null 2>&1
+    LP_NUM_THREADS=0 "$python" -P -c 'import moderngl; moderngl.create_context(standalone=True, backend="egl").release()' >/dev/null 2>&1
 }
 
 has_egl && exit 0

@@ -128,7 +128,7 @@ def _read_table(path: Place) -> pa.Table:
         return table.select(_COLUMNS)  # columns that a later version added are not ours to know
     except FileNotFoundError as error:
         raise ArchiveCorrupt(f"{path} is missing: a resumed run writes it anew") from error
-    except (pa.ArrowException, OSError, KeyError) as error:
+    except (pa.ArrowException, OSError, KeyError, UnicodeDecodeError, MemoryError) as error:
         raise ArchiveCorrupt(f"{path} is damaged ({error}): a resumed run writes it anew") from error
 
 

@@ -5,6 +5,7 @@ Owns the workers' processes: restarts those that die, stops all when it ends. Pr
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from coordinator.plan.catalog import Catalog
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import write_target_lists
+from schemas.child import child_environment, python_module
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.terms import RendererKind
@@ -129,7 +131,7 @@ class _Crew:
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
         self._command = [
-            *(sys.executable, "-m", "factory", "worker", "--cores", "1", "--connect", endpoint, "--until-eof"),
+            *python_module("factory", "worker", "--cores", "1", "--connect", endpoint, "--until-eof"),
             *("--renderer", run.renderer, "--spool", str(run.root / _SPOOL)),
             *(("--verbose",) if run.verbose else ()),
         ]
@@ -157,7 +159,13 @@ class _Crew:
 
     def _start(self) -> subprocess.Popen[bytes]:
         # a session of its own: Ctrl-C reaches us, and we stop them in order
-        return subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=sys.stderr, start_new_session=True)
+        return subprocess.Popen(
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=sys.stderr,
+            env=child_environment(os.environ),
+            start_new_session=True,
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -16,6 +16,6 @@ def main() -> None:
     except ImportError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(2)
-    from factory.cli.main import main as run
+    from factory.__main__ import main as run
 
     run()

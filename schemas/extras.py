@@ -41,6 +41,8 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "torch": "train",
         "tensorboard": "train",
         "prometheus_client": "metrics",
+        "tornado": "metrics",
+        "pyseccomp": "sandbox",
         "psycopg": "postgres",
         "cryptography": "tls",
         "obstore": "object-storage",

@@ -9,6 +9,7 @@ import functools
 import io
 import math
 import threading
+import tokenize
 from collections.abc import Sequence
 
 import numpy as np
@@ -106,6 +107,10 @@ def _known_header(
     return (len(header), sides) if data.startswith(header) else None
 
 
+_UNREADABLE = (ValueError, SyntaxError, TypeError, KeyError, tokenize.TokenError, RecursionError, MemoryError)
+"""What numpy raises over a header that is none: it reads it as Python, in two ways."""
+
+
 def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[int, tuple[int, ...]]:
     if not data.startswith(_MAGIC):
         raise InvalidBundle("array refused", [f"{name}: not an .npy file of version 1.0"])
@@ -113,7 +118,7 @@ def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[i
     stream.seek(len(_MAGIC))
     try:
         shape, fortran_order, found = npy_format.read_array_header_1_0(stream, max_header_size=_MAX_HEADER_BYTES)
-    except (ValueError, SyntaxError, TypeError, KeyError) as error:
+    except _UNREADABLE as error:
         raise InvalidBundle("array refused", [f"{name}: unreadable .npy header ({error})"]) from error
     if found != dtype or fortran_order:
         order = "Fortran" if fortran_order else "C"

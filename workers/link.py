@@ -30,6 +30,7 @@ from schemas.keys import (
     scene_selector,
     verb_key,
 )
+from schemas.repeated import Repeated
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
 __all__ = ["Link", "ReadChunk"]
@@ -68,6 +69,7 @@ class Link:
         self._serving: tuple[str, str, ReadChunk] | None = None
         self._run = ""
         self._guard = threading.Lock()
+        self._refused, self._unreadable = Repeated(log, "refused"), Repeated(log, "spool_unreadable")
         self._closings = 0
         self._answered = time.monotonic()
 
@@ -126,8 +128,9 @@ class Link:
         for payload in self._get(key, message.model_dump_json(), timeout_s):
             reply = _parse(payload, kind)
             if isinstance(reply, Refusal):
-                log.warning("refused", verb=str(verb), reason=reply.error)
+                self._refused.fail(reply.error, verb=str(verb))
             elif reply is not None:
+                self._refused.succeed()
                 return reply
         return None
 
@@ -168,7 +171,7 @@ class Link:
         key = bundle_key(run, sid)
         try:
             # the queryable first: who sees the token may ask at once
-            queryable = session.declare_queryable(key, lambda query: _answer(query, key, read))
+            queryable = session.declare_queryable(key, lambda query: _answer(query, key, read, self._unreadable))
             token = session.liveliness().declare_token(alive_key(run, sid))
         except zenoh.ZError:
             if not session.is_closed():  # else closed by another thread meanwhile: nothing is to be served any more
@@ -198,15 +201,16 @@ class Link:
             log.debug("ask_failed", selector=selector, error=str(error))
 
 
-def _answer(query: zenoh.Query, key: str, read: ReadChunk) -> None:
+def _answer(query: zenoh.Query, key: str, read: ReadChunk, unreadable: Repeated) -> None:
     with query:
         try:
             asked = parse_bundle_chunk({name: query.parameters.get(name) or "" for name in _CHUNK_FIELDS})
             query.reply(key, read(asked))
+            unreadable.succeed()
         except (ValueError, KeyError) as error:
             query.reply_err(f"no such bytes: {error}")
         except OSError as error:
-            log.warning("spool_unreadable", error=str(error))
+            unreadable.fail(error)
             query.reply_err("the spool cannot be read")
 
 

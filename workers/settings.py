@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import platformdirs
 
+from schemas.child import python_module
 from schemas.errors import WorldError
 from schemas.identity import TlsFiles
 from schemas.terms import RendererKind
@@ -61,7 +61,7 @@ class WorkerSettings:
     @property
     def simulation_command(self) -> tuple[str, ...]:
         """The command line of a simulation process."""
-        return self.command or (sys.executable, "-m", "workers.simulate", "--renderer", self.renderer)
+        return self.command or python_module("workers.simulate", "--renderer", self.renderer)
 
     def command_for(self, trade: Trade) -> tuple[str, ...]:
         """Returns the command line of a process that does the jobs of a run.

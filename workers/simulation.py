@@ -15,6 +15,7 @@ from typing import IO
 
 import structlog
 
+from schemas.child import child_environment
 from schemas.errors import WorldError
 from schemas.terms import FailReason
 from workers.one_core import one_core
@@ -75,7 +76,7 @@ class Simulation:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._stderr,
-                env=one_core(os.environ),
+                env=one_core(child_environment(os.environ)),
                 start_new_session=True,  # Ctrl-C is for the supervisor, which gives leases back
             )
         except OSError as error:

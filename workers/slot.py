@@ -15,6 +15,7 @@ import structlog
 from schemas.errors import FactoryError, LeaseLost, WorldError
 from schemas.job import Job
 from schemas.keys import Chunk, Verb
+from schemas.repeated import Repeated
 from schemas.terms import FailReason
 from schemas.wire import Ack, Claim, ClaimReply, Done, Fail, Lease
 from workers.backoff import Backoff
@@ -45,6 +46,7 @@ class Slot:
         self._host = host
         self._simulation = Simulation(host.command, host.settings.hang_s)
         self._trouble = Backoff(1.0, 60.0)
+        self._failing = Repeated(log, "attempts_fail_here")
 
     def run(self) -> None:
         """Works until there is no more to do; whatever breaks it ends the whole worker."""
@@ -243,9 +245,12 @@ class Slot:
     def _rest_after(self, report: Report) -> None:
         """Pauses longer and longer when this machine seems to be at fault, so that it spoils few jobs."""
         if report.reason in {FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}:
+            if not self._host.phase.stopping.is_set():
+                self._failing.fail(report.detail, reason=str(report.reason))
             self._host.pause(self._trouble.fail())
         else:
             self._trouble.succeed()
+            self._failing.succeed()
 
     def _bug(self, report: Report) -> NoReturn:
         raise AssertionError(f"a report that its own model forbids: {report}")

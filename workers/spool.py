@@ -21,6 +21,7 @@ from pydantic import Field, ValidationError
 
 from schemas.base import Bytes, Model, Sha256
 from schemas.errors import WorldError
+from schemas.repeated import Repeated
 from schemas.wire import Lease
 
 __all__ = ["Spool", "Spooled", "find_bundle", "folder_of"]
@@ -73,6 +74,7 @@ class Spool:
     def __init__(self, root: Path, max_bundles: int, max_bytes: int, min_free_bytes: int = 0) -> None:
         self._max_bundles, self._max_bytes, self._min_free_bytes = max_bundles, max_bytes, min_free_bytes
         self._guard = threading.Lock()
+        self._short = Repeated(log.bind(remedy="free some space; attempts go on by themselves"), "spool_disk_low")
         try:
             self.directory, self._lock = _take_folder(root)
             for orphaned in _idle_siblings(root, self.directory):
@@ -86,8 +88,18 @@ class Spool:
         """Whether no further attempt should begin; attempts under way still find room."""
         with self._guard:
             held, size = len(self._entries), sum(entry.size for entry in self._entries.values())
-        free = shutil.disk_usage(self.directory).free
-        return held >= self._max_bundles or size >= self._max_bytes or free < self._min_free_bytes
+        return held >= self._max_bundles or size >= self._max_bytes or self._is_disk_short()
+
+    def _is_disk_short(self) -> bool:
+        try:
+            free = shutil.disk_usage(self.directory).free
+        except OSError as error:
+            raise WorldError(f"the spool's disk is gone: {self.directory}: {error.strerror}") from error
+        if free >= self._min_free_bytes:
+            self._short.succeed()
+            return False
+        self._short.fail(f"{free} bytes free, {self._min_free_bytes} wanted", spool=str(self.directory))
+        return True
 
     def path_for(self, lease: Lease) -> Path:
         """Returns where the bundle made under a lease has to lie before it is added."""

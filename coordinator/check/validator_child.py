@@ -1,4 +1,4 @@
-"""The sandboxed side of validation: reads tasks as JSON lines, writes verdicts; holds itself to its limits.
+"""The sandboxed side of validation: takes tasks and open files from a socket, writes verdicts as JSON lines.
 
 Writes no file, opens no socket, and is expected to be killed at any moment.
 """
@@ -6,12 +6,18 @@ Writes no file, opens no socket, and is expected to be killed at any moment.
 from __future__ import annotations
 
 import hashlib
+import io
+import os
 import resource
+import socket
 import sys
-from pathlib import Path
+from typing import BinaryIO
 
+import numpy.ma  # noqa: F401 - like the encodings: once the process is confined nothing can be imported
+
+from coordinator.check.sandbox import confine
 from coordinator.check.validate import validate
-from coordinator.check.validator import MAX_FINDING_CHARS, MAX_FINDINGS, Limits, Task, Verdict
+from coordinator.check.validator import HEADER, MAX_FINDING_CHARS, MAX_FINDINGS, Limits, Task, Verdict
 from coordinator.summary import summary_of
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.errors import InvalidBundle
@@ -19,29 +25,22 @@ from schemas.errors import InvalidBundle
 __all__ = ["judge", "main"]
 
 
-def judge(task: Task) -> Verdict:
-    """Validates one bundle in this very process."""
+def judge(task: Task, file: BinaryIO) -> Verdict:
+    """Validates one open bundle in this very process."""
     try:
-        with Path(task.path).open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            size = file.tell()
-            if size > MAX_BUNDLE_BYTES:
-                return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
-            with BundleReader(file) as bundle:
-                findings = validate(bundle, task.job, task.target)
-                if not findings:
-                    return Verdict(summary=summary_of(bundle.meta, sha256, size))
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+        size = file.seek(0, os.SEEK_END)
+        if size > MAX_BUNDLE_BYTES:
+            return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
+        with BundleReader(file) as bundle:
+            findings = validate(bundle, task.job, task.target)
+            if not findings:
+                return Verdict(summary=summary_of(bundle.meta, sha256, size))
     except InvalidBundle as error:
         findings = list(error.findings)
     except OSError as error:
         findings = [f"cannot be read: {error}"]
     return Verdict(findings=tuple(finding[:MAX_FINDING_CHARS] for finding in findings[:MAX_FINDINGS]))
-
-
-def _confine(limits: Limits) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (limits.memory_bytes, limits.memory_bytes))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 
 
 def _allow_cpu(limits: Limits) -> None:
@@ -51,15 +50,37 @@ def _allow_cpu(limits: Limits) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (int(used.ru_utime + used.ru_stime) + 1 + limits.cpu_s, hard))
 
 
+def _receive(orders: socket.socket) -> tuple[Task, BinaryIO] | None:
+    """Returns the next task and its file, or `None` when there are no more."""
+    header, descriptors, _, _ = socket.recv_fds(orders, HEADER.size, 1)
+    if len(header) < HEADER.size or not descriptors:
+        return None
+    (length,) = HEADER.unpack(header)
+    text = bytearray()
+    while len(text) < length:
+        part = orders.recv(length - len(text))
+        if not part:
+            return None
+        text += part
+    return Task.model_validate_json(bytes(text)), _open(descriptors[0])
+
+
+def _open(descriptor: int) -> BinaryIO:
+    return io.BufferedReader(io.FileIO(descriptor, "rb"), os.fstat(descriptor).st_blksize)
+
+
 def main(arguments: list[str]) -> int:
-    """Serves tasks from standard input until it ends."""
+    """Serves tasks from standard input, a socket, until it ends."""
     limits = Limits.model_validate_json(arguments[0])
-    _confine(limits)
-    sys.stdout.write("ready\n")
+    orders = socket.socket(fileno=0)
+    layers = confine(limits.memory_bytes)
+    sys.stdout.write(f"ready {' '.join(layers)}\n")
     sys.stdout.flush()
-    for line in sys.stdin:
+    while (received := _receive(orders)) is not None:
+        task, file = received
         _allow_cpu(limits)
-        verdict = judge(Task.model_validate_json(line))
+        with file:
+            verdict = judge(task, file)
         sys.stdout.write(f"{verdict.model_dump_json()}\n")
         sys.stdout.flush()
     return 0

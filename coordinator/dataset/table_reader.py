@@ -12,13 +12,17 @@ from coordinator.failed_attempt import FailedAttempt
 __all__ = ["read_column", "read_failed_attempts"]
 
 
+_UNREADABLE = (pa.ArrowException, OSError, KeyError, UnicodeDecodeError, MemoryError)
+"""The last two: names of columns that are no text, sizes that no table has."""
+
+
 def read_column(path: Place, name: str) -> list[str] | str:
     """Returns a column of text, or why it cannot be read, in words."""
     try:
         return [str(value) for value in pq.read_table(table_of(path), columns=[name])[name].to_pylist()]
     except FileNotFoundError:
         return "is not there"
-    except (pa.ArrowException, OSError, KeyError) as error:
+    except _UNREADABLE as error:
         return f"cannot be read: {error}"
 
 
@@ -26,7 +30,7 @@ def read_failed_attempts(path: Place) -> list[FailedAttempt]:
     """Returns the rows of `attempts.parquet` that can be understood; none when the file cannot be read."""
     try:
         rows = pq.read_table(table_of(path)).to_pylist()
-    except (pa.ArrowException, OSError):
+    except _UNREADABLE:
         return []
     found = []
     for row in rows:

@@ -16,6 +16,7 @@ from coordinator.wire.node import Node
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
 from schemas.keys import Verb, verb_key
+from schemas.repeated import Repeated
 from schemas.wire import Refusal
 
 __all__ = ["CoreLink"]
@@ -43,6 +44,7 @@ class CoreLink:
         """The run that is asked about; any, until it is known."""
         self._heard = self._opened = time.monotonic()
         self._healing = threading.Lock()
+        self._away = Repeated(log, "core_away")
 
     @property
     def silence_s(self) -> float:
@@ -64,6 +66,7 @@ class CoreLink:
         if len(found) > 1:
             raise WorldError(f"{len(found)} cores answer gateway {self._name}: --connect to those of one run only")
         self._heard = time.monotonic()
+        self._away.succeed()
         return _read(found[0], kind)
 
     def insist(self, verb: Verb, message: Model, kind: type[R], stop: threading.Event) -> R:
@@ -85,7 +88,7 @@ class CoreLink:
         with self._healing:
             if time.monotonic() - max(self._heard, self._opened) < _REOPEN_S:
                 return
-            log.warning("core_away", silence_s=round(self.silence_s), remedy="the router is opened anew; else none")
+            self._away.fail(f"no answer for {self.silence_s:.0f} s", remedy="the router is opened anew; else none")
             try:
                 self._node.reopen()
             except WorldError as error:

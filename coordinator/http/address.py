@@ -1,13 +1,15 @@
-"""Where the status pages may be served: loopback by itself, elsewhere only behind a token. Pure."""
+"""Where the status pages may be served, and under which names: loopback by itself, elsewhere only behind a token."""
 
 from __future__ import annotations
 
 import ipaddress
+import socket
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 from schemas.errors import UsageError
 
-__all__ = ["HttpAddress", "parse_address"]
+__all__ = ["HttpAddress", "is_own_name", "parse_address"]
 
 _MIN_TOKEN = 16
 
@@ -43,6 +45,37 @@ def parse_address(text: str, token: str | None) -> HttpAddress:
             "--http-token FILE"
         )
     return HttpAddress(host, int(port))
+
+
+def is_own_name(host: str, address: HttpAddress) -> bool:
+    """Returns whether a request's `Host` names this server: by a loopback name, or by the address it was given.
+
+    Where it listens on every address of this machine, each numeric address and the machine's own name are meant too. A
+    web page that has its name point here (DNS rebinding) is asked for by that name.
+
+    Args:
+        host: the header's value, with or without a port.
+        address: as configured.
+    """
+    try:
+        name = (urlsplit(f"//{host}").hostname or "").rstrip(".").lower()
+    except ValueError:
+        return False
+    if _is_loopback(name) or name == address.host.lower():
+        return True
+    return _is_any(address.host) and (_is_numeric(name) or name == socket.gethostname().lower())
+
+
+def _is_any(host: str) -> bool:
+    return _is_numeric(host) and ipaddress.ip_address(host).is_unspecified
+
+
+def _is_numeric(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
 
 
 def _is_loopback(host: str) -> bool:

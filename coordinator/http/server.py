@@ -1,36 +1,40 @@
-"""A small HTTP server in threads of its own: three pages, GET only, bounded in size, time and number. Writes nothing.
+"""The door to tornado: serves the status pages from one thread, to a bounded number of clients for a bounded time.
 
-Health pages say one word and need no token, so that any prober may ask; figures do where a token is set.
+GET and HEAD only, and only under the names of this machine, so that no web page can have a browser read them (DNS
+rebinding). Tornado was chosen for its deadline over a whole request; other servers limit the pause between two bytes.
 """
 
 from __future__ import annotations
 
-import hmac
+import asyncio
 import threading
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from socket import AF_INET, AF_INET6, socket
-from typing import Any
+from socket import AF_INET, AF_INET6, create_server, socket
 
 import structlog
+from tornado.httpserver import HTTPServer
+from tornado.iostream import IOStream
+from tornado.web import Application, RequestHandler
 
-from coordinator.http.address import HttpAddress
-from coordinator.http.exposition import Exposition
+from coordinator.http.address import HttpAddress, is_own_name
+from coordinator.http.pages import Pages, say
 from coordinator.vitals import Watched
 from schemas.closing import Closing
 from schemas.errors import WorldError
 
 __all__ = ["StatusServer"]
 
-_PATIENCE_S = 5.0
-_MOST_AT_A_TIME = 16
-_INDEX = "minivla-factory: /healthz /readyz /metrics\n"
-_PLAIN = "text/plain; charset=utf-8"
+_REQUEST_S = 5.0
+"""Until a request must be here as a whole."""
+_CONNECTION_S = 15.0
+"""Until an answer must have been taken; a look at a slow ledger takes up to 5 s."""
+_MOST_CONNECTIONS = 256
+"""When there are more the oldest is closed: an honest client has its answer within milliseconds."""
+_MOST_HEADER_BYTES = 16 << 10
+_THREADS = 8
 
 log = structlog.get_logger(__name__)
-
-Page = tuple[HTTPStatus, str, bytes]
 
 
 class StatusServer(Closing):
@@ -47,136 +51,101 @@ class StatusServer(Closing):
     """
 
     def __init__(self, address: HttpAddress, vitals: Watched, token: str | None = None) -> None:
-        pages = _Pages(vitals, token)
+        pages = Pages(vitals, token)
         try:
-            self._server = _Server(address, pages)
+            listening = create_server((address.host, address.port), family=AF_INET6 if ":" in address.host else AF_INET)
         except OSError as error:
             raise WorldError(
                 f"cannot serve status pages on {address.host}:{address.port}: {error.strerror or error}; give another "
                 "address with --http"
             ) from error
-        self._thread = threading.Thread(target=self._server.serve_forever, name="http")
-        self._thread.start()
-        host, port = self._server.server_address[:2]
-        shown = f"[{host!s}]" if ":" in str(host) else str(host)
-        self.url = f"http://{shown}:{port}"
+        listening.setblocking(False)
+        host, port = listening.getsockname()[:2]
+        self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
         """Where it listens."""
+        self._loop = asyncio.new_event_loop()
+        self._closing = asyncio.Event()
+        serve = self._serve(listening, address, pages)
+        self._thread = threading.Thread(target=self._loop.run_until_complete, args=(serve,), name="http")
+        self._thread.start()
 
     def close(self) -> None:
-        """Stops listening; answers under way are finished."""
-        self._server.shutdown()
+        """Stops listening and closes all connections."""
+        self._loop.call_soon_threadsafe(self._closing.set)
         self._thread.join()
-        self._server.server_close()
+        self._loop.close()
+
+    async def _serve(self, listening: socket, address: HttpAddress, pages: Pages) -> None:
+        threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="http-page")
+        settings = {"pages": pages, "threads": threads, "address": address}
+        server = _Server(
+            Application([(".*", _Handler, settings)], log_function=_note),
+            no_keep_alive=True,
+            idle_connection_timeout=_REQUEST_S,
+            body_timeout=_REQUEST_S,
+            max_header_size=_MOST_HEADER_BYTES,
+            max_body_size=_MOST_HEADER_BYTES,
+        )
+        server.add_socket(listening)
+        await self._closing.wait()
+        server.stop()
+        await server.close_all_connections()
+        threads.shutdown(wait=False, cancel_futures=True)
 
 
-class _Pages:
-    """What is answered to which path."""
+class _Server(HTTPServer):
+    """Closes a connection that lasts too long, and the oldest where there are too many."""
 
-    def __init__(self, vitals: Watched, token: str | None) -> None:
-        self._vitals = vitals
-        self._token = token
-        self._exposition = Exposition(vitals.snapshot)
-        self._pages: dict[str, Callable[[], Page]] = {
-            "/": lambda: (HTTPStatus.OK, _PLAIN, _INDEX.encode()),
-            "/healthz": self._health,
-            "/readyz": self._readiness,
-            "/metrics": self._metrics,
-        }
+    def initialize(self, *args: object, **kwargs: object) -> None:
+        super().initialize(*args, **kwargs)  # type: ignore[arg-type]
+        self._streams: list[IOStream] = []
 
-    def answer(self, path: str, authorization: str) -> Page:
-        """Returns status, content type and body for a path."""
-        page = self._pages.get(path.partition("?")[0])
-        if page is None:
-            return _say(HTTPStatus.NOT_FOUND, _INDEX)
-        if path.startswith("/metrics") and not self._is_let_in(authorization):
-            return _say(HTTPStatus.UNAUTHORIZED, "a bearer token is wanted")
-        return page()
-
-    def _is_let_in(self, authorization: str) -> bool:
-        wanted = f"Bearer {self._token}".encode()
-        return self._token is None or hmac.compare_digest(authorization.encode("utf-8", "replace"), wanted)
-
-    def _health(self) -> Page:
-        if self._vitals.is_alive():
-            return _say(HTTPStatus.OK, "ok")
-        return _say(HTTPStatus.SERVICE_UNAVAILABLE, "the thread that everything goes through has ended; restart it")
-
-    def _readiness(self) -> Page:
-        troubles = self._vitals.troubles()
-        if troubles:
-            return _say(HTTPStatus.SERVICE_UNAVAILABLE, "\n".join(troubles))
-        return _say(HTTPStatus.OK, "ready")
-
-    def _metrics(self) -> Page:
-        return HTTPStatus.OK, self._exposition.content_type, self._exposition.page()
+    def handle_stream(self, stream: IOStream, address: tuple[str, int]) -> None:
+        self._streams = [other for other in self._streams if not other.closed()]
+        if len(self._streams) >= _MOST_CONNECTIONS:
+            self._streams.pop(0).close()
+        self._streams.append(stream)
+        asyncio.get_running_loop().call_later(_CONNECTION_S, stream.close)
+        super().handle_stream(stream, address)
 
 
-def _say(status: HTTPStatus, text: str) -> Page:
-    return status, _PLAIN, f"{text.rstrip()}\n".encode()
+class _Handler(RequestHandler):
+    """Answers one request."""
 
+    def initialize(self, pages: Pages, threads: ThreadPoolExecutor, address: HttpAddress) -> None:
+        self._pages, self._threads, self._address = pages, threads, address
 
-class _Handler(BaseHTTPRequestHandler):
-    """One connection, one answer."""
+    def set_default_headers(self) -> None:
+        self.set_header("Server", "minivla-factory")
 
-    server: _Server
-    timeout = _PATIENCE_S
-    server_version, sys_version = "minivla-factory", ""
-
-    def do_GET(self) -> None:
-        self._answer(with_body=True)
-
-    def do_HEAD(self) -> None:
-        self._answer(with_body=False)
-
-    def _answer(self, *, with_body: bool) -> None:
-        try:
-            page = self.server.pages.answer(self.path, self.headers.get("Authorization", ""))
-        except Exception:
-            log.exception("status_page_failed", path=self.path[:80])
-            page = _say(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; the coordinator's log says more")
-        status, kind, body = page
-        self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Connection", "close")
-        if status is HTTPStatus.UNAUTHORIZED:
-            self.send_header("WWW-Authenticate", "Bearer")
-        self.end_headers()
-        if with_body:
-            self.wfile.write(body)
-
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the name is the base class's
-        log.debug("http", line=format % args, client=self.client_address[0])
-
-
-class _Server(ThreadingHTTPServer):
-    """Threads that end with it, and no more than a few of them."""
-
-    daemon_threads = True
-    block_on_close = False
-    request_queue_size = 32
-
-    def __init__(self, address: HttpAddress, pages: _Pages) -> None:
-        self.pages = pages
-        self.address_family = AF_INET6 if ":" in address.host else AF_INET
-        self._free = threading.Semaphore(_MOST_AT_A_TIME)
-        super().__init__((address.host, address.port), _Handler)
-
-    def process_request(self, request: socket | tuple[bytes, socket], client_address: Any) -> None:
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
+    async def get(self) -> None:
+        host = self.request.headers.get("Host")
+        if host is not None and not is_own_name(host, self._address):
+            status, kind, body = say(HTTPStatus.MISDIRECTED_REQUEST, f"not served as {host[:80]}: ask by the address")
         else:
-            self.shutdown_request(request)
+            status, kind, body = await self._answer()
+        self.set_status(status)
+        self.set_header("Content-Type", kind)
+        if status is HTTPStatus.UNAUTHORIZED:
+            self.set_header("WWW-Authenticate", "Bearer")
+        self.finish(body)
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
+    head = get
+
+    async def _answer(self) -> tuple[HTTPStatus, str, bytes]:
+        asked = (self.request.path, self.request.headers.get("Authorization", ""))
+        if self.request.path == "/healthz":
+            return self._pages.answer(*asked)  # at once, whatever the threads wait for
         try:
-            request.settimeout(_PATIENCE_S)
-            super().process_request_thread(request, client_address)
-        except OSError as error:
-            log.debug("http_client_gone", error=str(error))
-            self.shutdown_request(request)
-        finally:
-            self._free.release()
+            return await asyncio.get_running_loop().run_in_executor(self._threads, self._pages.answer, *asked)
+        except Exception:
+            log.exception("status_page_failed", path=self.request.path[:80])
+            return say(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; the coordinator's log says more")
 
-    def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
-        log.debug("http_request_failed", client=client_address[0], exc_info=True)
+    def compute_etag(self) -> None:
+        """Gives none: figures change with every answer."""
+
+
+def _note(handler: RequestHandler) -> None:
+    request = handler.request
+    log.debug("http", status=handler.get_status(), method=request.method, uri=request.uri, client=request.remote_ip)

@@ -36,6 +36,8 @@ GRACE = 1.5
 _EXPIRED = "expired"
 _SWEEP_ROWS = 500
 _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.05, 30.0
+_LONGEST_REST_S = 600.0
+"""More than any job is told to rest."""
 
 BY_TOKEN = select(*JOB).where(jobs.c.token == bindparam("of_token"))
 NEXT_ID = (
@@ -157,7 +159,16 @@ def shorten(connection: Connection, sid: str, now: datetime, seconds: float) -> 
 
 
 def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
-    """Restarts every lease after an absence in which nobody could beat; returns how many there are."""
+    """Restarts every lease after an absence in which nobody could beat, or after the clock was set.
+
+    A job that was to rest until a time which is now far away rests no longer.
+
+    Returns:
+        How many leases there are.
+    """
+    far = now.timestamp() + _LONGEST_REST_S
+    resting = update(jobs).where(jobs.c.state == State.PENDING, jobs.c.not_before > far)
+    connection.execute(resting.values(not_before=0.0))
     held = update(jobs).where(is_in(*HELD_STATES))
     return connection.execute(held.values(lease_until=now.timestamp() + GRACE * ttl_s)).rowcount
 

@@ -20,6 +20,7 @@ from coordinator.ledger.engine import checkpoint_log
 from coordinator.log_limit import LogLimit, describe_error
 from schemas.closing import Closing
 from schemas.errors import TransientError, WorldError
+from schemas.repeated import Repeated
 
 __all__ = ["GROUP", "Writer"]
 
@@ -51,6 +52,7 @@ class Writer(Closing):
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self._failing = Repeated(log.bind(remedy="look after the ledger's disk"), "commit_failed", (SQLAlchemyError,))
         self._queue: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
         self._closed = False
         self._closing = threading.Lock()
@@ -138,25 +140,27 @@ class Writer(Closing):
     def _commit(self, connection: Connection, batch: Sequence[_Request[Any]]) -> None:
         try:
             outcomes = _run_together(connection, batch)
+            self._failing.succeed()
         except Exception:  # noqa: BLE001 - some request is poisoned: find out which one
-            outcomes = _run_apart(connection, batch)
+            outcomes = self._commit_apart(connection, batch)
         for answer in zip(batch, outcomes, strict=True):
             self._answers.put(answer)
+
+    def _commit_apart(self, connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:
+        """Runs each request under its own savepoint, so that a poisoned one fails alone."""
+        try:
+            with connection.begin():
+                outcomes = [_run_guarded(connection, request) for request in batch]
+        except (SQLAlchemyError, WorldError) as error:
+            self._failing.fail(error, requests=len(batch))
+            return [_transient(error)] * len(batch)
+        self._failing.succeed()
+        return outcomes
 
 
 def _run_together(connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:
     with connection.begin():
         return [request.work(connection) for request in batch]
-
-
-def _run_apart(connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:
-    """Runs each request under its own savepoint, so that a poisoned one fails alone."""
-    try:
-        with connection.begin():
-            return [_run_guarded(connection, request) for request in batch]
-    except (SQLAlchemyError, WorldError) as error:
-        _say("commit_failed", error, requests=len(batch), remedy="look after the ledger's disk")
-        return [_transient(error)] * len(batch)
 
 
 def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:

@@ -37,7 +37,7 @@ def load_plan(reference: str) -> Plan:
     try:
         text = path.read_text(encoding="utf-8")
         data = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # no UTF-8, no TOML, or brackets within brackets without end
         raise InvalidPlan(f"{path} is no TOML", [str(error)]) from error
     data.setdefault("name", _name_from(path))
     return parse_plan(data, str(path), base=path.parent)
@@ -71,7 +71,10 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
         raise InvalidPlan(f"{where} is no valid plan", _say_all(error)) from error
     if base is None:
         return plan
-    return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
+    try:
+        return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
+    except (ValueError, OSError, RuntimeError) as error:  # a zero byte, or a link that leads to itself
+        raise InvalidPlan(f"{where} is no valid plan", [f"a file of its scenes cannot be found: {error}"]) from error
 
 
 def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:

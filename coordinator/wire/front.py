@@ -12,6 +12,7 @@ from datetime import datetime
 from functools import partial
 
 import structlog
+from sqlalchemy.exc import SQLAlchemyError
 
 from coordinator.ledger import claims
 from coordinator.ledger.writer import Writer
@@ -26,6 +27,7 @@ from coordinator.wire.router import Inquiry
 from schemas.closing import Closing
 from schemas.errors import TransientError
 from schemas.keys import Verb
+from schemas.repeated import Repeated
 from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 __all__ = ["Front"]
@@ -76,6 +78,7 @@ class Front(Closing):
         self._backlog = backlog
         self._meters = meters or Meters()
         self._reads = ThreadPoolExecutor(1, thread_name_prefix="ledger-reader")
+        self._unread = Repeated(log, "read_failed", (SQLAlchemyError,))
         self._free_reads = threading.Semaphore(_READS_WAITING)
         self._load = Load(backlog, _WAITING_BYTES)
         self._limit = LogLimit()
@@ -174,7 +177,8 @@ class Front(Closing):
         if future.cancelled():
             inquiry.drop()
         elif (error := future.exception()) is not None:
-            self._log(log.error, "read_failed", inquiry, error=describe_error(error))
+            self._unread.fail(error, verb=inquiry.verb)
             inquiry.drop()
         else:
+            self._unread.succeed()
             inquiry.answer(future.result())

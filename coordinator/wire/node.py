@@ -27,7 +27,9 @@ Admitted = Mapping[str, Role]
 Configure = Callable[[Sequence[str], Admitted], zenoh.Config]
 """(endpoints to listen on, who is admitted) -> configuration."""
 
-_RX_THREADS = "(rx: (worker_threads: 8))"
+_THREADS = "(rx: (worker_threads: 8), acc: (worker_threads: 32))"
+"""Threads of zenoh's runtimes. Two receiving threads freeze when two clients block. An accepting thread waits for the
+peer whenever it closes a connection that made no handshake; a single one closed 150 such connections a second."""
 _ANY_PORT = ":0"
 _PORT_TRIES = 5
 _REOPEN_PAUSE_S = 0.2
@@ -55,7 +57,7 @@ class Node(Closing):
         admitted: Callable[[], Admitted],
         declare: Callable[[zenoh.Session], None] = lambda _session: None,
     ) -> None:
-        os.environ.setdefault("ZENOH_RUNTIME", _RX_THREADS)  # two receiving threads freeze when two clients block
+        os.environ.setdefault("ZENOH_RUNTIME", _THREADS)
         _raise_file_limit()
         self._configure = configure
         self._look_admitted = admitted

@@ -16,7 +16,11 @@ from schemas.identity import Role, TlsFiles
 __all__ = ["client_config", "router_config"]
 
 _MAX_MESSAGE_BYTES = 4 << 20
-_MAX_SESSIONS, _MAX_ARRIVING = 5000, 1000
+_MAX_SESSIONS, _MAX_ARRIVING = 5000, 4000
+"""The second counts connections without a session yet; beyond it new ones are closed at once, honest ones too."""
+_ARRIVAL_MS = 1000
+"""How long such a connection may take over its handshake. The handshake itself is two round trips. A client that is too
+slow connects again; with zenoh's 10 s, 1,500 idle connections kept everybody out for 13 s."""
 _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
 """The second because a close waits for a reconnect under way, and a frozen router answers none: 10 s by default."""
 
@@ -38,11 +42,12 @@ def router_config(
         connect: endpoints of the core of a gateway or an evaluation, connected to again whenever the link is lost.
     """
     values = _common("router", lease_s) | {
-        "listen/endpoints": json.dumps(list(listen)),
+        "listen/endpoints": json.dumps([_with_deadline(endpoint) for endpoint in listen]),
         "connect/endpoints": json.dumps(list(connect)),
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "transport/unicast/max_sessions": str(_MAX_SESSIONS),
         "transport/unicast/accept_pending": str(_MAX_ARRIVING),
+        "transport/unicast/accept_timeout": str(_ARRIVAL_MS),
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
     }
     if tls is not None and listen:
@@ -64,6 +69,13 @@ def client_config(connect: Sequence[str], lease_s: float, tls: TlsFiles | None =
     if tls is not None:
         values |= _tls(tls, "connect")
     return _config(values)
+
+
+def _with_deadline(endpoint: str) -> str:
+    """Returns a TLS endpoint with a limit of its own handshake, which zenoh knows as a part of the endpoint only."""
+    if not endpoint.startswith("tls/"):
+        return endpoint
+    return f"{endpoint}{';' if '#' in endpoint else '#'}tls_handshake_timeout_ms={_ARRIVAL_MS}"
 
 
 def _config(values: dict[str, str]) -> zenoh.Config:

@@ -41,6 +41,7 @@ def http_options(command: Command) -> Command:
 def _require_pages(context: click.Context, param: click.Parameter, http: str | None) -> str | None:  # noqa: ARG001
     if http is not None:
         require_package("prometheus_client", "--http")
+        require_package("tornado", "--http")
     return http
 
 
@@ -62,7 +63,7 @@ def status_pages(vitals: Watched, http: str | None, token_file: Path | None) -> 
             raise UsageError("--http-token without --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
         yield
         return
-    from coordinator.http import StatusServer, parse_address  # prometheus-client is an extra
+    from coordinator.http import StatusServer, parse_address  # its packages are an extra
 
     token = _read_token(token_file) if token_file is not None else None
     with StatusServer(parse_address(http, token), vitals, token) as server:

@@ -17,6 +17,7 @@ from click.shell_completion import CompletionItem
 
 from factory.cli.groups import CommandGroup, say_no_option
 from factory.cli.verbs import VERBS
+from schemas.child import SAFE_PATH
 from schemas.errors import FactoryError, UsageError
 from schemas.extras import EXTRA_OF, missing_package
 from workers.one_core import one_core
@@ -69,6 +70,7 @@ def cli() -> None:
 def main() -> None:
     """Runs the command line and exits with the code of what happened."""
     _take_surroundings()
+    os.environ[SAFE_PATH] = "1"  # for the processes that multiprocessing starts
     sys.exit(_run())
 
 

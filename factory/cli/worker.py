@@ -19,6 +19,7 @@ from factory.cli.options import (
 )
 from factory.listen import require_endpoints
 from factory.logs import configure_logs
+from schemas.child import python_module
 from schemas.extras import require_package
 from schemas.terms import RendererKind
 from workers.settings import WorkerSettings
@@ -92,5 +93,4 @@ def command(
 
 
 def _errand_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
-    words = (sys.executable, "-m", "factory.eval.station", "--renderer", renderer)
-    return (*words, "--import-policies") if import_policies else words
+    return python_module("factory.eval.station", "--renderer", renderer, *["--import-policies"] * import_policies)

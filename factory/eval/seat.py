@@ -10,7 +10,6 @@ import os
 import queue
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -20,11 +19,12 @@ from factory.eval.message import Order, Report, ReportKind, Setup, read_report, 
 from factory.eval.policies import renders_apart
 from factory.eval.policy import PolicyFault
 from factory.eval.sheet import Busy, Sheet, State
+from schemas.child import SAFE_PATH, child_environment, python_module
 from workers.one_core import one_core
 
 __all__ = ["CHILD", "Ended", "Seat"]
 
-CHILD = (sys.executable, "-m", "factory.eval.child")
+CHILD = python_module("factory.eval.child")
 _SIMULATION_S = 120.0
 _GRACE_S = 5.0
 """What a policy that keeps its own time limit is given beyond it."""
@@ -125,7 +125,7 @@ class Seat:
             stdout=subprocess.PIPE,
             stderr=self._stderr,
             pass_fds=(self._sheet.descriptor,),
-            env=one_core(os.environ),
+            env=one_core(_environment()),
             start_new_session=True,  # Ctrl-C is for the caller
         )
         self._reports = queue.Queue()
@@ -189,6 +189,11 @@ class Seat:
         self._stderr.seek(max(0, end - _TAIL_BYTES))
         lines = self._stderr.read().decode(errors="replace").strip().splitlines()
         return f"; last words: {lines[-1].strip()[:300]}" if lines else ""
+
+
+def _environment() -> dict[str, str]:
+    """Returns the surroundings of a process that may run a policy of the user's, whose own scripts import as usual."""
+    return {name: value for name, value in child_environment(os.environ).items() if name != SAFE_PATH}
 
 
 def _read(stream: IO[bytes], reports: queue.Queue[Report | None]) -> None:

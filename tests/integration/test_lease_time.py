@@ -45,7 +45,13 @@ def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path
     settings = CoordinatorSettings(reserve_bytes=0, lease_ttl_s=lease_ttl_s, sweep_s=0.005)  # looks come faster here
     url = f"sqlite:///{tmp_path / 'out' / 'ledger.db'}"
     with Coordinator(
-        tmp_path / "out", room_plan(1), room_catalog(tmp_path), ("tcp/127.0.0.1:0",), settings=settings, clock=clock
+        tmp_path / "out",
+        room_plan(1),
+        room_catalog(tmp_path),
+        ("tcp/127.0.0.1:0",),
+        settings=settings,
+        clock=clock,
+        elapsed=lambda: clock().timestamp(),
     ) as hub:
         with WireWorker(hub.endpoints, hub.run) as worker:
             worker.job()

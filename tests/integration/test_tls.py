@@ -251,3 +251,27 @@ def ask_hello(hub: Coordinator, pki: Path, name: str) -> bool:
             return isinstance(worker.hello(version("minivla-factory")), HelloReply)
     except zenoh.ZError:
         return False
+
+
+def test_the_job_of_a_host_revoked_at_work_goes_to_another_and_what_it_brings_is_not_taken(pki, tmp_path):
+    mine = tmp_path / "pki"
+    shutil.copytree(pki, mine)
+    with (
+        opened_at(tmp_path, mine) as hub,
+        WireWorker(hub.endpoints, hub.run, "node", files_of(mine, "node")) as bad,
+        WireWorker(hub.endpoints, hub.run, "other", files_of(mine, "other")) as good,
+    ):
+        bad.hello(version("minivla-factory"))
+        job, lease = bad.job()
+        revoke(mine, "node")
+        until(lambda: bad.hello(version("minivla-factory")) is None, 60)
+        assert not bad.deliver(lease, bundle_for(job))
+        until(lambda: good.hello(version("minivla-factory")) is not None, 60)
+        done = set()
+        while len(done) < 2:
+            given, under = good.job()
+            assert good.deliver(under, bundle_for(given))
+            done.add(given.index)
+        until(hub.is_finished, 60)
+        assert job.index in done
+        assert hub.progress().jobs["archived"] == 2

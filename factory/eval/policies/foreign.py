@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import inspect
 import os
 import sys
 import traceback
+from collections.abc import Iterator
 from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -23,19 +25,20 @@ _EXAMPLE = "docs/evaluation/my_policy.py is an example"
 
 
 def load_class(name: str) -> Policy:
-    """Returns an instance of `package.module:Class`; modules of the working directory are found too.
+    """Returns an instance of `package.module:Class`, which may be a module of the working directory.
+
+    While it is imported and made the working directory comes first, as in a script of its own; afterwards last, so that
+    what a policy imports later is found, and what we import later is ours.
 
     Raises:
         UsageError: there is no such module or class, or making it failed; the message says where.
     """
     module_name, _, class_name = name.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.insert(0, here)
     try:
-        module = importlib.import_module(module_name)
-        found = _class_of(module, class_name, name)
-        policy: Policy = found()  # type: ignore[operator]
+        with _working_directory_first():
+            module = importlib.import_module(module_name)
+            found = _class_of(module, class_name, name)
+            policy: Policy = found()  # type: ignore[operator]
     except UsageError:
         raise
     except Exception as error:
@@ -43,6 +46,19 @@ def load_class(name: str) -> Policy:
             raise UsageError(_say_absent(name, error.name or module_name)) from error
         raise UsageError(f"policy {name} cannot be made: {_say_with_place(error)}") from error
     return policy
+
+
+@contextlib.contextmanager
+def _working_directory_first() -> Iterator[None]:
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):  # the module may have taken it away itself
+            sys.path.remove(here)
+        if here not in sys.path:
+            sys.path.append(here)
 
 
 def require_module(name: str) -> None:

@@ -6,8 +6,9 @@ Its own words hold addresses of memory and places on disk; they would make two i
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
-__all__ = ["say_complaint", "say_refusal"]
+__all__ = ["say_complaint", "say_refusal", "text_of"]
 
 _LONGEST = 300
 _NOISE = (
@@ -24,6 +25,14 @@ _REMEDIES = (
     ("could not open asset", "put the file there or take the reference out"),
     ("could not load sublayer", "put the file there or take the sublayer out"),
 )
+
+
+def text_of(read: Callable[[], str]) -> str:
+    """Returns words of USD's that may quote a file which is no UTF-8; bytes that are none are replaced."""
+    try:
+        return read()
+    except UnicodeDecodeError as error:
+        return error.object.decode(errors="replace")
 
 
 def say_complaint(text: str) -> str:

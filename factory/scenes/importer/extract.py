@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from factory.scenes.importer.assets import read_asset
-from factory.scenes.importer.complaints import say_refusal
+from factory.scenes.importer.complaints import say_refusal, text_of
 from factory.scenes.importer.fence import Fence
 from factory.scenes.importer.material import Surface, bound_material, read_surface
 from factory.scenes.importer.mesh import (
@@ -122,7 +122,7 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
         try:
             _take(work, placement)
         except BROKEN_PRIM as error:
-            notes.append(f"{placement.path}: skipped, {say_refusal(str(error))}")
+            notes.append(f"{placement.path}: skipped, {say_refusal(text_of(error.__str__))}")
     if all(part.is_collider for part in work.parts):
         notes += find_unseen(scene)
     digests = _digests(scene.stage, work.parts)

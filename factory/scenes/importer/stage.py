@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
-from factory.scenes.importer.complaints import say_complaint, say_refusal
+from factory.scenes.importer.complaints import say_complaint, say_refusal, text_of
 from factory.scenes.stage_file import require_stage
 from schemas.errors import WorldError
 
@@ -87,9 +88,12 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        reason = say_refusal(str(error))
+        reason = say_refusal(text_of(error.__str__))
         raise WorldError(f"{path.name} is no readable USD stage ({reason}); check it with usdchecker") from error
-    complaints = (say_complaint(diagnostic.commentary) for diagnostic in listener.TakeUncoalescedDiagnostics())
+    complaints = (
+        say_complaint(text_of(partial(getattr, diagnostic, "commentary")))
+        for diagnostic in listener.TakeUncoalescedDiagnostics()
+    )
     notes += sorted(complaints)  # USD's threads complain in any order
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
@@ -204,7 +208,7 @@ def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matri
                     place = frame @ walk.matrix(prim)
                 yield Placement(prim, path, place)
         except BROKEN_PRIM as error:
-            walk.notes.append(f"{path}: skipped, {say_refusal(str(error))}")
+            walk.notes.append(f"{path}: skipped, {say_refusal(text_of(error.__str__))}")
 
 
 def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[Placement]:

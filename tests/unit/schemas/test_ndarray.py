@@ -161,3 +161,10 @@ def test_no_flipped_bit_in_a_compressed_array_passes(data: st.DataObject) -> Non
     except InvalidBundle:
         return
     assert np.array_equal(found, SMALL)  # a flipped bit that no decoder looks at
+
+
+@pytest.mark.parametrize("header", [b"{'descr': '<f4', 'shape': (3,", b"(" * 5000, b"'''", b"{[" * 900, b"9" * 6000])
+def test_a_header_that_is_no_python_is_refused(header: bytes) -> None:
+    data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    with pytest.raises(InvalidBundle):
+        decode_npy("poses", data, np.dtype(np.float32), (3, 7))

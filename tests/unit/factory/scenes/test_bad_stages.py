@@ -292,3 +292,20 @@ def test_a_layer_outside_of_the_folder_is_noted(tmp_path: Path, secret: Path) ->
     extraction = extract_stage(path)
     assert len(extraction.parts) == 1
     assert noted(extraction, "/World/Prop", "prop.usda", "outside", "move it below")
+
+
+@pytest.mark.parametrize("place", [b"def Xform", b"World", b'defaultPrim = "', b"upAxis", b"double size"])
+def test_a_stage_with_bytes_that_are_no_text_is_refused_or_noted(tmp_path: Path, place: bytes) -> None:
+    path = TEXT.write(tmp_path / "odd.usda", room_body(TEXT))
+    path.write_bytes(path.read_bytes().replace(place, b"\xff\xfe" + place + b"\xff", 1))
+    said = refusal_of(path)
+    assert not said or "odd.usda" in said
+
+
+def refusal_of(path: Path) -> str:
+    """Returns why a stage is refused, or nothing when it is not."""
+    try:
+        extract_stage(path)
+    except WorldError as error:
+        return str(error)
+    return ""

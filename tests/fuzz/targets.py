@@ -1,0 +1,135 @@
+"""What is fuzzed: each parser of foreign bytes, with sound files to begin from."""
+
+from __future__ import annotations
+
+import functools
+import io
+import random
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+from coordinator.archive.contract import EPISODES
+from coordinator.check.validator import Task
+from coordinator.check.validator_child import judge
+from coordinator.dataset.table_reader import read_column, read_failed_attempts
+from coordinator.plan.file import load_plan
+from coordinator.wire.protocol import parse
+from coordinator.wire.relay_desk import RELAY_MESSAGES
+from factory.dataset import Dataset
+from factory.scenes.importer import extract_stage
+from factory.verify import verify
+from schemas.keys import Verb
+from schemas.scene import decode_scene, read_scene_info
+from tests.builders.bundle import bundle_bytes, job_for
+from tests.builders.dataset import chair, make_dataset, office_package
+from tests.builders.stage import StageText, room_body
+from tests.fuzz.mutate import mutate, mutate_members
+from workers.order import read_report
+
+__all__ = ["CORPUS", "TARGETS", "Target"]
+
+CORPUS = Path(__file__).parent / "corpus"
+Mutate = Callable[[random.Random, bytes, Sequence[bytes]], bytes]
+_VERBS = tuple(Verb)
+
+
+class Target(NamedTuple):
+    """One parser."""
+
+    run: Callable[[bytes, Path], object]
+    """Reads bytes, with a folder of its own; only a `FactoryError` may be raised."""
+    seeds: Callable[[Path], list[bytes]]
+    """Sound files, which may be made in a folder, besides those of the corpus."""
+    mutate: Mutate = mutate
+
+
+def _read_message(data: bytes, _folder: Path) -> None:
+    """The first byte chooses the verb."""
+    verb, payload = _VERBS[(data or b"\0")[0] % len(_VERBS)], data[1:]
+    parse(verb, "host", payload)
+    parse(verb, "host", payload, RELAY_MESSAGES)
+    read_report(payload)
+
+
+def _messages(_folder: Path) -> list[bytes]:
+    return [bytes([number]) + b"{}" for number in range(len(_VERBS))]
+
+
+def _read_plan(data: bytes, folder: Path) -> None:
+    path = folder / "plan.toml"
+    path.write_bytes(data)
+    load_plan(str(path))
+
+
+def _plans(_folder: Path) -> list[bytes]:
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    return [readme.partition("```toml\n")[2].partition("```")[0].encode()]
+
+
+def _read_bundle(data: bytes, folder: Path) -> None:
+    path = folder / "bundle.zip"
+    path.write_bytes(data)
+    with path.open("rb") as file:
+        judge(Task(job=job_for(), target=chair()), file)
+
+
+def _bundles(_folder: Path) -> list[bytes]:
+    return [bundle_bytes()]
+
+
+def _read_scene(data: bytes, _folder: Path) -> None:
+    read_scene_info(io.BytesIO(data))
+    decode_scene(io.BytesIO(data))
+
+
+def _read_tables(data: bytes, folder: Path) -> None:
+    """The same bytes in the place of either table of a dataset."""
+    root = _dataset(folder)
+    (root / "metadata.parquet").write_bytes(data)
+    (root / "attempts.parquet").write_bytes(data)
+    read_column(root / "metadata.parquet", "episode_id")
+    read_failed_attempts(root / "attempts.parquet")
+    verify(root)
+    dataset = Dataset(root)
+    len(dataset.filter(split="train_id"))
+    list(dataset)
+
+
+@functools.cache
+def _dataset(folder: Path) -> Path:
+    root = folder / "dataset"
+    if not (root / EPISODES).is_dir():
+        make_dataset(root, 2)
+    return root
+
+
+def _tables(folder: Path) -> list[bytes]:
+    root = folder / "seeds"
+    make_dataset(root, 2)
+    return [(root / name).read_bytes() for name in ("metadata.parquet", "attempts.parquet")]
+
+
+def _read_stage(data: bytes, folder: Path) -> None:
+    path = folder / "stage.usda"
+    path.write_bytes(data)
+    extract_stage(path)
+
+
+def _stages(folder: Path) -> list[bytes]:
+    text = StageText()
+    bodies = (room_body(text), text.box("Box", (0, 0, 0), (1, 1, 1)))
+    return [text.write(folder / "seed.usda", body).read_bytes() for body in bodies]
+
+
+TARGETS: Mapping[str, Target] = MappingProxyType(
+    {
+        "messages": Target(_read_message, _messages),
+        "plans": Target(_read_plan, _plans),
+        "bundles": Target(_read_bundle, _bundles, mutate_members),
+        "scenes": Target(_read_scene, lambda _folder: [office_package()], mutate_members),
+        "tables": Target(_read_tables, _tables),
+        "stages": Target(_read_stage, _stages),
+    }
+)

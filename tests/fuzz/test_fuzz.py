@@ -1,0 +1,18 @@
+"""Every parser of foreign bytes on damaged files, briefly; `make fuzz` goes on for longer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.campaign import fuzz
+from tests.fuzz.targets import TARGETS
+
+COUNT, MOST_S = 300, 4.0
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_damaged_file_ends_in_an_error_of_ours(target: str, tmp_path: Path) -> None:
+    found = fuzz(target, tmp_path, seed=20261122, seconds=MOST_S, count=COUNT)
+    assert not found, found

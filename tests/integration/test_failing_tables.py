@@ -1,0 +1,37 @@
+"""Tables that cannot be written for a while: the run goes on, the log stays short, and the end is told."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from structlog.testing import capture_logs
+
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.wire_worker import until
+
+ENOUGH_S = 5.0
+"""Time for hundreds of tries, were they not more and more seldom."""
+
+
+def test_tables_that_cannot_be_written_are_told_once_and_written_when_they_can_be(tmp_path: Path) -> None:
+    root = tmp_path / "out"
+    settings = CoordinatorSettings(reserve_bytes=0, pullers=1, checkpoint_s=0.01)
+    obstacle = root / "metadata.parquet" / "in the way"
+    obstacle.mkdir(parents=True)
+    with (
+        capture_logs() as lines,
+        Coordinator(root, room_plan(1), room_catalog(tmp_path), ("tcp/127.0.0.1:0",), settings=settings),
+    ):
+        until(lambda: any(line["event"] == "chore_failed" for line in lines))
+        threading.Event().wait(ENOUGH_S)
+        obstacle.rmdir()
+        obstacle.parent.rmdir()
+        until(lambda: any(line["event"] == "chore_failed_recovered" for line in lines), 60)
+    told = [line for line in lines if line["event"] == "chore_failed"]
+    assert len(told) == 1
+    assert "exc_info" not in told[0]
+    assert "metadata.parquet" in told[0]["error"]
+    assert (root / "metadata.parquet").is_file()
