@@ -6,8 +6,8 @@ Wires the parts and keeps house (expiry, free space, tables); what a verb means 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -24,6 +24,7 @@ from coordinator.housekeeper import Housekeeper
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.guard import require_ledger
+from coordinator.ledger.look import Connection, damage_translated
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.progress import count_frames, read_progress
 from coordinator.ledger.writer import Writer
@@ -32,6 +33,7 @@ from coordinator.plan.catalog import Catalog
 from coordinator.plan.errands import Errands
 from coordinator.puller import Judge, Nearby, Pullers, nothing_nearby
 from coordinator.repair.reconcile import reconcile
+from coordinator.repair.renewal import renew_ledger
 from coordinator.settings import CoordinatorSettings
 from coordinator.vitals import Vitals
 from coordinator.wire.beacon import light, quench
@@ -41,6 +43,7 @@ from coordinator.wire.protocol import Terms
 from coordinator.wire.router import Router
 from coordinator.wire.tls import Guard
 from schemas.closing import Closing
+from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.wire import Progress
 
@@ -48,6 +51,7 @@ __all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]
 
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 _WAIT_S = 0.5
+_AGAIN = "start again: the ledger is rebuilt from the episodes"
 
 log = structlog.get_logger(__name__)
 
@@ -122,6 +126,7 @@ class Coordinator(Closing):
             stack.callback(checker.close)
             self._archive = stack.enter_context(open_archive(root, store))
             require_ledger(self._archive, url)
+            renew_ledger(self._archive, url, catalog)
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
             stack.callback(self._write_tables)
@@ -152,12 +157,12 @@ class Coordinator(Closing):
 
     def progress(self) -> Progress:
         """Returns where the run stands."""
-        with self._reader.connect() as connection:
+        with self._reading() as connection:
             return read_progress(connection, self._clock())
 
     def is_finished(self) -> bool:
         """Whether no job can change any more without an operator."""
-        with self._reader.connect() as connection:
+        with self._reading() as connection:
             return not claims.has_open_jobs(connection)
 
     def wait(self, timeout_s: float | None = None, stop: threading.Event | None = None) -> bool:
@@ -188,8 +193,17 @@ class Coordinator(Closing):
         """Stops listening, finishes what is queued, writes the tables and releases the directory."""
         self._stack.close()
 
+    @contextmanager
+    def _reading(self) -> Iterator[Connection]:
+        """Yields a reading connection; a ledger that was damaged or removed meanwhile is a `WorldError`."""
+        if self._writer.damage:
+            raise WorldError(f"the ledger of run {self.run} is damaged: {self._writer.damage}; {_AGAIN}")
+        with damage_translated(self._url), self._reader.connect() as connection:
+            yield connection
+
     def _open_ledger(self, stack: ExitStack, url: str, checker: Judge) -> None:
         terms = self._terms
+        self._url = url
         self._engine = open_writer(url)
         stack.callback(self._engine.dispose)
         planned = terms.errands.planned if terms.errands is not None else None
@@ -240,7 +254,7 @@ class Coordinator(Closing):
         )
 
     def _read_figures(self) -> tuple[Progress, int]:
-        with self._reader.connect() as connection:
+        with self._reading() as connection:
             return read_progress(connection, self._clock()), count_frames(connection)
 
     def _open_housekeeper(self) -> Housekeeper:
@@ -282,7 +296,7 @@ class Coordinator(Closing):
         if self._changed.is_set() and self._terms.errands is None:
             self._changed.clear()
             try:
-                with self._reader.connect() as connection:
+                with self._reading() as connection:
                     write_checkpoint(
                         self._archive, connection, self._terms.plan, self._terms.catalog, self._clock(), self._gate
                     )

@@ -22,7 +22,7 @@ from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
 
-__all__ = ["is_checkpoint_owed", "read_failures", "write_checkpoint"]
+__all__ = ["count_failures", "is_checkpoint_owed", "read_failures", "write_checkpoint"]
 
 _YIELD_ROWS = 1000
 
@@ -58,11 +58,8 @@ def write_checkpoint(
 
 def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
     """Whether the tables lag behind the ledger: the last coordinator was killed, or its store away, at the end."""
-    failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
-    counts = (
-        connection.execute(select(func.count()).select_from(episodes)).scalar_one(),
-        connection.execute(failed).scalar_one(),
-    )
+    archived = connection.execute(select(func.count()).select_from(episodes)).scalar_one()
+    counts = (archived, count_failures(connection))
     try:
         meta = read_dataset_meta(archive.root)
     except ArchiveCorrupt:
@@ -70,6 +67,12 @@ def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
     except WorldError:
         return any(counts)
     return (meta.episodes, meta.failed_attempts) != counts
+
+
+def count_failures(connection: Connection) -> int:
+    """Returns how many attempts brought no episode."""
+    failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
+    return int(connection.execute(failed).scalar_one())
 
 
 def read_failures(connection: Connection) -> Iterator[FailedAttempt]:

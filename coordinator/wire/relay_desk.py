@@ -91,7 +91,8 @@ def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: d
         return False
     if row.state == State.SUBMITTED and row.sha256 == summary.file_sha256:
         return outcomes.adopt(connection, row.id, summary, now)
-    return record_whole(connection, terms.plan, terms.catalog, summary, now) == ""
+    at = (summary.draw, summary.attempt)
+    return record_whole(connection, terms.plan, terms.catalog, summary, now, at) == ""
 
 
 def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, now: datetime) -> Model:
