@@ -1,4 +1,4 @@
-"""A coordinator of the smallest run as a process that can be killed: `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S]`."""
+"""A coordinator of the smallest run, to be killed: `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S]`."""
 
 from __future__ import annotations
 

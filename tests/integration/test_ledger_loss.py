@@ -209,7 +209,7 @@ def test_of_two_plans_that_ledger_and_description_name_the_episodes_tell_the_rig
     plan = make_dataset(tmp_path / "out")
     (package,) = (tmp_path / "out" / "scenes").iterdir()
     engine = open_writer(sqlite_url(tmp_path / "out" / "ledger.db"))
-    open_run(engine, small_plan(9), {"office": read_entry(package)}, 15.0, NOW)
+    open_run(engine, small_plan(9), {"office": read_entry(package)}, 15.0, NOW, planned=())
     engine.dispose()
     patient = examine(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
     assert patient.plan == plan

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
 
+from schemas.errors import WorldError
 from schemas.wire import Lease
 from workers.spool import Spool, find_bundle
 
@@ -152,3 +154,27 @@ def test_clearing_removes_an_unfinished_attempt_but_no_bundle(tmp_path):
         for under in (lease(1), lease(2)):
             spool.clear(under)
         assert {path.name for path in spool.directory.iterdir()} == {"lock", "1.1.zip", "1.1.json"}
+
+
+def test_a_folder_that_was_deleted_ends_in_words_whatever_is_asked_of_it(tmp_path):
+    with open_spool(tmp_path / "root") as spool:
+        put(spool, lease())
+        shutil.rmtree(tmp_path)
+        with pytest.raises(WorldError, match=r"cannot be used.*--spool"):
+            _ = spool.is_full
+        with pytest.raises(WorldError, match=r"cannot be used.*--spool"):
+            spool.add(lease(), "0" * 64, 1)
+        with pytest.raises(KeyError):
+            spool.read(1, 1, 0, 10)
+        spool.clear(lease())
+        assert not spool.drop(lease())
+
+
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"short")])
+def test_a_bundle_that_was_deleted_or_cut_is_no_longer_said_to_wait(tmp_path, harm):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        harm(spool.path_for(lease()))
+        with pytest.raises(KeyError):
+            spool.read(1, 1, 0, 1000)
+        assert spool.entries() == ()
