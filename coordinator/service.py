@@ -109,6 +109,7 @@ class Coordinator(Closing):
         self._draining = threading.Event()
         self._changed = threading.Event()
         self._has_room = True
+        self._has_written = False
         self._meters = Meters()
         self._terms = Terms(
             plan=plan,
@@ -138,6 +139,8 @@ class Coordinator(Closing):
             router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard, connect, files)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
+            # a thread of its own: writing the tables of a large run takes seconds, and leases expire meanwhile
+            stack.enter_context(Housekeeper({"write_tables": (settings.checkpoint_s, self._write_tables)}))
             self.vitals = self._measured()
             """How it does."""
             light(root, plan.run, router.endpoints)
@@ -264,7 +267,6 @@ class Coordinator(Closing):
                 "expire": (settings.sweep_s, self._expire),
                 "look_for_room": (1.0, self._look_for_room),
                 "admit": (settings.admission_s, self._admit),
-                "write_tables": (settings.checkpoint_s, self._write_tables),
             }
         )
 
@@ -297,9 +299,13 @@ class Coordinator(Closing):
             self._changed.clear()
             try:
                 with self._reading() as connection:
+                    terms, is_over = self._terms, not claims.has_open_jobs(connection)
+                    # the first and the last time from the ledger alone, whatever became of the file meanwhile
+                    anew = is_over or not self._has_written
                     write_checkpoint(
-                        self._archive, connection, self._terms.plan, self._terms.catalog, self._clock(), self._gate
+                        self._archive, connection, terms.plan, terms.catalog, self._clock(), self._gate, anew=anew
                     )
+                self._has_written = True
             except Exception:
                 self._changed.set()  # they are still owed
                 raise

@@ -39,7 +39,7 @@ DOORS = {
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},
     "obstore": {"coordinator/archive/object_store.py"},
-    "pyarrow": {"coordinator/dataset/tables.py", "coordinator/dataset/table_reader.py", "factory/"},
+    "pyarrow": {"coordinator/dataset/", "factory/"},
 }
 
 

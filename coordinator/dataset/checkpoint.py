@@ -13,7 +13,7 @@ from coordinator.dataset.meta import DatasetMeta, GateOutcome, read_dataset_meta
 from coordinator.dataset.tables import write_tables
 from coordinator.failed_attempt import FailedAttempt
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.records import read_summaries
+from coordinator.ledger.records import LedgerEpisodes
 from coordinator.ledger.tables import attempts, episodes, jobs
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.instances import all_sides, shared_categories
@@ -34,8 +34,10 @@ def write_checkpoint(
     catalog: Catalog,
     now: datetime,
     gate: Sequence[GateOutcome] = (),
+    *,
+    anew: bool = True,
 ) -> DatasetMeta:
-    """Writes the tables, each replaced as a whole.
+    """Writes the tables, each replaced as a whole; arguments as of `write_tables`.
 
     Raises:
         WorldError: the disk is full or gone; the tables are as they were.
@@ -47,12 +49,13 @@ def write_checkpoint(
         archive,
         plan,
         scenes,
-        read_summaries(connection),
+        LedgerEpisodes(connection),
         read_failures(connection),
         now,
         sides,
         shared if plan.disjoint_instances else None,
         gate,
+        anew=anew,
     )
 
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from pydantic import ValidationError
 from sqlalchemy import Row, Select, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.states import State
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from coordinator.summary import EpisodeSummary
+from schemas.errors import WorldError
 from schemas.terms import Split, Tier
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "EventRecord",
     "JobFilter",
     "JobRecord",
+    "LedgerEpisodes",
     "count_jobs",
     "list_jobs",
     "read_archived",
@@ -146,10 +149,45 @@ def read_archived(connection: Connection) -> frozenset[int]:
 
 
 def read_summaries(connection: Connection) -> Iterator[EpisodeSummary]:
-    """Yields the archived episodes in the order of the plan."""
-    query = select(episodes.c.summary).order_by(episodes.c.idx)
-    for (summary,) in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
-        yield EpisodeSummary.model_validate_json(summary)
+    """Yields the archived episodes in the order of the plan.
+
+    Raises:
+        WorldError: a row cannot be understood.
+    """
+    return _summaries(connection, select(episodes.c.idx, episodes.c.summary).order_by(episodes.c.idx))
+
+
+class LedgerEpisodes:
+    """The archived episodes as the writer of tables wants them.
+
+    Args:
+        connection: for reading.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def digests(self) -> Iterator[tuple[int, str]]:
+        """Yields number and SHA-256 of the file of each episode, in ascending order."""
+        query = select(episodes.c.idx, episodes.c.sha256).order_by(episodes.c.idx)
+        for row in self._connection.execute(query.execution_options(yield_per=_YIELD_ROWS)):
+            yield row.idx, row.sha256
+
+    def rows(self, first: int, last: int) -> Iterator[EpisodeSummary]:
+        """Yields the rows of the episodes between two numbers, both included, in ascending order."""
+        query = select(episodes.c.idx, episodes.c.summary).order_by(episodes.c.idx)
+        return _summaries(self._connection, query.where(episodes.c.idx.between(first, last)))
+
+
+def _summaries(connection: Connection, query: Select[Any]) -> Iterator[EpisodeSummary]:
+    for index, summary in connection.execute(query.execution_options(yield_per=_YIELD_ROWS)):
+        try:
+            yield EpisodeSummary.model_validate_json(summary)
+        except ValidationError as error:
+            raise WorldError(
+                f"the ledger's row of episode {index} cannot be understood: stop the run and let `factory repair` read "
+                "it from the episode's file"
+            ) from error
 
 
 def _filtered(query: Select[Any], wanted: JobFilter) -> Select[Any]:
