@@ -20,6 +20,7 @@ from coordinator.dataset.tally import Tally
 from coordinator.plan.instances import Sides
 from coordinator.summary import EpisodeSummary
 from schemas.base import Model
+from schemas.foreign import PARSER_ERRORS
 
 __all__ = ["GROUP_ROWS", "Episodes", "ListedEpisodes", "plain_row", "write_metadata"]
 
@@ -118,7 +119,7 @@ class _Former:
             self._file = pq.ParquetFile(table_of(path))
             if self._file.schema_arrow.equals(schema):
                 self._places = {first: group for group, first in self._firsts()}
-        except (pa.ArrowException, OSError):
+        except (pa.ArrowException, *PARSER_ERRORS):
             self._places = {}
 
     def group(self, digests: Sequence[tuple[int, str]]) -> pa.Table | None:
@@ -131,7 +132,7 @@ class _Former:
             if list(zip(known["index"].to_pylist(), known["file_sha256"].to_pylist(), strict=True)) != digests:
                 return None
             return self._file.read_row_group(place).cast(self._schema)
-        except (pa.ArrowException, OSError):
+        except (pa.ArrowException, *PARSER_ERRORS):
             return None
 
     def _firsts(self) -> Iterator[tuple[int, int]]:

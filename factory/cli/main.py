@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 the data or the world said no, 2 wrong usage, 3 our bug, 1
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
@@ -103,10 +104,18 @@ def _run() -> int:
         return _say(f"error: {error}", 1)
     except BrokenPipeError:
         return 1
+    except OSError as error:
+        if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
+            return _bug()
+        return _say(f"error: {str(error.filename)[:80]!r} cannot be a path: {error.strerror}", 2)
     except Exception:  # noqa: BLE001 - the last door: everything else is our bug and says so
-        traceback.print_exc()
-        return _say("this is a bug in minivla-factory; please report the lines above", 3)
+        return _bug()
     return outcome if isinstance(outcome, int) else 0
+
+
+def _bug() -> int:
+    traceback.print_exc()
+    return _say("this is a bug in minivla-factory; please report the lines above", 3)
 
 
 def _say(text: str, code: int) -> int:
