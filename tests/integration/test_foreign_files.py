@@ -20,7 +20,7 @@ from factory.cli.main import _run
 from factory.dataset import Dataset
 from factory.eval.spec_file import read_specs
 from factory.scenes.rules import load_rules
-from factory.scenes.target_list import read_target_list
+from factory.scenes.target_list import load_target_list
 from factory.scenes.yaml_text import read_yaml
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
 from schemas.ndarray import decode_npy
@@ -62,17 +62,17 @@ def test_yaml_that_a_parser_chokes_on_is_refused(tmp_path, kind):
     with pytest.raises(yaml.YAMLError):
         read_yaml(YAML[kind])
     path = write(tmp_path / "list.yaml", YAML[kind])
-    with pytest.raises(UsageError, match="list.yaml"):
+    with pytest.raises(UsageError, match=r"list\.yaml"):
         load_rules(path)
-    with pytest.raises(UsageError, match="list.yaml"):
-        read_target_list(path, "lab")
+    with pytest.raises(UsageError, match=r"list\.yaml"):
+        load_target_list(path, "lab")
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "x/" * 3000, "a\0b"])
 def test_a_path_that_cannot_be_is_refused_where_it_is_given(name):
-    with pytest.raises(UsageError, match="NUL|bytes"):
+    with pytest.raises(UsageError, match=r"NUL|bytes"):
         place_of(name)
-    with pytest.raises(UsageError, match="NUL|bytes"):
+    with pytest.raises(UsageError, match=r"NUL|bytes"):
         load_plan(name)
 
 
@@ -102,7 +102,7 @@ def test_text_that_is_no_utf8_in_a_table_is_damage(tmp_path):
     bad = pa.array([b"\xff\xfe"] * table.num_rows, pa.binary()).view(pa.string())
     strange = table.set_column(table.schema.get_field_index("instruction"), "instruction", bad)
     pq.write_table(strange, path)
-    with pytest.raises(ArchiveCorrupt, match="metadata.parquet is damaged"):
+    with pytest.raises(ArchiveCorrupt, match=r"metadata.parquet is damaged"):
         Dataset(tmp_path / "out")
     assert isinstance(read_column(path, "instruction"), str)
     attempts = tmp_path / "attempts.parquet"
