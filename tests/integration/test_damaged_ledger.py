@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import random
 import shutil
 import signal
@@ -100,7 +101,7 @@ def test_flipped_bits_end_in_words_whatever_verb_meets_them(harmed, monkeypatch,
 
 @pytest.mark.parametrize("table", sorted(METADATA.tables))
 def test_a_wrong_value_in_any_column_ends_in_words(harmed, monkeypatch, capsys, table):
-    ledger = harmed / "ledger.db"
+    ledger, verbs = harmed / "ledger.db", itertools.cycle((*READING, *WRITING))
     sound = ledger.read_bytes()
     for column in METADATA.tables[table].columns:
         for value in WRONG:
@@ -109,8 +110,9 @@ def test_a_wrong_value_in_any_column_ends_in_words(harmed, monkeypatch, capsys, 
                 with contextlib.suppress(sqlite3.IntegrityError, sqlite3.OperationalError):
                     raw.execute(f'UPDATE {table} SET "{column.name}" = {value}')
                 raw.commit()
-            for words in (*READING, *WRITING):
-                call(monkeypatch, capsys, harmed, words)
+            with contextlib.suppress(FactoryError):
+                ledger_trouble(f"sqlite:///{ledger}")
+            call(monkeypatch, capsys, harmed, next(verbs))
 
 
 def _patient(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
