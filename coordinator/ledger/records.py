@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 from sqlalchemy import Row, Select, func, select
@@ -32,6 +32,7 @@ __all__ = [
 ]
 
 _YIELD_ROWS = 1000
+R = TypeVar("R", "JobRecord", "AttemptRecord", "EventRecord")
 
 
 @dataclass(frozen=True)
@@ -118,16 +119,18 @@ def read_attempts(connection: Connection, index: int | None = None) -> Iterator[
     if index is not None:
         query = query.where(attempts.c.idx == index)
     for row in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
-        yield AttemptRecord(
-            index=row.idx,
-            draw=row.draw,
-            attempt=row.attempt,
-            outcome=row.outcome,
-            detail=row.detail,
-            steps=row.steps,
-            seconds=row.seconds,
-            worker=row.sid,
-            at=_utc(row.at),
+        yield _printable(
+            AttemptRecord(
+                index=row.idx,
+                draw=row.draw,
+                attempt=row.attempt,
+                outcome=row.outcome,
+                detail=row.detail,
+                steps=row.steps,
+                seconds=row.seconds,
+                worker=row.sid,
+                at=_utc(row.at),
+            )
         )
 
 
@@ -140,7 +143,8 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
         .order_by(events.c.id)
     )
     for row in connection.execute(query):
-        yield EventRecord(row.draw, row.attempt, row.event, State(row.state), row.sid, row.detail, _utc(row.at))
+        state, at = State(row.state), _utc(row.at)
+        yield _printable(EventRecord(row.draw, row.attempt, row.event, state, row.sid, row.detail, at))
 
 
 def read_archived(connection: Connection) -> frozenset[int]:
@@ -202,25 +206,35 @@ def _filtered(query: Select[Any], wanted: JobFilter) -> Select[Any]:
 
 
 def _job_record(row: Row[Any]) -> JobRecord:
-    return JobRecord(
-        index=row.idx,
-        draw=row.draw,
-        state=State(row.state),
-        superseded=row.superseded,
-        scene=row.scene,
-        tier=Tier(row.tier),
-        split=Split(row.split),
-        category=row.category,
-        target_id=row.target_id,
-        instruction=row.instruction,
-        attempt=row.attempt,
-        misses=row.misses,
-        crashes=row.crashes,
-        worker=row.sid or "",
-        step=row.step,
-        reason=row.reason,
-        changed_at=_utc(row.changed_at),
+    return _printable(
+        JobRecord(
+            index=row.idx,
+            draw=row.draw,
+            state=State(row.state),
+            superseded=row.superseded,
+            scene=row.scene,
+            tier=Tier(row.tier),
+            split=Split(row.split),
+            category=row.category,
+            target_id=row.target_id,
+            instruction=row.instruction,
+            attempt=row.attempt,
+            misses=row.misses,
+            crashes=row.crashes,
+            worker=row.sid or "",
+            step=row.step,
+            reason=row.reason,
+            changed_at=_utc(row.changed_at),
+        )
     )
+
+
+def _printable(record: R) -> R:
+    """Returns a record without bytes, which SQLite gives from any column of a damaged ledger."""
+    wrong = [field.name for field in fields(record) if isinstance(getattr(record, field.name), bytes)]
+    if wrong:
+        raise ValueError(f"bytes stand for {', '.join(wrong)}")
+    return record
 
 
 def _utc(seconds: float) -> datetime:
