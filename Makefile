@@ -1,5 +1,5 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long |
-# scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit. Everything is in .venv.
+# ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit. Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 JUDGE  := .venv-judge
@@ -7,7 +7,8 @@ TRAIN  := .venv-train
 AUDIT  := .venv-audit
 READY  := $(VENV)/.ready
 
-.PHONY: setup run test check bench chaos chaos-long scenes-check test-formats test-install test-lerobot test-train fuzz audit clean
+.PHONY: setup run test check bench chaos chaos-long ledger-accidents scenes-check test-formats test-install test-lerobot
+.PHONY: test-train fuzz audit clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -46,6 +47,11 @@ chaos: $(READY)
 chaos-long: $(READY)
 	mkdir -p build
 	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --tally build/chaos.json
+
+# fifty ledgers deleted, replaced by older copies, truncated and damaged in the middle of runs; goes on where it was stopped
+ledger-accidents: $(READY)
+	mkdir -p build
+	$(VENV)/bin/python -m tests.chaos.ledger_accidents --moments 50 --tally build/ledger-accidents.json
 
 # every format with sizes and times, and what reads it: LeRobot's loaders (Python 3.12; 0.6 for v3.0, 0.3 for v2.1),
 # Habitat's (Python 3.11), TFDS, Rerun, MCAP, webdataset, datasets, PyAV and ffprobe, in environments of their own, 17 GB in

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from coordinator.archive.staging import Staging
 from coordinator.ledger import hosts, operator
-from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.engine import open_writer
+from coordinator.ledger.look import damage_translated, look_into, require_sound
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.wire.ask import OPERATOR, ask_admin
 from coordinator.wire.beacon import sight
@@ -46,7 +47,8 @@ def administer(
         UsageError: the ledger is of a newer format, or there is nobody to drain.
     """
     url = ledger_url_of(root, ledger_url)
-    _check_readable(url)  # says no before anything is created
+    with look_into(url) as connection:
+        read_info(connection)  # says no before anything is created
     beacon = sight(root)
     if beacon is not None:
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its beacon behind: the lock tells
@@ -60,21 +62,13 @@ def _from_here(endpoint: str) -> str:
     return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
 
 
-def _check_readable(url: str) -> None:
-    engine = open_reader(url)
-    try:
-        with engine.connect() as connection:
-            read_info(connection)
-    finally:
-        engine.dispose()
-
-
 def _administer_offline(url: str, request: AdminRequest, now: datetime) -> AdminReply:
     if request.action is AdminAction.DRAIN:
         raise UsageError("no coordinator runs on the directory, so there is nobody to drain")
+    require_sound(url)
     engine = open_writer(url)
     try:
-        with engine.begin() as connection:
+        with damage_translated(url), engine.begin() as connection:
             if request.action is AdminAction.RELEASE:
                 return hosts.release(connection, request.hosts)
             change = operator.retry if request.action is AdminAction.RETRY else operator.cancel

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -28,6 +28,7 @@ from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.guard import require_ledger
 from coordinator.ledger.hosts import troubled
+from coordinator.ledger.look import Connection, damage_translated
 from coordinator.ledger.opening import ledger_url_of, open_run
 from coordinator.ledger.progress import count_frames, read_progress
 from coordinator.ledger.writer import Writer
@@ -36,6 +37,7 @@ from coordinator.plan.catalog import Catalog
 from coordinator.plan.errands import Errands
 from coordinator.puller import Judge, Nearby, Pullers, nothing_nearby
 from coordinator.repair.reconcile import reconcile
+from coordinator.repair.renewal import renew_ledger
 from coordinator.settings import CoordinatorSettings
 from coordinator.vitals import Vitals
 from coordinator.wire.beacon import light, quench
@@ -45,6 +47,7 @@ from coordinator.wire.protocol import Terms
 from coordinator.wire.router import Router
 from coordinator.wire.tls import Guard
 from schemas.closing import Closing
+from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.wire import Progress
 
@@ -57,6 +60,7 @@ _THUMBNAILS_S = 2.0
 _BARRED_S = 5.0
 _FAREWELL_S = 3.0
 """How long a finished run is announced at least: a worker may just be reconnecting."""
+_AGAIN = "start again: the ledger is rebuilt from the episodes"
 
 log = structlog.get_logger(__name__)
 
@@ -118,6 +122,7 @@ class Coordinator(Closing):
         self._changed = threading.Event()
         self._has_room = True
         self._barred: frozenset[str] = frozenset()
+        self._has_written = False
         self._meters = Meters()
         self._terms = Terms(
             plan=plan,
@@ -135,6 +140,7 @@ class Coordinator(Closing):
             stack.callback(checker.close)
             self._archive = stack.enter_context(open_archive(root, store))
             require_ledger(self._archive, url)
+            renew_ledger(self._archive, url, catalog)
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
             stack.callback(self._write_split_tables)
@@ -147,6 +153,8 @@ class Coordinator(Closing):
             router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard, connect, files)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
+            # a thread of its own: writing the tables of a large run takes seconds, and leases expire meanwhile
+            stack.enter_context(Housekeeper({"write_tables": (settings.checkpoint_s, self._write_tables)}))
             self.vitals = self._measured()
             """How it does."""
             light(root, plan.run, router.endpoints)
@@ -166,12 +174,12 @@ class Coordinator(Closing):
 
     def progress(self) -> Progress:
         """Returns where the run stands."""
-        with self._reader.connect() as connection:
+        with self._reading() as connection:
             return read_progress(connection, self._clock())
 
     def is_finished(self) -> bool:
         """Whether no job can change any more without an operator."""
-        with self._reader.connect() as connection:
+        with self._reading() as connection:
             return not claims.has_open_jobs(connection)
 
     def wait(self, timeout_s: float | None = None, stop: threading.Event | None = None) -> bool:
@@ -216,8 +224,17 @@ class Coordinator(Closing):
         """Stops listening, finishes what is queued, writes the tables and releases the directory."""
         self._stack.close()
 
+    @contextmanager
+    def _reading(self) -> Iterator[Connection]:
+        """Yields a reading connection; a ledger that was damaged or removed meanwhile is a `WorldError`."""
+        if self._writer.damage:
+            raise WorldError(f"the ledger of run {self.run} is damaged: {self._writer.damage}; {_AGAIN}")
+        with damage_translated(self._url), self._reader.connect() as connection:
+            yield connection
+
     def _open_ledger(self, stack: ExitStack, url: str, checker: Judge) -> None:
         terms = self._terms
+        self._url = url
         self._engine = open_writer(url)
         stack.callback(self._engine.dispose)
         planned = terms.errands.planned if terms.errands is not None else None
@@ -268,7 +285,7 @@ class Coordinator(Closing):
         )
 
     def _read_figures(self) -> tuple[Progress, int]:
-        with self._reader.connect() as connection:
+        with self._reading() as connection:
             return read_progress(connection, self._clock()), count_frames(connection)
 
     def _open_housekeeper(self) -> Housekeeper:
@@ -278,7 +295,6 @@ class Coordinator(Closing):
                 "expire": (settings.sweep_s, self._expire),
                 "look_for_room": (1.0, self._look_for_room),
                 "admit": (settings.admission_s, self._admit),
-                "write_tables": (settings.checkpoint_s, self._write_tables),
                 "warn_of_barred": (_BARRED_S, self._warn_of_barred),
             }
         )
@@ -331,10 +347,14 @@ class Coordinator(Closing):
         if self._changed.is_set() and self._terms.errands is None:
             self._changed.clear()
             try:
-                with self._reader.connect() as connection:
+                with self._reading() as connection:
+                    terms, is_over = self._terms, not claims.has_open_jobs(connection)
+                    # the first and the last time from the ledger alone, whatever became of the file meanwhile
+                    anew = is_over or not self._has_written
                     write_checkpoint(
-                        self._archive, connection, self._terms.plan, self._terms.catalog, self._clock(), self._gate
+                        self._archive, connection, terms.plan, terms.catalog, self._clock(), self._gate, anew=anew
                     )
+                self._has_written = True
             except Exception:
                 self._changed.set()  # they are still owed
                 raise

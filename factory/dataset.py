@@ -19,6 +19,7 @@ from factory.episode import Episode, Frame
 from factory.vocabulary import require_known
 from schemas.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.foreign import PARSER_ERRORS
 from schemas.meant import did_you_mean
 
 __all__ = ["Dataset", "Episode", "Frame"]
@@ -125,10 +126,11 @@ def _as_strings(values: str | Iterable[str]) -> pa.Array:
 def _read_table(path: Place) -> pa.Table:
     try:
         table = pq.read_table(table_of(path))
+        table.validate(full=True)  # else text that is no UTF-8 is found when it is used
         return table.select(_COLUMNS)  # columns that a later version added are not ours to know
     except FileNotFoundError as error:
         raise ArchiveCorrupt(f"{path} is missing: a resumed run writes it anew") from error
-    except (pa.ArrowException, OSError, KeyError, UnicodeDecodeError, MemoryError) as error:
+    except (pa.ArrowException, *PARSER_ERRORS) as error:
         raise ArchiveCorrupt(f"{path} is damaged ({error}): a resumed run writes it anew") from error
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from coordinator.archive.contract import SCENES
 from coordinator.archive.place import Place, at_hand
 from coordinator.dataset.meta import read_dataset_meta
-from coordinator.ledger.engine import ledger_trouble
 from coordinator.ledger.look import look_into
-from coordinator.ledger.opening import ledger_url_of, read_info
+from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, require_plan
 from coordinator.plan.catalog import Catalog, SceneEntry, read_entry
+from coordinator.repair.judge import count_plans
 from coordinator.repair.mend import Patient
 from factory.catalog import open_catalog
 from factory.packages import package_file
@@ -54,24 +54,45 @@ def examine(root: Place, home: Path, plan: Plan | None, url: str | None, cache: 
     if not root.is_dir():
         raise UsageError(f"no directory {root}; give the --out of a run")
     ledger = ledger_url_of(home, url)
-    record = _from_ledger(ledger) or _from_meta(root)
-    if plan is not None:
-        record = _Record(plan, record.scenes if record is not None and record.plan.digest == plan.digest else {})
+    noted, described = _from_ledger(ledger), _from_meta(root)
+    record, stranger = _settle_plan(root, noted, described, plan)
     if record is None:
         raise UsageError(
             f"neither the ledger nor dataset_meta.json of {root} says what was planned: give the plan it was begun "
             "with, by --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
-    return Patient(root, home, ledger, record.plan, catalog, troubles)
+    return Patient(root, home, ledger, record.plan, catalog, troubles, stranger)
+
+
+def _settle_plan(
+    root: Place, noted: _Record | None, described: _Record | None, plan: Plan | None
+) -> tuple[_Record | None, str]:
+    """Returns what the run was, and why the ledger is not of it where it names another plan.
+
+    Ledger, description and user may name different plans; which one is right, the episodes say.
+    """
+    records = [record for record in (noted, described) if record is not None]
+    if plan is not None and all(record.plan.digest != plan.digest for record in records):
+        records.insert(0, _Record(plan, {}))
+    if len({record.plan.digest for record in records}) <= 1:
+        return (records[0] if records else None), ""
+    counts, wanted = count_plans(root), None if plan is None else plan.digest
+    record = max(records, key=lambda one: (counts[one.plan.digest], one.plan.digest == wanted))
+    if plan is not None and record.plan.digest != plan.digest:
+        require_plan(record.plan, plan)
+    if noted is None or noted.plan.digest == record.plan.digest:
+        return record, ""
+    return record, f"is of run {noted.plan.run}, the episodes of run {record.plan.run}"
 
 
 def _from_ledger(url: str) -> _Record | None:
-    if ledger_trouble(url):
+    try:
+        with look_into(url) as connection:
+            info = read_info(connection) if holds_run(connection) else None
+    except WorldError:
         return None
-    with look_into(url) as connection:
-        info = read_info(connection)
-    return _Record(info.plan, info.scenes)
+    return None if info is None else _Record(info.plan, info.scenes)
 
 
 def _from_meta(root: Place) -> _Record | None:

@@ -9,7 +9,6 @@ import functools
 import io
 import math
 import threading
-import tokenize
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import DTypeLike, NDArray
 
 from schemas.errors import InvalidBundle
+from schemas.foreign import PARSER_ERRORS
 
 __all__ = ["decode_npy", "decode_npy_zst", "encode_npy", "encode_npy_zst"]
 
@@ -107,10 +107,6 @@ def _known_header(
     return (len(header), sides) if data.startswith(header) else None
 
 
-_UNREADABLE = (ValueError, SyntaxError, TypeError, KeyError, tokenize.TokenError, RecursionError, MemoryError)
-"""What numpy raises over a header that is none: it reads it as Python, in two ways."""
-
-
 def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[int, tuple[int, ...]]:
     if not data.startswith(_MAGIC):
         raise InvalidBundle("array refused", [f"{name}: not an .npy file of version 1.0"])
@@ -118,7 +114,7 @@ def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[i
     stream.seek(len(_MAGIC))
     try:
         shape, fortran_order, found = npy_format.read_array_header_1_0(stream, max_header_size=_MAX_HEADER_BYTES)
-    except _UNREADABLE as error:
+    except PARSER_ERRORS as error:
         raise InvalidBundle("array refused", [f"{name}: unreadable .npy header ({error})"]) from error
     if found != dtype or fortran_order:
         order = "Fortran" if fortran_order else "C"

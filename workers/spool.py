@@ -85,16 +85,18 @@ class Spool:
 
     @property
     def is_full(self) -> bool:
-        """Whether no further attempt should begin; attempts under way still find room."""
+        """Whether no further attempt should begin; attempts under way still find room.
+
+        Raises:
+            WorldError: the folder is gone or cannot be used.
+        """
         with self._guard:
             held, size = len(self._entries), sum(entry.size for entry in self._entries.values())
         return held >= self._max_bundles or size >= self._max_bytes or self._is_disk_short()
 
     def _is_disk_short(self) -> bool:
-        try:
+        with self._translated():
             free = shutil.disk_usage(self.directory).free
-        except OSError as error:
-            raise WorldError(f"the spool's disk is gone: {self.directory}: {error.strerror}") from error
         if free >= self._min_free_bytes:
             self._short.succeed()
             return False
@@ -110,13 +112,18 @@ class Spool:
         return self._file(lease, _BUNDLE)
 
     def clear(self, lease: Lease) -> None:
-        """Removes what an attempt without a bundle has left at `path_for(lease)`."""
+        """Removes what an attempt without a bundle has left at `path_for(lease)`.
+
+        Raises:
+            WorldError: the folder cannot be used.
+        """
         with self._guard:
             if _key(lease) in self._entries:
                 return
         bundle = self._file(lease, _BUNDLE)
-        bundle.unlink(missing_ok=True)
-        bundle.with_name(bundle.name + _PART).unlink(missing_ok=True)
+        with self._translated():
+            bundle.unlink(missing_ok=True)
+            bundle.with_name(bundle.name + _PART).unlink(missing_ok=True)
 
     def add(self, lease: Lease, sha256: str, size: int) -> Spooled:
         """Takes a bundle that lies whole and synced at `path_for(lease)`; from now on it survives a crash.
@@ -125,10 +132,8 @@ class Spool:
             WorldError: the disk does not take the note about it.
         """
         entry = Spooled(lease=lease, sha256=sha256, size=size)
-        try:
+        with self._translated():
             _write_synced(self._file(lease, _SIDECAR), entry.model_dump_json().encode())
-        except OSError as error:
-            raise WorldError(f"cannot spool in {self.directory}: {error}; free some space there") from error
         with self._guard:
             self._entries[_key(lease)] = entry
         return entry
@@ -139,33 +144,41 @@ class Spool:
             return tuple(self._entries.values())
 
     def drop(self, lease: Lease) -> bool:
-        """Deletes a bundle that is wanted no more; returns whether it was there."""
+        """Deletes a bundle that is wanted no more; returns whether it was there.
+
+        Raises:
+            WorldError: the folder cannot be used.
+        """
         with self._guard:
             entry = self._entries.get(_key(lease))
             if entry is None or entry.lease != lease:
                 return False
             del self._entries[_key(lease)]
         # the sidecar goes first: a bundle without one is removed at the next start
-        self._file(lease, _SIDECAR).unlink(missing_ok=True)
-        self._file(lease, _BUNDLE).unlink(missing_ok=True)
+        with self._translated():
+            self._file(lease, _SIDECAR).unlink(missing_ok=True)
+            self._file(lease, _BUNDLE).unlink(missing_ok=True)
         return True
 
     def read(self, job_id: int, fence: int, offset: int, length: int) -> bytes:
         """Returns bytes of a bundle, fewer than asked for at its end.
 
+        A bundle that was deleted or cut from outside is forgotten: its lease runs out, and it is made again.
+
         Raises:
             KeyError: no such bundle waits here.
         """
         with self._guard:
-            lease = self._entries[job_id, fence].lease
+            entry = self._entries[job_id, fence]
         try:
-            descriptor = os.open(self._file(lease, _BUNDLE), os.O_RDONLY | os.O_CLOEXEC)
-        except FileNotFoundError as error:
+            data = _read_range(self._file(entry.lease, _BUNDLE), offset, length)
+        except OSError as error:
+            self._forget(entry, str(error))
             raise KeyError((job_id, fence)) from error
-        try:
-            return os.pread(descriptor, length, offset)
-        finally:
-            os.close(descriptor)
+        if len(data) < min(length, entry.size - offset):
+            self._forget(entry, f"{offset + len(data)} bytes are left of {entry.size}")
+            raise KeyError((job_id, fence))
+        return data
 
     def close(self) -> None:
         """Lets another worker have the folder; the bundles stay."""
@@ -185,8 +198,31 @@ class Spool:
     ) -> None:
         self.close()
 
+    def _forget(self, entry: Spooled, why: str) -> None:
+        with self._guard:
+            self._entries.pop(_key(entry.lease), None)
+        log.warning("bundle_lost", job=entry.lease.job_id, why=why, remedy="none; its job is done again")
+
+    @contextlib.contextmanager
+    def _translated(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise WorldError(
+                f"the spool {self.directory} cannot be used: {error.strerror or error}; start the worker again, which "
+                "makes the folder anew, free some space, or give another folder with --spool"
+            ) from error
+
     def _file(self, lease: Lease, suffix: str) -> Path:
         return self.directory / f"{_stem(lease)}{suffix}"
+
+
+def _read_range(path: Path, offset: int, length: int) -> bytes:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        return os.pread(descriptor, length, offset)
+    finally:
+        os.close(descriptor)
 
 
 def _key(lease: Lease) -> tuple[int, int]:

@@ -84,6 +84,13 @@ class Archive(Protocol):
     def quarantine(self, path: Place, reason: str) -> Place:
         """Moves a file out of the dataset, keeps it, and writes beside it why; returns where it lies now."""
 
+    def restore(self, path: Place, index: int) -> Place:
+        """Moves a file out of quarantine to where the episode of that number lies, durably; returns that place.
+
+        Raises:
+            ArchiveCorrupt: something else is there.
+        """
+
     def free_bytes(self) -> int:
         """Returns the bytes that an ordinary user can still write where part files grow."""
 

@@ -90,6 +90,19 @@ class DirectoryArchive(Listing[Path], Closing):
         assert isinstance(path, Path), path
         return set_aside(path, self.root / QUARANTINE, reason)
 
+    def restore(self, path: Place, index: int) -> Path:
+        """See `Archive.restore`."""
+        assert isinstance(path, Path), path
+        final = self.path_of(index)
+        with self._publishing, translated("move into", final.parent):
+            if final.exists():
+                raise ArchiveCorrupt(f"{final} lies there already and is not overwritten: run `factory verify --deep`")
+            path.rename(final)
+            path.with_name(f"{path.name}.reason.txt").unlink(missing_ok=True)
+            sync_directory(final.parent)
+            sync_directory(path.parent)
+        return final
+
     def free_bytes(self) -> int:
         """See `Archive.free_bytes`."""
         return self._staging.free_bytes()

@@ -119,6 +119,16 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         log.warning("quarantined", file=str(path), moved_to=str(place), reason=reason)
         return place
 
+    def restore(self, path: Place, index: int) -> ObjectPath:
+        """See `Archive.restore`."""
+        final = self.path_of(index)
+        if not isinstance(path, ObjectPath) or final.exists():
+            raise ArchiveCorrupt(f"{final} is there already and is not overwritten: run `factory verify --deep`")
+        self._objects.copy(path.key, final.key)
+        self._objects.delete(path.key)
+        self._objects.delete(f"{path.key}.reason.txt")
+        return final
+
     def free_bytes(self) -> int:
         """See `Archive.free_bytes`; a store has no end."""
         return self._staging.free_bytes()

@@ -13,6 +13,7 @@ from urllib.parse import unquote, urlsplit
 from coordinator.archive.disk import translated
 from coordinator.archive.object_path import ObjectPath
 from schemas.errors import UsageError
+from schemas.foreign import path_trouble
 
 __all__ = ["Place", "at_hand", "children", "digest_of", "place_of", "relative_name", "table_of"]
 
@@ -31,8 +32,15 @@ def place_of(name: str | Place) -> Place:
         parts = urlsplit(name)
         if parts.netloc not in ("", "localhost") or not parts.path.startswith("/"):
             raise UsageError(f"{name!r} names no directory of this machine: write file:///DIRECTORY")
-        return Path(unquote(parts.path))
-    return ObjectPath.at(name) if "://" in name else Path(name)
+        return _path(unquote(parts.path))
+    return ObjectPath.at(name) if "://" in name else _path(name)
+
+
+def _path(name: str) -> Path:
+    trouble = path_trouble(name)
+    if trouble:
+        raise UsageError(f"no directory {name[:80]!r}: {trouble}")
+    return Path(name)
 
 
 def children(folder: Place) -> list[Place]:

@@ -13,7 +13,7 @@ from coordinator.dataset.meta import DatasetMeta, GateOutcome, read_dataset_meta
 from coordinator.dataset.tables import write_tables
 from coordinator.failed_attempt import FailedAttempt
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.records import read_summaries
+from coordinator.ledger.records import LedgerEpisodes
 from coordinator.ledger.tables import attempts, episodes, jobs
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.instances import all_sides, shared_categories
@@ -22,7 +22,7 @@ from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
 
-__all__ = ["is_checkpoint_owed", "read_failures", "write_checkpoint"]
+__all__ = ["count_failures", "is_checkpoint_owed", "read_failures", "write_checkpoint"]
 
 _YIELD_ROWS = 1000
 
@@ -34,8 +34,10 @@ def write_checkpoint(
     catalog: Catalog,
     now: datetime,
     gate: Sequence[GateOutcome] = (),
+    *,
+    anew: bool = True,
 ) -> DatasetMeta:
-    """Writes the tables, each replaced as a whole.
+    """Writes the tables, each replaced as a whole; arguments as of `write_tables`.
 
     Raises:
         WorldError: the disk is full or gone; the tables are as they were.
@@ -47,22 +49,20 @@ def write_checkpoint(
         archive,
         plan,
         scenes,
-        read_summaries(connection),
+        LedgerEpisodes(connection),
         read_failures(connection),
         now,
         sides,
         shared if plan.disjoint_instances else None,
         gate,
+        anew=anew,
     )
 
 
 def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
     """Whether the tables lag behind the ledger: the last coordinator was killed, or its store away, at the end."""
-    failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
-    counts = (
-        connection.execute(select(func.count()).select_from(episodes)).scalar_one(),
-        connection.execute(failed).scalar_one(),
-    )
+    archived = connection.execute(select(func.count()).select_from(episodes)).scalar_one()
+    counts = (archived, count_failures(connection))
     try:
         meta = read_dataset_meta(archive.root)
     except ArchiveCorrupt:
@@ -70,6 +70,12 @@ def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
     except WorldError:
         return any(counts)
     return (meta.episodes, meta.failed_attempts) != counts
+
+
+def count_failures(connection: Connection) -> int:
+    """Returns how many attempts brought no episode."""
+    failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
+    return int(connection.execute(failed).scalar_one())
 
 
 def read_failures(connection: Connection) -> Iterator[FailedAttempt]:

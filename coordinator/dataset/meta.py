@@ -99,7 +99,7 @@ def read_dataset_meta(root: Place) -> DatasetMeta:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise WorldError(f"{root} holds no dataset ({META_FILE} is missing): give the --out of a run") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ArchiveCorrupt(f"{path} cannot be read: {error}") from error
     _refuse_newer(path, text)
     try:
@@ -113,7 +113,7 @@ def read_dataset_meta(root: Place) -> DatasetMeta:
 def _refuse_newer(path: Place, text: str) -> None:
     try:
         found = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return
     version = found.get("format") if isinstance(found, dict) else None
     if isinstance(version, int) and version > DATASET_FORMAT:

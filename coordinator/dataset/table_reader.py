@@ -8,12 +8,9 @@ from pydantic import ValidationError
 
 from coordinator.archive.place import Place, table_of
 from coordinator.failed_attempt import FailedAttempt
+from schemas.foreign import PARSER_ERRORS
 
 __all__ = ["read_column", "read_failed_attempts"]
-
-
-_UNREADABLE = (pa.ArrowException, OSError, KeyError, UnicodeDecodeError, MemoryError)
-"""The last two: names of columns that are no text, sizes that no table has."""
 
 
 def read_column(path: Place, name: str) -> list[str] | str:
@@ -22,7 +19,7 @@ def read_column(path: Place, name: str) -> list[str] | str:
         return [str(value) for value in pq.read_table(table_of(path), columns=[name])[name].to_pylist()]
     except FileNotFoundError:
         return "is not there"
-    except _UNREADABLE as error:
+    except (pa.ArrowException, *PARSER_ERRORS) as error:
         return f"cannot be read: {error}"
 
 
@@ -30,7 +27,7 @@ def read_failed_attempts(path: Place) -> list[FailedAttempt]:
     """Returns the rows of `attempts.parquet` that can be understood; none when the file cannot be read."""
     try:
         rows = pq.read_table(table_of(path)).to_pylist()
-    except _UNREADABLE:
+    except (pa.ArrowException, *PARSER_ERRORS):
         return []
     found = []
     for row in rows:

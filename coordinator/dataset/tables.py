@@ -28,6 +28,7 @@ from coordinator.dataset.meta import (
     read_dataset_meta,
     software_versions,
 )
+from coordinator.dataset.metadata_table import Episodes, ListedEpisodes, plain_row, write_metadata
 from coordinator.dataset.tally import Tally
 from coordinator.failed_attempt import FailedAttempt
 from coordinator.plan.instances import Sides
@@ -50,14 +51,17 @@ def write_tables(
     archive: Archive,
     plan: Plan,
     scenes: Mapping[str, str],
-    episodes: Iterable[EpisodeSummary],
+    episodes: Episodes | Iterable[EpisodeSummary],
     failures: Iterable[FailedAttempt],
     now: datetime,
     sides: Mapping[str, Sides] = MappingProxyType({}),
     shared: Mapping[str, tuple[str, ...]] | None = None,
     gate: Sequence[GateOutcome] = (),
+    *,
+    anew: bool = True,
 ) -> DatasetMeta:
     """Writes all four files; streams the rows, so that memory grows by some hundred bytes an episode only.
+
 
     Args:
         archive: open, and thereby ours.
@@ -69,6 +73,8 @@ def write_tables(
         sides: scene name -> side of each instance, where the plan keeps training and evaluation apart.
         shared: scene name -> categories whose instances they share nevertheless; `None` without such a plan.
         gate: what the pilot found; empty keeps what the directory's description says already.
+        anew: whether to make every row from the ledger; else those of `metadata.parquet` whose files are unchanged are
+            taken from the table that is there, which this process has written.
 
     Returns:
         The description as written; `complete` and `dataset_digest` tell whether and with what the dataset is whole.
@@ -77,9 +83,9 @@ def write_tables(
         WorldError: the disk is full or gone; the files are as they were.
     """
     tally, former = Tally(), _former(archive.root)
-    rows = ({**_plain(row), SIDE_COLUMN: _side(sides, row)} for row in tally.watch_episodes(episodes))
-    written = _write_rows(archive, METADATA_FILE, _METADATA_SCHEMA, rows)
-    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(_plain, tally.watch_failures(failures)))
+    listed = ListedEpisodes(episodes) if isinstance(episodes, Iterable) else episodes
+    written = write_metadata(archive, METADATA_FILE, _METADATA_SCHEMA, SIDE_COLUMN, listed, sides, tally, anew=anew)
+    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(plain_row, tally.watch_failures(failures)))
     complete = written == plan.episodes
     meta = DatasetMeta(
         run=plan.run,
@@ -125,11 +131,6 @@ _METADATA_SCHEMA = parquet_schema(EpisodeSummary).append(pa.field(SIDE_COLUMN, p
 _ATTEMPTS_SCHEMA = parquet_schema(FailedAttempt)
 
 
-def _side(sides: Mapping[str, Sides], row: EpisodeSummary) -> str | None:
-    side = sides.get(row.scene, {}).get(row.target_id)
-    return None if side is None else str(side)
-
-
 def _write_rows(archive: Archive, name: str, schema: pa.Schema, rows: Iterable[dict[str, Any]]) -> int:
     source, count = iter(rows), 0
     with archive.replacing(name) as path, pq.ParquetWriter(path, schema, compression="zstd") as writer:
@@ -137,11 +138,6 @@ def _write_rows(archive: Archive, name: str, schema: pa.Schema, rows: Iterable[d
             writer.write_batch(pa.RecordBatch.from_pylist(batch, schema=schema))
             count += len(batch)
     return count
-
-
-def _plain(row: Model) -> dict[str, Any]:
-    values = {name: getattr(row, name) for name in type(row).model_fields}
-    return {name: str(value) if isinstance(value, enum.StrEnum) else value for name, value in values.items()}
 
 
 def _write_text(archive: Archive, name: str, text: str) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from coordinator.summary import EpisodeSummary
 from schemas.terms import FailReason
 
 __all__ = ["Sums", "Tally"]
@@ -32,13 +31,15 @@ class Sums:
     trajectory_length_m: float = 0.0
     final_ne_m: float = 0.0
 
-    def add(self, row: EpisodeSummary) -> None:
-        """Adds an episode."""
-        self.episodes += 1
-        self.steps += row.num_steps
-        self.spawn_dist_m += row.spawn_dist_m
-        self.trajectory_length_m += row.trajectory_length_m
-        self.final_ne_m += row.final_ne_m
+    def add(
+        self, episodes: int, steps: int, spawn_dist_m: float, trajectory_length_m: float, final_ne_m: float
+    ) -> None:
+        """Adds the sums over more episodes."""
+        self.episodes += episodes
+        self.steps += steps
+        self.spawn_dist_m += spawn_dist_m
+        self.trajectory_length_m += trajectory_length_m
+        self.final_ne_m += final_ne_m
 
 
 @dataclass
@@ -54,17 +55,6 @@ class Tally:
     refused: Counter[str] = field(default_factory=Counter)
     """Attempts that the world refused, by scene."""
     renderers: set[str] = field(default_factory=set)
-
-    def watch_episodes(self, rows: Iterable[EpisodeSummary]) -> Iterator[EpisodeSummary]:
-        """Yields the rows and counts them."""
-        for row in rows:
-            self.digests.append((row.episode_id, row.content_digest))
-            self.counts[row.scene, str(row.split), str(row.spawn_tier)] += 1
-            self.categories[row.target_category] += 1
-            self.scenes[row.scene].add(row)
-            self.tiers[str(row.spawn_tier)].add(row)
-            self.renderers.add(row.renderer)
-            yield row
 
     def watch_failures(self, rows: Iterable[Failure]) -> Iterator[Failure]:
         """Yields the rows and counts those that the world refused."""

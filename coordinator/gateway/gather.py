@@ -22,11 +22,12 @@ from coordinator.dataset.checkpoint import write_checkpoint
 from coordinator.dataset.split_tables import write_split_tables
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.keepers import all_keepers, bring_home
+from coordinator.ledger.look import require_sound
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.tables import episodes
 from coordinator.repair.mend import Patient
 from schemas.base import Model
-from schemas.errors import UsageError
+from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
 
 __all__ = ["GatherReport", "Missing", "gather"]
@@ -88,7 +89,7 @@ def gather(
 
     Raises:
         UsageError: a source is no directory of a gateway.
-        WorldError: a coordinator works on the dataset, or the disk refuses.
+        WorldError: a coordinator works on the dataset, its ledger is lost or damaged, or the disk refuses.
     """
     for source in sources:
         if not (source / EPISODES).is_dir():
@@ -97,6 +98,9 @@ def gather(
     with ExitStack() as stack:
         store = patient.root if isinstance(patient.root, ObjectPath) else None
         archive = stack.enter_context(open_archive(patient.home, store))
+        if patient.stranger:
+            raise WorldError(f"the ledger {patient.stranger}; `factory repair {patient.root}` rebuilds the right one")
+        require_sound(patient.url)
         engine = open_writer(patient.url)
         stack.callback(engine.dispose)
         with engine.connect() as connection:

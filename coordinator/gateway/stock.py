@@ -17,7 +17,9 @@ from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.puller import Checker
 from coordinator.wire.relay import MAX_FILES, Archived, Inventory, InventoryReply, Stray
+from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
+from schemas.job import Job
 from schemas.keys import Verb
 from schemas.wire import Ack
 
@@ -109,8 +111,16 @@ def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: thr
     if stray.job is None:
         return stray.why
     try:
-        summary = checker.check(path, stray.job, stray.target)
+        summary = checker.check(path, _job_of(path, stray.job), stray.target)
     except InvalidBundle as error:
         return str(error)
     ack = core.insist(Verb.ARCHIVED, Archived(summary=summary, lease=None), Ack, stop)
     return "" if ack.accepted else "the core does not want it any more"
+
+
+def _job_of(path: Path, job: Job) -> Job:
+    """Returns the job at the attempt that a file says it is of, where that is a later one of the same draw."""
+    with path.open("rb") as file, BundleReader(file) as bundle:
+        said = bundle.meta.job
+    is_later = said.draw == job.draw and said.attempt > job.attempt
+    return job.model_copy(update={"attempt": said.attempt}) if is_later else job

@@ -14,15 +14,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Engine, create_engine, event, inspect, make_url
+from sqlalchemy import Engine, create_engine, event, make_url
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
-from coordinator.ledger.tables import ADDED_LATER, METADATA
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["checkpoint_log", "ledger_trouble", "open_reader", "open_writer", "shown_url", "sqlite_files", "sqlite_url"]
+__all__ = ["checkpoint_log", "is_server", "open_reader", "open_writer", "shown_url", "sqlite_files", "sqlite_url"]
 
 _EXAMPLES = "give e.g. sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
@@ -48,7 +47,7 @@ def open_writer(url: str) -> Engine:
         UsageError: the URL names a database this installation cannot open.
         WorldError: the server cannot be reached, or another coordinator writes to the database.
     """
-    if _is_server(url):
+    if is_server(url):
         engine = _create(url, pool_size=1, max_overflow=0, pool_pre_ping=True)
         event.listen(engine, "connect", _hold_alone)
         _reach(engine)
@@ -68,7 +67,7 @@ def open_reader(url: str) -> Engine:
         UsageError: the URL names a database this installation cannot open.
         WorldError: there is no such SQLite file, or the server cannot be reached.
     """
-    if _is_server(url):
+    if is_server(url):
         engine = _create(url, connect_args={"options": "-c default_transaction_read_only=on"}, pool_pre_ping=True)
         _reach(engine)
         return engine
@@ -76,30 +75,6 @@ def open_reader(url: str) -> Engine:
     if not file.is_file():
         raise WorldError(f"no ledger at {file}; start a run there with `factory run` or `factory coordinator start`")
     return create_engine("sqlite://", creator=lambda: _connect_readonly(file), poolclass=NullPool)
-
-
-def ledger_trouble(url: str) -> str:
-    """Returns why a ledger cannot be used, in words; empty when it is whole as far as its database can tell.
-
-    Raises:
-        UsageError: the URL names a database this installation cannot open.
-    """
-    if make_url(url).get_backend_name() == "sqlite" and not _sqlite_file(url).is_file():
-        return "is not there"
-    engine = open_reader(url)
-    try:
-        with engine.connect() as connection:
-            if connection.dialect.name == "sqlite":
-                said = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar_one()
-                if said != "ok":
-                    return f"is damaged: {said}"
-            tables = set(inspect(connection).get_table_names())
-            missing = sorted(METADATA.tables.keys() - tables - ADDED_LATER)
-            return f"lacks the tables {', '.join(missing)}" if missing else ""
-    except DatabaseError as error:
-        return f"cannot be read: {error.orig}"
-    finally:
-        engine.dispose()
 
 
 def sqlite_files(url: str) -> list[Path]:
@@ -136,7 +111,12 @@ def _sqlite_file(url: str) -> Path:
     return Path(make_url(url).database or "")
 
 
-def _is_server(url: str) -> bool:
+def is_server(url: str) -> bool:
+    """Returns whether the ledger is kept by a database server.
+
+    Raises:
+        UsageError: the URL cannot be understood.
+    """
     try:
         return make_url(url).get_backend_name() == "postgresql"
     except ArgumentError as error:

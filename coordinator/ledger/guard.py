@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.object_path import ObjectPath
-from coordinator.ledger.engine import ledger_trouble, shown_url
+from coordinator.ledger.audit import ledger_trouble
+from coordinator.ledger.engine import shown_url
 from schemas.errors import WorldError
 
 __all__ = ["require_ledger"]

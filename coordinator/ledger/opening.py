@@ -13,15 +13,18 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import xxhash
+from pydantic import TypeAdapter
 from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import LEDGER_FILE
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import State
-from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, info, jobs
+from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.draw import PlannedJob, expand
+from schemas.base import Sha256
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
@@ -32,12 +35,16 @@ __all__ = [
     "insert_planned",
     "ledger_url_of",
     "open_run",
+    "planned_digest",
     "planned_of",
     "read_info",
     "require_plan",
 ]
 
 _INSERT_ROWS = 5000
+_SCENES = TypeAdapter(dict[str, Sha256])
+_BEGUN_WITH = ("plan_digest", "scenes", "created_at")
+_IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction")
 
 
 @dataclass(frozen=True)
@@ -88,12 +95,16 @@ def open_run(
         if holds_run(connection):
             _check_is_ours(read_info(connection), plan, catalog)
             _bring_up_to_date(connection)
-            _write_info(connection, {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)})
+            facts = {"format": str(LEDGER_FORMAT), "lease_ttl_s": str(lease_ttl_s)}
+            if connection.execute(select(info).where(info.c.key == PLANNED)).first() is None:
+                facts[PLANNED] = planned_digest(connection)
+            _write_info(connection, facts)
             return False
         planned = expand(plan, catalog) if planned is None else planned
         METADATA.create_all(connection)
         insert_planned(connection, planned, now)
         _write_info(connection, _facts(plan, catalog, lease_ttl_s, now))
+        _write_info(connection, {PLANNED: planned_digest(connection)})
         return True
 
 
@@ -110,24 +121,48 @@ def read_info(connection: Connection) -> LedgerInfo:
 
     Raises:
         UsageError: it is of a newer format, or no ledger.
+        WorldError: it cannot be understood.
     """
     if not holds_run(connection):
         raise UsageError("the database holds no ledger yet: begin a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
+    try:
+        return _info_of(facts)
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
+        said = str(error).splitlines()[0]
+        raise WorldError(f"the ledger is damaged: its description cannot be understood ({said})") from error
+
+
+def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
     found = int(facts["format"])
     if found > LEDGER_FORMAT:
         raise UsageError(
             f"the ledger has format {found}, this software reads up to {LEDGER_FORMAT}: use the newer minivla-factory "
             "that wrote it"
         )
+    plan = Plan.model_validate_json(facts["plan"])
+    if (plan.digest, plan.run) != (facts["plan_digest"], facts["run"]):
+        raise ValueError(f"its plan is not that of run {facts['run']}")
     return LedgerInfo(
         format=found,
         run=facts["run"],
-        plan=Plan.model_validate_json(facts["plan"]),
-        scenes=json.loads(facts["scenes"]),
+        plan=plan,
+        scenes=_SCENES.validate_json(facts["scenes"]),
         lease_ttl_s=float(facts["lease_ttl_s"]),
         created_at=datetime.fromisoformat(facts["created_at"]),
     )
+
+
+def planned_digest(connection: Connection) -> str:
+    """Returns a digest over what the run began with: its scenes and the first draw of every episode."""
+    digest = xxhash.xxh3_128()
+    facts = select(info).where(info.c.key.in_(_BEGUN_WITH)).order_by(info.c.key)
+    digest.update(repr([tuple(row) for row in connection.execute(facts)]).encode("utf-8", "surrogatepass"))
+    query = select(*(jobs.c[name] for name in _IDENTITY)).where(jobs.c.draw == 0).order_by(jobs.c.idx)
+    rows = iter(connection.execute(query.execution_options(yield_per=_INSERT_ROWS)))
+    while batch := [tuple(row) for row in islice(rows, _INSERT_ROWS)]:
+        digest.update(repr(batch).encode("utf-8", "surrogatepass"))
+    return digest.hexdigest()
 
 
 def holds_run(connection: Connection) -> bool:

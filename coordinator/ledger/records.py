@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeVar
 
+from pydantic import ValidationError
 from sqlalchemy import Row, Select, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.states import State
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from coordinator.summary import EpisodeSummary
+from schemas.errors import WorldError
 from schemas.terms import Split, Tier
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "EventRecord",
     "JobFilter",
     "JobRecord",
+    "LedgerEpisodes",
     "count_jobs",
     "list_jobs",
     "read_archived",
@@ -29,6 +32,7 @@ __all__ = [
 ]
 
 _YIELD_ROWS = 1000
+R = TypeVar("R", "JobRecord", "AttemptRecord", "EventRecord")
 
 
 @dataclass(frozen=True)
@@ -115,16 +119,18 @@ def read_attempts(connection: Connection, index: int | None = None) -> Iterator[
     if index is not None:
         query = query.where(attempts.c.idx == index)
     for row in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
-        yield AttemptRecord(
-            index=row.idx,
-            draw=row.draw,
-            attempt=row.attempt,
-            outcome=row.outcome,
-            detail=row.detail,
-            steps=row.steps,
-            seconds=row.seconds,
-            worker=row.sid,
-            at=_utc(row.at),
+        yield _printable(
+            AttemptRecord(
+                index=row.idx,
+                draw=row.draw,
+                attempt=row.attempt,
+                outcome=row.outcome,
+                detail=row.detail,
+                steps=row.steps,
+                seconds=row.seconds,
+                worker=row.sid,
+                at=_utc(row.at),
+            )
         )
 
 
@@ -137,7 +143,8 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
         .order_by(events.c.id)
     )
     for row in connection.execute(query):
-        yield EventRecord(row.draw, row.attempt, row.event, State(row.state), row.sid, row.detail, _utc(row.at))
+        state, at = State(row.state), _utc(row.at)
+        yield _printable(EventRecord(row.draw, row.attempt, row.event, state, row.sid, row.detail, at))
 
 
 def read_archived(connection: Connection) -> frozenset[int]:
@@ -146,10 +153,45 @@ def read_archived(connection: Connection) -> frozenset[int]:
 
 
 def read_summaries(connection: Connection) -> Iterator[EpisodeSummary]:
-    """Yields the archived episodes in the order of the plan."""
-    query = select(episodes.c.summary).order_by(episodes.c.idx)
-    for (summary,) in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
-        yield EpisodeSummary.model_validate_json(summary)
+    """Yields the archived episodes in the order of the plan.
+
+    Raises:
+        WorldError: a row cannot be understood.
+    """
+    return _summaries(connection, select(episodes.c.idx, episodes.c.summary).order_by(episodes.c.idx))
+
+
+class LedgerEpisodes:
+    """The archived episodes as the writer of tables wants them.
+
+    Args:
+        connection: for reading.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def digests(self) -> Iterator[tuple[int, str]]:
+        """Yields number and SHA-256 of the file of each episode, in ascending order."""
+        query = select(episodes.c.idx, episodes.c.sha256).order_by(episodes.c.idx)
+        for row in self._connection.execute(query.execution_options(yield_per=_YIELD_ROWS)):
+            yield row.idx, row.sha256
+
+    def rows(self, first: int, last: int) -> Iterator[EpisodeSummary]:
+        """Yields the rows of the episodes between two numbers, both included, in ascending order."""
+        query = select(episodes.c.idx, episodes.c.summary).order_by(episodes.c.idx)
+        return _summaries(self._connection, query.where(episodes.c.idx.between(first, last)))
+
+
+def _summaries(connection: Connection, query: Select[Any]) -> Iterator[EpisodeSummary]:
+    for index, summary in connection.execute(query.execution_options(yield_per=_YIELD_ROWS)):
+        try:
+            yield EpisodeSummary.model_validate_json(summary)
+        except ValidationError as error:
+            raise WorldError(
+                f"the ledger's row of episode {index} cannot be understood: stop the run and let `factory repair` read "
+                "it from the episode's file"
+            ) from error
 
 
 def _filtered(query: Select[Any], wanted: JobFilter) -> Select[Any]:
@@ -164,25 +206,35 @@ def _filtered(query: Select[Any], wanted: JobFilter) -> Select[Any]:
 
 
 def _job_record(row: Row[Any]) -> JobRecord:
-    return JobRecord(
-        index=row.idx,
-        draw=row.draw,
-        state=State(row.state),
-        superseded=row.superseded,
-        scene=row.scene,
-        tier=Tier(row.tier),
-        split=Split(row.split),
-        category=row.category,
-        target_id=row.target_id,
-        instruction=row.instruction,
-        attempt=row.attempt,
-        misses=row.misses,
-        crashes=row.crashes,
-        worker=row.sid or "",
-        step=row.step,
-        reason=row.reason,
-        changed_at=_utc(row.changed_at),
+    return _printable(
+        JobRecord(
+            index=row.idx,
+            draw=row.draw,
+            state=State(row.state),
+            superseded=row.superseded,
+            scene=row.scene,
+            tier=Tier(row.tier),
+            split=Split(row.split),
+            category=row.category,
+            target_id=row.target_id,
+            instruction=row.instruction,
+            attempt=row.attempt,
+            misses=row.misses,
+            crashes=row.crashes,
+            worker=row.sid or "",
+            step=row.step,
+            reason=row.reason,
+            changed_at=_utc(row.changed_at),
+        )
     )
+
+
+def _printable(record: R) -> R:
+    """Returns a record without bytes, which SQLite gives from any column of a damaged ledger."""
+    wrong = [field.name for field in fields(record) if isinstance(getattr(record, field.name), bytes)]
+    if wrong:
+        raise ValueError(f"bytes stand for {', '.join(wrong)}")
+    return record
 
 
 def _utc(seconds: float) -> datetime:

@@ -6,8 +6,7 @@ A ledger that was lost is one that lags behind by everything. Judges no file; th
 from __future__ import annotations
 
 import secrets
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any
@@ -24,13 +23,13 @@ from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, jobs
 from coordinator.plan.catalog import Catalog
 from coordinator.plan.draw import redraw
-from coordinator.summary import EpisodeSummary
+from coordinator.summary import Receipt
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import FailReason
 from schemas.wire import Done
 
-__all__ = ["REPAIRER", "current_job", "recall", "record_whole"]
+__all__ = ["REPAIRER", "current_job", "obstacle_to", "recall", "record_whole"]
 
 REPAIRER = "repair"
 """Stands in the ledger where otherwise a worker's session id does."""
@@ -66,74 +65,157 @@ def current_job(connection: Connection, index: int) -> Row[Any] | None:
     return connection.execute(select(jobs).where(jobs.c.idx == index, jobs.c.superseded.is_(False))).first()
 
 
-def record_whole(connection: Connection, plan: Plan, catalog: Catalog, summary: EpisodeSummary, now: datetime) -> str:
-    """Records a validated file as its episode, however far the ledger lags behind it.
+def obstacle_to(connection: Connection, index: int, draw: int, attempt: int, *, replaces: bool = False) -> str:
+    """Returns why a whole file of that attempt cannot become the episode; empty when it can.
 
-    Returns:
-        Why not; nothing when it is done.
+    Args:
+        connection: of the ledger.
+        index: of the episode.
+        draw: that the file is of.
+        attempt: that the file is of.
+        replaces: whether it may take the place of the file that the ledger owns.
     """
-    row = _seat(connection, plan, catalog, summary.index, summary.draw, now)
-    if isinstance(row, str):
-        return row
-    if row.attempt > summary.attempt:
-        return f"the ledger has seen attempt {summary.attempt} fail"
-    row = _take(connection, row, summary.attempt, now)
-    done = Done(sid=REPAIRER, lease=lease_of(row), sha256=summary.file_sha256, size=summary.file_bytes)
-    outcomes.announce(connection, done, now, _LEASE_S)
-    return "" if outcomes.adopt(connection, row.id, summary, now) else "the ledger moved meanwhile"
+    row = current_job(connection, index)
+    if row is None:
+        return "the plan has no such episode"
+    if row.state == State.ARCHIVED and not replaces:
+        return "the ledger owns another file"
+    if row.draw > draw:
+        return f"the ledger has given up draw {draw} of it"
+    if row.attempt > attempt:
+        return f"the ledger has seen attempt {attempt} fail"
+    return ""
 
 
-def recall(
-    connection: Connection, plan: Plan, catalog: Catalog, failures: Sequence[FailedAttempt], now: datetime
-) -> None:
-    """Tells an empty ledger what failed before it was lost, so that no hopeless attempt is tried again.
+def record_whole(
+    connection: Connection,
+    plan: Plan,
+    catalog: Catalog,
+    receipt: Receipt,
+    now: datetime,
+    at: tuple[int, int],
+    *,
+    replaces: bool = False,
+) -> str:
+    """Records a validated file as its episode, however far the ledger lags behind it.
 
     Args:
         connection: within a transaction.
         plan: of the run.
         catalog: of its scenes.
-        failures: rows of `attempts.parquet`.
+        receipt: of the file.
         now: of the repair.
+        at: draw and attempt that the file is of.
+        replaces: whether it may take the place of the file that the ledger owns.
+
+    Returns:
+        Why not; nothing when it is done.
     """
+    draw, attempt = at
+    obstacle = obstacle_to(connection, receipt.index, draw, attempt, replaces=replaces)
+    if obstacle:
+        return obstacle
+    outcomes.lose(connection, receipt.index, now, "another whole file of it is on disk")
+    row = _take(connection, _seat(connection, plan, catalog, receipt.index, draw, now), attempt, now)
+    done = Done(sid=REPAIRER, lease=lease_of(row), sha256=receipt.file_sha256, size=receipt.file_bytes)
+    outcomes.announce(connection, done, now, _LEASE_S)
+    return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger moved meanwhile"
+
+
+def recall(
+    connection: Connection,
+    plan: Plan,
+    catalog: Catalog,
+    failures: Iterable[FailedAttempt],
+    known: Iterable[FailedAttempt],
+    now: datetime,
+    whole: Mapping[int, tuple[int, int]],
+) -> None:
+    """Tells a ledger that lags behind what failed, so that no hopeless attempt is tried again.
+
+    Args:
+        connection: within a transaction.
+        plan: of the run.
+        catalog: of its scenes.
+        failures: rows of `attempts.parquet`, each of a draw that the plan has.
+        known: the failed attempts that the ledger records.
+        now: of the repair.
+        whole: episode -> draw and attempt of its whole file; no attempt from there on can have failed.
+    """
+    heard = {_key(failure) for failure in known}
     by_episode: dict[str, list[FailedAttempt]] = {}
     for failure in failures:
-        by_episode.setdefault(failure.episode_id, []).append(failure)
-    for index in range(1, plan.episodes + 1):
+        if _key(failure) not in heard:
+            by_episode.setdefault(failure.episode_id, []).append(failure)
+    for index in range(1, plan.episodes + 1) if by_episode else ():
         told = by_episode.get(episode_id(index))
-        if told:
-            _recall_episode(connection, plan, catalog, index, told, now)
+        row = current_job(connection, index) if told else None
+        if told and row is not None:
+            end = (row.draw, row.attempt) if row.state == State.ARCHIVED else whole.get(index)
+            _recall_episode(connection, plan, catalog, row, [one for one in told if _is_before(one, end)], now)
+
+
+def _key(failure: FailedAttempt) -> tuple[str, int, int, str, datetime]:
+    return failure.episode_id, failure.draw, failure.attempt, failure.reason, failure.at
+
+
+def _is_before(failure: FailedAttempt, end: tuple[int, int] | None) -> bool:
+    if end is None:
+        return True
+    settles = failure.reason in _WORLD
+    return failure.draw <= end[0] and (failure.attempt < end[1] or (not settles and failure.attempt == end[1]))
 
 
 def _recall_episode(
-    connection: Connection, plan: Plan, catalog: Catalog, index: int, told: list[FailedAttempt], now: datetime
+    connection: Connection, plan: Plan, catalog: Catalog, row: Row[Any], told: list[FailedAttempt], now: datetime
 ) -> None:
-    settled = sorted((row for row in told if row.reason in _WORLD), key=lambda row: row.attempt)
-    if settled:
-        last = settled[-1]
-        tried = sum(row.draw == last.draw for row in settled)
-        misses = tried % plan.budget.attempts_per_draw  # an operator's retry grants the whole budget once more
-        is_used = misses == 0
-        draw = last.draw + 1 if is_used and last.draw + 1 < plan.budget.draws else last.draw
-        row = _seat(connection, plan, catalog, index, draw, now)
-        if isinstance(row, str):
-            return
-        after = {"attempt": last.attempt + 1, "misses": misses}
-        connection.execute(update(jobs).where(jobs.c.id == row.id).values(after))
-        if is_used and draw == last.draw:
-            row = _take(connection, row, last.attempt + 1, now)
-            _exhaust(connection, row, now, has_successor=False)
-    _insert_attempts(connection, index, told)
+    settled = list(_following(row, told))
+    if settled and row.state != State.ARCHIVED:
+        _catch_up(connection, plan, catalog, row.idx, settled, now)
+    _insert_attempts(connection, row.idx, told)
+
+
+def _following(row: Row[Any], told: Iterable[FailedAttempt]) -> Iterator[FailedAttempt]:
+    """Yields the attempts that followed the one a job stands at, up to the first that is missing among them."""
+    by_attempt = {one.attempt: one for one in told if one.reason in _WORLD and one.draw >= row.draw}
+    attempt = row.attempt
+    while attempt in by_attempt:
+        yield by_attempt[attempt]
+        attempt += 1
+
+
+def _catch_up(
+    connection: Connection, plan: Plan, catalog: Catalog, index: int, settled: list[FailedAttempt], now: datetime
+) -> None:
+    """Brings an episode to the attempt that follows the last one that failed."""
+    last = settled[-1]
+    recorded = select(attempts.c.attempt).where(
+        attempts.c.idx == index, attempts.c.draw == last.draw, attempts.c.settles, attempts.c.outcome.in_(_WORLD)
+    )
+    tried = len({*connection.execute(recorded).scalars(), *(one.attempt for one in settled if one.draw == last.draw)})
+    misses = tried % plan.budget.attempts_per_draw  # an operator's retry grants the whole budget once more
+    is_used = misses == 0
+    draw = last.draw + 1 if is_used and last.draw + 1 < plan.budget.draws else last.draw
+    row = _seat(connection, plan, catalog, index, draw, now, last.attempt + 1)
+    row = _take(connection, row, last.attempt + 1, now)
+    if is_used and draw == last.draw:
+        _exhaust(connection, row, now, has_successor=False)
+    else:
+        row = _made(_FREE[State.LEASED], connection, row, {}, now)
+        connection.execute(update(jobs).where(jobs.c.id == row.id).values(misses=misses))
 
 
 def _insert_attempts(connection: Connection, index: int, told: Iterable[FailedAttempt]) -> None:
-    """Appends the failed attempts of an episode; those at draws that the plan does not have any more are left out."""
+    """Appends failed attempts of an episode; those at draws that the ledger does not have are left out."""
     ids = {row.draw: row.id for row in connection.execute(select(jobs.c.draw, jobs.c.id).where(jobs.c.idx == index))}
-    seen: Counter[int] = Counter()
+    ended = select(attempts.c.attempt).where(attempts.c.idx == index, attempts.c.settles)
+    seen = set(connection.execute(ended).scalars())
     for row in told:
         if row.draw not in ids:
             continue
-        settles = row.reason in _WORLD and seen[row.attempt] == 0
-        seen[row.attempt] += settles
+        settles = row.reason in _WORLD and row.attempt not in seen
+        if settles:
+            seen.add(row.attempt)
         connection.execute(
             insert(attempts),
             {
@@ -153,19 +235,15 @@ def _insert_attempts(connection: Connection, index: int, told: Iterable[FailedAt
         )
 
 
-def _seat(connection: Connection, plan: Plan, catalog: Catalog, index: int, draw: int, now: datetime) -> Row[Any] | str:
-    """Brings an episode to a draw that waits in the queue; returns its job, or why that cannot be."""
-    row = current_job(connection, index)
-    if row is None:
-        return "the plan has no such episode"
-    if row.draw > draw:
-        return f"the ledger has given up draw {draw} of it"
-    if row.state == State.ARCHIVED:
-        return "the ledger owns another file"
+def _seat(
+    connection: Connection, plan: Plan, catalog: Catalog, index: int, draw: int, now: datetime, attempt: int = 0
+) -> Row[Any]:
+    """Brings an episode to a draw that waits in the queue and returns its job; a later attempt is noted on the way."""
+    row = _required(current_job(connection, index))
     if row.state != State.PENDING:
         row = _made(_FREE[State(row.state)], connection, row, {}, now)
     while row.draw < draw:
-        row = _take(connection, row, row.attempt, now)
+        row = _take(connection, row, max(row.attempt, attempt), now)
         _exhaust(connection, row, now, has_successor=True)
         insert_planned(connection, [redraw(plan, catalog, planned_of(row))], now, attempt=row.attempt)
         row = _required(current_job(connection, index))

@@ -12,6 +12,7 @@ __all__ = [
     "ADDED_LATER",
     "LEDGER_FORMAT",
     "METADATA",
+    "PLANNED",
     "attempts",
     "episodes",
     "events",
@@ -27,6 +28,9 @@ LEDGER_FORMAT = 2
 
 ADDED_LATER = frozenset({"hosts", "keepers"})
 """Tables that a whole ledger of an older format lacks; opening it for writing adds them."""
+
+PLANNED = "planned"
+"""Key of `info` with the digest of the jobs that the run began with; older ledgers lack it until they are opened."""
 
 METADATA = MetaData()
 

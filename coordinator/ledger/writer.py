@@ -6,6 +6,7 @@ Knows nothing of jobs or of zenoh. Work must be a function of the connection alo
 from __future__ import annotations
 
 import queue
+import sqlite3
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -14,7 +15,7 @@ from typing import Any, Generic, TypeVar
 import structlog
 from sqlalchemy import Engine
 from sqlalchemy.engine import Connection
-from sqlalchemy.exc import OperationalError, SQLAlchemyError
+from sqlalchemy.exc import DatabaseError, OperationalError, SQLAlchemyError
 
 from coordinator.ledger.engine import checkpoint_log
 from coordinator.log_limit import LogLimit, describe_error
@@ -56,6 +57,8 @@ class Writer(Closing):
         self._queue: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
         self._closed = False
         self._closing = threading.Lock()
+        self.damage = ""
+        """Why the database will not take anything any more; empty as long as trying again may help."""
         self._answers: queue.SimpleQueue[tuple[_Request[Any], Any] | None] = queue.SimpleQueue()
         self._threads = (
             threading.Thread(target=self._run, name="ledger-writer"),
@@ -114,6 +117,9 @@ class Writer(Closing):
                     if batch:
                         self._commit(connection, batch)
                 checkpoint_log(connection)
+        except (SQLAlchemyError, sqlite3.Error) as error:
+            self.damage = self.damage or str(error)
+            log.error("ledger_lost", error=str(error), remedy="start again: the ledger is rebuilt from the episodes")
         finally:
             self._answers.put(None)
 
@@ -153,9 +159,18 @@ class Writer(Closing):
                 outcomes = [_run_guarded(connection, request) for request in batch]
         except (SQLAlchemyError, WorldError) as error:
             self._failing.fail(error, requests=len(batch))
+            if _is_final(error):
+                self.damage = str(error)
             return [_transient(error)] * len(batch)
         self._failing.succeed()
         return outcomes
+
+
+def _is_final(error: SQLAlchemyError | WorldError) -> bool:
+    """Returns whether the database file itself is damaged; a full disk or a lost server is not."""
+    original = error.orig if isinstance(error, DatabaseError) else None
+    code = getattr(original, "sqlite_errorcode", 0)
+    return code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 def _run_together(connection: Connection, batch: Sequence[_Request[Any]]) -> list[Any]:

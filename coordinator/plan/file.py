@@ -15,11 +15,14 @@ from pydantic import ValidationError
 from coordinator.plan.apportion import apportion
 from coordinator.plan.builtin import BUILTIN_PLANS
 from schemas.errors import InvalidPlan, UsageError
+from schemas.foreign import PARSER_ERRORS, path_trouble
 from schemas.meant import did_you_mean
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import ExpertName
 
 __all__ = ["load_plan", "parse_plan", "scene_of", "shrink"]
+
+_MOST_BYTES = 4 << 20
 
 
 def load_plan(reference: str) -> Plan:
@@ -32,12 +35,18 @@ def load_plan(reference: str) -> Plan:
     if reference in BUILTIN_PLANS:
         return BUILTIN_PLANS[reference]
     path = Path(reference)
+    trouble = path_trouble(reference)
+    if trouble:
+        raise UsageError(f"no plan {reference[:80]!r}: {trouble}")
     if not path.is_file():
         raise UsageError(_say_absent(reference, path))
     try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except (OSError, ValueError, RecursionError) as error:  # no UTF-8, no TOML, or brackets within brackets without end
+        if path.stat().st_size > _MOST_BYTES:
+            raise InvalidPlan(f"{path} is no plan", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except RecursionError as error:
+        raise InvalidPlan(f"{path} is no plan", ["its values are nested too deeply"]) from error
+    except PARSER_ERRORS as error:
         raise InvalidPlan(f"{path} is no TOML", [str(error)]) from error
     data.setdefault("name", _name_from(path))
     return parse_plan(data, str(path), base=path.parent)
@@ -79,6 +88,10 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
 
 def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
     files = {"usd": scene.usd, "rules": scene.rules, "targets": scene.targets}
+    troubles = {key: path_trouble(str(base / file)) for key, file in files.items() if file}
+    if any(troubles.values()):
+        lines = [f"scenes.{key}: {trouble}" for key, trouble in troubles.items() if trouble]
+        raise InvalidPlan(f"scene {scene.name!r} names files that cannot be", lines)
     return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
 
 

@@ -23,15 +23,18 @@ from coordinator.dataset.checkpoint import read_failures, write_checkpoint
 from coordinator.dataset.meta import META_FILE, read_dataset_meta
 from coordinator.dataset.split_faults import find_faults
 from coordinator.dataset.split_tables import write_split_tables
-from coordinator.dataset.table_reader import read_column, read_failed_attempts
+from coordinator.dataset.table_reader import read_column
 from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
-from coordinator.ledger.engine import ledger_trouble, open_reader, open_writer, sqlite_files
+from coordinator.ledger.audit import ledger_trouble
+from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.opening import holds_run, open_run, read_info
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.records import read_summaries
-from coordinator.ledger.repair import recall, record_whole
+from coordinator.ledger.repair import record_whole
 from coordinator.plan.catalog import Catalog
 from coordinator.puller import Checker
+from coordinator.repair.memory import recall_failures
+from coordinator.repair.renewal import set_aside_ledger
 from coordinator.repair.report import Action, RepairKind, RepairReport
 from coordinator.repair.survey import Survey, Tell, survey_archive
 from coordinator.summary import EpisodeSummary
@@ -60,6 +63,8 @@ class Patient:
     """Of the plan's scenes; those that `scenes` names lie elsewhere than in the directory."""
     scenes: Mapping[str, str]
     """Scene name -> why its package in the directory cannot be used."""
+    stranger: str = ""
+    """Why the ledger, whole or not, is not this dataset's; empty when it is, or is lost."""
 
 
 def repair(
@@ -87,11 +92,11 @@ def repair(
     """
     with ExitStack() as stack:
         archive = stack.enter_context(_open(patient, take_over)) if apply else None
-        trouble = ledger_trouble(patient.url)
+        trouble = patient.stranger or ledger_trouble(patient.url, patient.catalog)
         with _reading(patient.url, trouble) as ledger:
             survey = survey_archive(patient.root, patient.plan, patient.catalog, ledger, checker, tell)
             actions = [*_of_ledger(trouble), *_of_scenes(patient), *_of(patient.root, survey)]
-            actions += _of_tables(patient, ledger, changes=bool(survey.adopt or survey.requeue))
+            actions += _of_tables(patient, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:
             _carry_out(patient, archive, survey, trouble, now)
         return RepairReport(
@@ -99,7 +104,7 @@ def repair(
             run=patient.plan.run,
             applied=archive is not None,
             actions=tuple(actions),
-            episodes=survey.whole + len(survey.adopt),
+            episodes=survey.whole + len(survey.adopt) + len(survey.restore),
             planned=patient.plan.episodes,
         )
 
@@ -136,6 +141,9 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
     for summary in survey.adopt:
         why = f"whole, draw {summary.draw}, attempt {summary.attempt}, and the ledger does not own it"
         yield Action(kind=RepairKind.ADOPT, what=summary.file_name, why=why)
+    for path, summary in survey.restore:
+        why = f"a whole episode in quarantine, draw {summary.draw}, attempt {summary.attempt}"
+        yield Action(kind=RepairKind.RESTORE, what=relative_name(path, root), why=why)
     for path, why in survey.quarantine:
         yield Action(
             kind=RepairKind.QUARANTINE, what=relative_name(path, root), why=" ".join(why.split())[:_LISTED_CHARS]
@@ -189,20 +197,21 @@ def _carry_out(patient: Patient, archive: Archive, survey: Survey, trouble: str,
         archive.add_scene(entry.path, name, entry.sha256)
     for path, why in survey.quarantine:
         archive.quarantine(path, why)
-    failures = read_failed_attempts(patient.root / ATTEMPTS_FILE) if trouble else []
+    for path, summary in survey.restore:
+        archive.restore(path, summary.index)
     if trouble:
-        for file in sqlite_files(patient.url):
-            archive.quarantine(file, trouble)
+        set_aside_ledger(archive, patient.url, trouble)
     engine = open_writer(patient.url)
     try:
-        is_new = open_run(engine, patient.plan, patient.catalog, _lease_ttl_of(engine), now)
-        if is_new:
-            with engine.begin() as connection:
-                recall(connection, patient.plan, patient.catalog, failures, now)
+        open_run(engine, patient.plan, patient.catalog, _lease_ttl_of(engine), now)
         with engine.begin() as connection:
             for index, why in survey.requeue:
                 lose(connection, index, now, why)
-        for summary in survey.adopt:
+        whole = [*survey.adopt, *(summary for _, summary in survey.restore)]
+        recall_failures(
+            engine, patient.root, patient.plan, patient.catalog, now, {summary.index: summary for summary in whole}
+        )
+        for summary in whole:
             _adopt(engine, patient, archive, summary, now)
         with engine.connect() as connection:
             write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
@@ -213,7 +222,8 @@ def _carry_out(patient: Patient, archive: Archive, survey: Survey, trouble: str,
 
 def _adopt(engine: Engine, patient: Patient, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
     with engine.begin() as connection:
-        refusal = record_whole(connection, patient.plan, patient.catalog, summary, now)
+        at = (summary.draw, summary.attempt)
+        refusal = record_whole(connection, patient.plan, patient.catalog, summary, now, at, replaces=True)
         if refusal:
             connection.rollback()
     if refusal:

@@ -13,7 +13,8 @@ class RepairKind(StrEnum):
     """One kind of remedy."""
 
     REBUILD = "rebuild"  # the ledger is lost or damaged: made anew from plan, tables and archive
-    RESTORE = "restore"  # a scene package is missing or damaged: taken from the cache or built again
+    RESTORE = "restore"  # a scene package is missing or damaged: taken from the cache or built again; an episode in
+    # quarantine is whole and of the plan: moved back and recorded
     ADOPT = "adopt"  # a whole episode that the ledger does not own: validated and recorded
     QUARANTINE = "quarantine"  # a file that is no sound episode of this plan: moved aside and kept
     REQUEUE = "requeue"  # an episode that the ledger owns and the disk does not have: made anew, with the same content

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import Row, select
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import EPISODES, index_of_file
+from coordinator.archive.contract import EPISODES, QUARANTINE, index_of_file
 from coordinator.archive.object_path import ObjectPath
-from coordinator.archive.place import Place, at_hand, children, digest_of
+from coordinator.archive.place import Place, children, digest_of
 from coordinator.ledger.keepers import all_keepers
-from coordinator.ledger.repair import current_job
-from coordinator.ledger.states import State
 from coordinator.ledger.tables import episodes
 from coordinator.plan.catalog import Catalog
-from coordinator.plan.draw import PlannedJob, expand, redraw, to_job
 from coordinator.puller import Checker
+from coordinator.repair.judge import Draws, StrayJudge
+from coordinator.repair.memory import validated_files
 from coordinator.summary import EpisodeSummary
-from schemas.bundle import BundleReader
-from schemas.errors import InvalidBundle
-from schemas.job import Job, episode_id
 from schemas.plan import Plan
 
 __all__ = ["Survey", "survey_archive"]
@@ -37,6 +33,9 @@ class Survey:
     whole: int = 0
     """Episodes on disk that the ledger owns, bit for bit."""
     adopt: list[EpisodeSummary] = field(default_factory=list)
+    """Whole episodes of the plan that the ledger does not own as they are."""
+    restore: list[tuple[Place, EpisodeSummary]] = field(default_factory=list)
+    """Whole episodes of the plan that are in quarantine and nowhere else."""
     quarantine: list[tuple[Place, str]] = field(default_factory=list)
     requeue: list[tuple[int, str]] = field(default_factory=list)
 
@@ -59,34 +58,21 @@ def survey_archive(
     away = all_keepers(ledger) if ledger is not None else {}
     files, foreign = _listing(root)
     result.quarantine += [(path, "no episode by its name") for path in foreign]
-    draws = _Draws(plan, catalog)
+    judge = StrayJudge(Draws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
     for done, (index, path) in enumerate(files.items(), 1):
-        if index in owned:
-            _compare(index, path, owned[index], result, is_kept=index in away)
+        reason = _difference(path, owned[index]) if index in owned else "the ledger does not own it"
+        if not reason:
+            result.whole += 1
         else:
-            _judge(path, index, draws, ledger, checker, result)
+            _judge(path, index, reason, judge, result, is_owned=index in owned, is_kept=index in away)
         tell(done, len(files))
-    result.requeue += [(index, "its file is gone") for index in sorted(owned.keys() - files.keys() - away.keys())]
+    gone = owned.keys() - files.keys() - away.keys()
+    found = {summary.index for summary in result.adopt} | (owned.keys() - gone)
+    result.restore += _restorable(root, judge, found)
+    back = {summary.index for _, summary in result.restore}
+    result.requeue += [(index, "its file is gone") for index in sorted(gone - back)]
+    result.requeue = [(index, why) for index, why in result.requeue if index not in back]
     return result
-
-
-class _Draws:
-    """The draws that the plan gives an episode, worked out when asked for."""
-
-    def __init__(self, plan: Plan, catalog: Catalog) -> None:
-        self.plan, self.catalog = plan, catalog
-        self._first: dict[int, PlannedJob] | None = None
-
-    def job(self, index: int, draw: int, attempt: int) -> Job | None:
-        """Returns the job of an attempt; `None` when the plan has no such draw."""
-        if self._first is None:
-            self._first = {planned.index: planned for planned in expand(self.plan, self.catalog)}
-        planned = self._first.get(index)
-        if planned is None or not 0 <= draw < self.plan.budget.draws:
-            return None
-        for _ in range(draw):
-            planned = redraw(self.plan, self.catalog, planned)
-        return to_job(self.plan, self.catalog, planned, attempt)
 
 
 def _owned(ledger: Connection | None) -> Mapping[int, Row[Any]]:
@@ -108,61 +94,38 @@ def _is_episode(path: Place, folder: Place) -> bool:
     return path.parent == folder and path.is_file() and not path.is_symlink()
 
 
-def _compare(index: int, path: Place, row: Row[Any], result: Survey, *, is_kept: bool) -> None:
+def _difference(path: Place, row: Row[Any]) -> str:
     size = path.stat().st_size
-    reason = f"{size} bytes, the ledger says {row.size}" if size != row.size else _digest_finding(path, row.sha256)
-    if reason:
-        result.quarantine.append((path, reason))
-        if not is_kept:  # else a gateway has it still
-            result.requeue.append((index, reason))
-    else:
-        result.whole += 1
-
-
-def _digest_finding(path: Place, sha256: str) -> str:
+    if size != row.size:
+        return f"{size} bytes, the ledger says {row.size}"
     try:
         found = digest_of(path)
     except OSError as error:
         return f"cannot be read: {error.strerror}"
-    return "" if found == sha256 else f"SHA-256 {found}, the ledger says {sha256}"
+    return "" if found == row.sha256 else f"SHA-256 {found}, the ledger says {row.sha256}"
 
 
-def _judge(path: Place, index: int, draws: _Draws, ledger: Connection | None, checker: Checker, result: Survey) -> None:
-    verdict = _verdict(path, index, draws, ledger, checker)
-    if isinstance(verdict, str):
-        result.quarantine.append((path, verdict))
-    else:
+def _judge(
+    path: Place, index: int, reason: str, judge: StrayJudge, result: Survey, *, is_owned: bool, is_kept: bool
+) -> None:
+    verdict = judge.judge(path, index, replaces=is_owned)
+    if not isinstance(verdict, str):
         result.adopt.append(verdict)
-
-
-def _verdict(
-    path: Place, index: int, draws: _Draws, ledger: Connection | None, checker: Checker
-) -> EpisodeSummary | str:
-    """Returns the row that a file nobody owns deserves, or why it deserves none."""
-    try:
-        with at_hand(path) as local:
-            with local.open("rb") as file, BundleReader(file) as bundle:
-                said = bundle.meta.job
-            job = draws.job(index, said.draw, said.attempt)
-            if job is None:
-                return f"the plan has no draw {said.draw} of {episode_id(index)}"
-            obstacle = next(_obstacles(ledger, index, said), "")
-            if obstacle:
-                return obstacle
-            return checker.check(local, job, draws.catalog[job.scene].info.target(job.target_id))
-    except InvalidBundle as error:
-        return str(error)
-    except OSError as error:
-        return f"cannot be read: {error.strerror}"
-
-
-def _obstacles(ledger: Connection | None, index: int, said: Job) -> Iterator[str]:
-    row = current_job(ledger, index) if ledger is not None else None
-    if ledger is None:
         return
-    if row is None:
-        yield "the plan has no such episode"
-    elif row.state == State.ARCHIVED:
-        yield "the ledger owns another file"
-    elif (row.draw, row.attempt) > (said.draw, said.attempt):
-        yield f"the ledger has seen draw {said.draw}, attempt {said.attempt} fail"
+    result.quarantine.append((path, f"{reason}; {verdict}" if is_owned else verdict))
+    if is_owned and not is_kept:  # else a gateway has it still
+        result.requeue.append((index, reason))
+
+
+def _restorable(root: Place, judge: StrayJudge, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
+    """Yields what was put aside although it is a whole episode of the plan, where the dataset has none."""
+    had = set(found)
+    for path in children(root / QUARANTINE):
+        name, _, mark = path.name.rpartition(".")
+        index = index_of_file(name) if mark != "txt" else None
+        if index is None or index in had or not path.is_file() or path.is_symlink():
+            continue
+        verdict = judge.judge(path, index, replaces=True)
+        if not isinstance(verdict, str):
+            had.add(index)
+            yield path, verdict

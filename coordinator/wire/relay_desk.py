@@ -85,13 +85,17 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
 
 
 def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: datetime) -> bool:
-    """Records a file that was published when its gateway or the core died, as long as the job is open."""
+    """Records a file that was published when its gateway or the core died, as long as the job is open.
+
+    A ledger that was rebuilt may stand at an earlier attempt than the file.
+    """
     row = current_job(connection, summary.index)
-    if row is None or row.state not in OPEN_STATES or (row.draw, row.attempt) != (summary.draw, summary.attempt):
+    if row is None or row.state not in OPEN_STATES or row.draw != summary.draw or row.attempt > summary.attempt:
         return False
     if row.state == State.SUBMITTED and row.sha256 == summary.file_sha256:
         return outcomes.adopt(connection, row.id, summary, now)
-    return record_whole(connection, terms.plan, terms.catalog, summary, now) == ""
+    at = (summary.draw, summary.attempt)
+    return record_whole(connection, terms.plan, terms.catalog, summary, now, at) == ""
 
 
 def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, now: datetime) -> Model:

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 
 import click
 
+from coordinator.archive.contract import EPISODES
 from coordinator.archive.disk import translated
+from coordinator.archive.place import children
 from coordinator.ledger.opening import require_plan
 from coordinator.plan.file import load_plan
 from factory.cli.options import shrunk_plan
@@ -41,7 +43,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
         UsageError: the place was begun with another plan, or lies in another dataset.
         WorldError: it cannot be looked into.
     """
-    begun = plan_of(site.home)
+    begun = plan_of(site)
     wanted = load_plan(name) if name is not None else begun or load_plan("demo")
     plan = shrunk_plan(wanted, changes)
     if begun is not None:
@@ -49,7 +51,7 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
     elif site.store is None:
         with translated("look into", site.home):
             _look_around(site.home)
-    return Beginning(plan, begun is None)
+    return Beginning(plan, begun is None and not children(site.place / EPISODES))
 
 
 def _look_around(out: Path) -> None:

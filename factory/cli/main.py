@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 the data or the world said no, 2 wrong usage, 3 our bug, 1
 
 from __future__ import annotations
 
+import errno
 import importlib
 import itertools
 import os
@@ -97,6 +98,10 @@ def _run() -> int:
         return _say(f"error: {error}", 1)
     except BrokenPipeError:
         return 1
+    except OSError as error:
+        if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
+            return _report_bug()
+        return _say(f"error: {str(error.filename)[:80]!r} cannot be a path: {error.strerror}", 2)
     except ModuleNotFoundError as error:
         return _report_missing(error)
     except Exception:  # noqa: BLE001 - the last door: everything else is our bug and says so

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator.archive.contract import LEDGER_FILE
 from coordinator.ledger import operator
+from coordinator.ledger.audit import ledger_trouble
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.look import look_into
 from coordinator.ledger.opening import holds_run, ledger_url_of
@@ -128,8 +128,8 @@ def _look_for_coordinator(door: Door) -> None:
 
 def _try_failed_again(root: Path) -> None:
     """Gives errands that failed in an earlier start a new chance, as the remedy of its message says."""
-    if not (root / LEDGER_FILE).exists():
-        return
+    if ledger_trouble(ledger_url_of(root)):
+        return  # not there yet, or rebuilt when the coordinator starts
     engine = open_writer(ledger_url_of(root))
     try:
         with engine.begin() as connection:

@@ -53,7 +53,7 @@ def write_specs(specs: SpecSet, path: Path) -> None:
 def _refuse_newer(path: Path, text: str) -> None:
     try:
         found = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return
     version = found.get("format") if isinstance(found, dict) else None
     if isinstance(version, int) and version > SPECS_FORMAT:

@@ -10,8 +10,21 @@ import yaml
 __all__ = ["read_yaml", "say_absence"]
 
 
+_MOST_CHARS = 4 << 20
+
+
 class _Loader(yaml.SafeLoader):
-    """Refuses a key that stands twice in one mapping: the last would win, and a lost line would join two rows."""
+    """Refuses a key that stands twice in one mapping: the last would win, and a lost line would join two rows.
+
+    Refuses aliases as well: a few lines of them stand for more values than a computer has memory.
+    """
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Returns the next node."""
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not allowed; write the value", mark)
+        return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Returns the mapping of a node."""
@@ -27,9 +40,16 @@ def read_yaml(text: str) -> Any:
     """Returns what a YAML text says, plain data only.
 
     Raises:
-        YAMLError: it is no YAML, or a key stands twice.
+        YAMLError: it is no YAML, is too large or nested too deeply, has aliases, or a key stands twice.
     """
-    return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+    if len(text) > _MOST_CHARS:
+        raise yaml.YAMLError(f"it has {len(text)} characters; at most {_MOST_CHARS} are read")
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+    except RecursionError as error:
+        raise yaml.YAMLError("its values are nested too deeply") from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise yaml.YAMLError(f"a value cannot be understood: {error}") from error
 
 
 def say_absence(error: OSError) -> str:

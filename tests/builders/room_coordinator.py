@@ -1,4 +1,4 @@
-"""A coordinator of the smallest run as a process that can be killed: `ROOT EPISODES ENDPOINT LEASE_S`."""
+"""A coordinator of the smallest run, to be killed: `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S]`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,15 @@ __all__ = ["main"]
 
 def main() -> None:
     root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])
+    checkpoint_s = float(sys.argv[5]) if len(sys.argv) > 5 else 30.0
     root.mkdir(parents=True, exist_ok=True)
     settings = CoordinatorSettings(
-        lease_ttl_s=lease_s, retry_after_s=0.2, pull_timeout_s=1.0, reserve_bytes=0, transport_lease_s=2.0
+        lease_ttl_s=lease_s,
+        retry_after_s=0.2,
+        pull_timeout_s=1.0,
+        reserve_bytes=0,
+        transport_lease_s=2.0,
+        checkpoint_s=checkpoint_s,
     )
     plan = room_plan(episodes, crashes=20)
     with (

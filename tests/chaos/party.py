@@ -59,18 +59,21 @@ class Cast:
     """(its directory, endpoint of the core, endpoint) -> command line; its name is that of the directory."""
 
 
-def fake_cast(episodes: int, longest_s: float, gateways: int = 0) -> Cast:
+def fake_cast(episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: float = 30.0) -> Cast:
     """Returns the real parts around a simulation without physics: the protocol is on trial.
 
     Args:
         episodes: of the run.
         longest_s: how long a simulation may take.
         gateways: that the workers are connected to; without any they are to the coordinator.
+        checkpoint_s: pause between two writings of the tables.
     """
     simulation = [sys.executable, "-I", "-S", str(Path(__file__).with_name("light_simulation.py")), str(longest_s)]
     return Cast(
         episodes,
-        lambda root, endpoint: _module("tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S),
+        lambda root, endpoint: _module(
+            "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s
+        ),
         lambda folder, endpoints, kitchen: [
             *_module("tests.builders.worker", endpoints, folder, 2),
             *(*simulation, kitchen),
@@ -169,14 +172,14 @@ class Party:
         return Counter(dict(self.query("select outcome, count(*) from attempts group by outcome")))
 
     def query(self, sql: str) -> list[tuple]:  # type: ignore[type-arg]
-        """Asks the ledger; nothing while there is none yet, or while one who is frozen holds it."""
+        """Asks the ledger; nothing while there is none that can be read, or while one who is frozen holds it."""
         path = self.out / "ledger.db"
         if not path.exists():
             return []
         try:
             with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=0.5)) as ledger:
                 return ledger.execute(sql).fetchall()
-        except sqlite3.OperationalError:  # it is busy, or the coordinator is about to make the tables
+        except sqlite3.DatabaseError:  # it is busy, damaged, or the coordinator is about to make the tables
             return []
 
     def kill_worker(self, number: int) -> Spell | None:

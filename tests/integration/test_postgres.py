@@ -11,7 +11,8 @@ from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
 
 from coordinator.check.validator import Validator
-from coordinator.ledger.engine import ledger_trouble, open_reader, open_writer
+from coordinator.ledger.audit import ledger_trouble
+from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.records import read_summaries
 from coordinator.repair.mend import Patient, repair
 from coordinator.service import Coordinator

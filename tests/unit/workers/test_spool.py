@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import stat
 from pathlib import Path
 
 import pytest
 
+from schemas.errors import WorldError
 from schemas.wire import Lease
 from workers.spool import Spool, find_bundle
 
@@ -168,3 +170,27 @@ def test_what_tells_the_token_of_a_lease_can_be_read_by_its_owner_only(tmp_path)
                 assert [stat.S_IMODE(path.stat().st_mode) for path in sidecars] == [0o600]
     finally:
         os.umask(umask)
+
+
+def test_a_folder_that_was_deleted_ends_in_words_whatever_is_asked_of_it(tmp_path):
+    with open_spool(tmp_path / "root") as spool:
+        put(spool, lease())
+        shutil.rmtree(tmp_path)
+        with pytest.raises(WorldError, match=r"cannot be used.*--spool"):
+            _ = spool.is_full
+        with pytest.raises(WorldError, match=r"cannot be used.*--spool"):
+            spool.add(lease(), "0" * 64, 1)
+        with pytest.raises(KeyError):
+            spool.read(1, 1, 0, 10)
+        spool.clear(lease())
+        assert not spool.drop(lease())
+
+
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"short")])
+def test_a_bundle_that_was_deleted_or_cut_is_no_longer_said_to_wait(tmp_path, harm):
+    with open_spool(tmp_path) as spool:
+        put(spool, lease())
+        harm(spool.path_for(lease()))
+        with pytest.raises(KeyError):
+            spool.read(1, 1, 0, 1000)
+        assert spool.entries() == ()

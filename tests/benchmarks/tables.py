@@ -1,0 +1,82 @@
+"""Measures the CPU time of writing a dataset's tables from large ledgers: anew, with a few new episodes, unchanged.
+
+python -m tests.benchmarks.tables [ROWS ...]
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sqlalchemy import create_engine, insert
+
+from coordinator.archive.opening import open_archive
+from coordinator.dataset.checkpoint import write_checkpoint
+from coordinator.ledger.engine import sqlite_url
+from coordinator.ledger.tables import METADATA, episodes
+from coordinator.summary import summary_of
+from factory.cli.output import print_table
+from tests.builders.bundle import parts_for
+from tests.builders.ledger import room_catalog, room_plan
+
+__all__ = ["main"]
+
+_NOW = datetime(2026, 1, 2, tzinfo=UTC)
+_NEW = 50
+"""Episodes that a busy run archives between two writings."""
+
+
+def main(sizes: list[int]) -> None:
+    """Prints the CPU seconds of each writing."""
+    rows = [(size, *_measure(size)) for size in sizes or [10_000, 40_000, 200_000]]
+    print_table("tables written from the ledger, CPU seconds", ("rows", "anew", f"{_NEW} more", "unchanged"), rows)
+
+
+def _measure(size: int) -> tuple[float, float, float]:
+    plan, catalog = room_plan(size + _NEW), room_catalog()
+    with tempfile.TemporaryDirectory() as folder, open_archive(Path(folder)) as archive:
+        engine = create_engine(sqlite_url(Path(folder) / "ledger.db"))  # without keys that bind rows to jobs
+        took = []
+        with engine.begin() as connection:
+            METADATA.create_all(connection)
+        for first, last in ((1, size), (size + 1, size + _NEW), (0, -1)):
+            with engine.begin() as connection:
+                if last > 0:
+                    connection.execute(insert(episodes), list(_rows(first, last)))
+            with engine.connect() as connection:
+                begun = time.process_time()
+                write_checkpoint(archive, connection, plan, catalog, _NOW, anew=last == size)
+                took.append(round(time.process_time() - begun, 3))
+        engine.dispose()
+    return took[0], took[1], took[2]
+
+
+def _rows(first: int, last: int) -> Iterator[dict[str, object]]:
+    summary = summary_of(parts_for().meta, "0" * 64, 1000)
+    text = summary.model_dump_json().replace('"index":1,', '"index":%d,').replace("ep_000001", "ep_%06d")
+    form = text.replace("0" * 64, "%064x", 1)
+    for index in range(first, last + 1):
+        yield {
+            "idx": index,
+            "job_id": index,
+            "attempt": 1,
+            "sha256": f"{index:064x}",
+            "size": summary.file_bytes,
+            "content_digest": summary.content_digest,
+            "summary": _filled(form, index),
+            "archived_at": float(index),
+        }
+
+
+def _filled(form: str, index: int) -> str:
+    for mark, value in (("%d", str(index)), ("%06d", f"{index:06d}"), ("%064x", f"{index:064x}")):
+        form = form.replace(mark, value)
+    return form
+
+
+if __name__ == "__main__":
+    main([int(word) for word in sys.argv[1:]])

@@ -1,0 +1,168 @@
+"""Ledgers with flipped bits and wrong values, opened by every verb: an answer or an error in words, never our bug."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+import random
+import shutil
+import signal
+import sqlite3
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from coordinator.check.validator import Validator
+from coordinator.gateway.gather import gather
+from coordinator.ledger.audit import ledger_trouble
+from coordinator.ledger.tables import METADATA
+from coordinator.repair.mend import repair
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from factory.cli.main import _run
+from schemas.errors import FactoryError
+from tests.builders.archived import ArchivedRun
+
+READING = (
+    ("status", "{}"),
+    ("status", "{}", "--json"),
+    ("jobs", "list", "{}"),
+    ("jobs", "list", "{}", "--state", "archived", "--json"),
+    ("jobs", "show", "{}", "1"),
+    ("stats", "{}"),
+)
+WRITING = (("jobs", "retry", "{}", "--all"), ("jobs", "cancel", "{}", "2"))
+OPENING = (
+    ("run", "--out", "{}"),
+    ("coordinator", "start", "--out", "{}"),
+    ("repair", "{}"),
+    ("gather", "{}"),
+    ("report", "{}"),
+)
+WRONG = ("'x'", "-1", "1e300", "x'fffe'", "9223372036854775807", "''", "NULL", "1.5")
+LIMIT_S = 60
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> ArchivedRun:
+    """A run with every kind of row: archived, given up and waiting jobs, failed attempts."""
+    return ArchivedRun(tmp_path_factory.mktemp("whole") / "out", planned=4, done=2, misses=3)
+
+
+@pytest.fixture
+def harmed(whole: ArchivedRun, tmp_path: Path) -> Path:
+    """A copy of it, to be damaged."""
+    return Path(shutil.copytree(whole.root, tmp_path / "out"))
+
+
+@pytest.fixture(autouse=True)
+def _no_hang() -> Iterator[None]:
+    signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"no answer within {LIMIT_S} s a step"))
+    yield
+    signal.alarm(0)
+
+
+def call(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], root: Path, words: tuple[str, ...]
+) -> int:
+    """Returns the exit code of a verb; fails at a traceback."""
+    signal.alarm(LIMIT_S)
+    monkeypatch.setattr(sys, "argv", ["factory", *(word.format(root) for word in words)])
+    try:
+        code = _run()
+    except SystemExit as error:  # an option's own end
+        code = int(error.code or 0)
+    said = capsys.readouterr()
+    assert code in (0, 1, 2), (words, code, said.err)
+    assert "Traceback" not in said.err, (words, said.err)
+    return code
+
+
+def flip(path: Path, seed: int, bits: int) -> None:
+    rng, data = random.Random(seed), bytearray(path.read_bytes())
+    for _ in range(bits):
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("bits", [1, 200])
+@pytest.mark.parametrize("seed", range(6))
+def test_flipped_bits_end_in_words_whatever_verb_meets_them(harmed, monkeypatch, capsys, seed, bits):
+    flip(harmed / "ledger.db", seed, bits)
+    damaged = (harmed / "ledger.db").read_bytes()
+    for words in (*READING, *WRITING, *(OPENING if (seed, bits) == (0, 200) else ())):
+        (harmed / "ledger.db").write_bytes(damaged)
+        call(monkeypatch, capsys, harmed, words)
+
+
+@pytest.mark.parametrize("table", sorted(METADATA.tables))
+def test_a_wrong_value_in_any_column_ends_in_words(harmed, monkeypatch, capsys, table):
+    ledger, verbs = harmed / "ledger.db", itertools.cycle((*READING, *WRITING))
+    sound = ledger.read_bytes()
+    for column in METADATA.tables[table].columns:
+        for value in WRONG:
+            ledger.write_bytes(sound)
+            with closing(sqlite3.connect(ledger)) as raw:
+                with contextlib.suppress(sqlite3.IntegrityError, sqlite3.OperationalError):
+                    raw.execute(f'UPDATE {table} SET "{column.name}" = {value}')
+                raw.commit()
+            with contextlib.suppress(FactoryError):
+                ledger_trouble(f"sqlite:///{ledger}")
+            call(monkeypatch, capsys, harmed, next(verbs))
+
+
+def _patient(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
+    return dataclasses.replace(whole.patient(), root=harmed, home=harmed, url=f"sqlite:///{harmed / 'ledger.db'}")
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "value"),
+    [
+        ("jobs", "state", "'archivfd'"),
+        ("jobs", "target_id", "'chair_002'"),
+        ("jobs", "attempt", "attempt + 1"),
+        ("jobs", "not_before", "4e9"),
+        ("jobs", "tier", "x'ff'"),
+        ("jobs", "misses", "1"),
+        ("jobs", "draw", "draw + 5"),
+        ("episodes", "summary", "'{}'"),
+        ("episodes", "content_digest", "'0'"),
+        ("attempts", "at", "1e300"),
+        ("attempts", "outcome", "'oops'"),
+        ("events", "fence", "fence + 9"),
+        ("info", "value", "'?'"),
+    ],
+)
+def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, whole, table, column, value):
+    ledger = harmed / "ledger.db"
+    with closing(sqlite3.connect(ledger)) as raw:
+        raw.execute(f'UPDATE {table} SET "{column}" = {value}')
+        raw.commit()
+    damaged, files = ledger.read_bytes(), sorted(path.name for path in (harmed / "episodes").iterdir())
+    url = f"sqlite:///{ledger}"
+    assert ledger_trouble(url, whole.catalog)
+    with pytest.raises(FactoryError, match="factory repair"):
+        gather(_patient(whole, harmed), [], whole.desk.now)
+    with Validator() as validator:
+        report = repair(_patient(whole, harmed), validator, whole.desk.now, apply=True)
+    assert "rebuild" in {str(action.kind) for action in report.actions}
+    assert ledger_trouble(url, whole.catalog) == ""
+    ledger.write_bytes(damaged)
+    settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
+    with Coordinator(harmed, whole.plan, whole.catalog, ("tcp/127.0.0.1:0",), settings=settings) as coordinator:
+        assert coordinator.progress().jobs["archived"] == 2
+    assert ledger_trouble(url, whole.catalog) == ""
+    assert sorted(path.name for path in (harmed / "episodes").iterdir()) == files
+
+
+def test_a_ledger_that_is_removed_under_a_running_coordinator_ends_it_in_words(harmed, whole):
+    settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
+    with Coordinator(harmed, whole.plan, whole.catalog, ("tcp/127.0.0.1:0",), settings=settings) as coordinator:
+        for path in harmed.glob("ledger.db*"):
+            path.unlink()
+        with pytest.raises(FactoryError, match=r"cannot be read|no ledger"):
+            coordinator.progress()
