@@ -32,7 +32,7 @@ class Installed:
 
     def add(self, *requirements: str) -> None:
         """Installs more packages."""
-        pip = [self.root / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        pip = [self.root / "bin" / "python", "-m", "pip", "install", "--quiet", "--no-compile"]
         subprocess.run([*map(str, pip), *requirements], check=True)
 
 
