@@ -42,12 +42,14 @@ def load_plan(reference: str) -> Plan:
         raise UsageError(_say_absent(reference, path))
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise InvalidPlan(f"{path} is no plan", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
+            raise InvalidPlan(f"{path} is not a plan", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except RecursionError as error:
-        raise InvalidPlan(f"{path} is no plan", ["its values are nested too deeply"]) from error
+        raise InvalidPlan(f"{path} is not a plan", ["its values are nested too deeply"]) from error
     except PARSER_ERRORS as error:
-        raise InvalidPlan(f"{path} is no TOML", [str(error)]) from error
+        raise InvalidPlan(
+            f"{path} is not a plan: a plan is a TOML file, which names scene files", [str(error)]
+        ) from error
     data.setdefault("name", _name_from(path))
     return parse_plan(data, str(path), base=path.parent)
 
