@@ -47,9 +47,8 @@ def load_plan(reference: str) -> Plan:
     except RecursionError as error:
         raise InvalidPlan(f"{path} is not a plan", ["its values are nested too deeply"]) from error
     except PARSER_ERRORS as error:
-        raise InvalidPlan(
-            f"{path} is not a plan: a plan is a TOML file, which names scene files", [str(error)]
-        ) from error
+        what = "is not valid TOML" if path.suffix == ".toml" else "is not a plan; plans are TOML files"
+        raise InvalidPlan(f"{path} {what}", [str(error)]) from error
     data.setdefault("name", _name_from(path))
     return parse_plan(data, str(path), base=path.parent)
 

@@ -91,7 +91,14 @@ def test_an_unknown_split_is_named(tmp_path):
 def test_a_file_that_is_no_toml_says_so(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text("name = [")
-    with pytest.raises(InvalidPlan, match="no TOML"):
+    with pytest.raises(InvalidPlan, match="is not valid TOML"):
+        load_plan(str(path))
+
+
+def test_a_scene_file_given_as_a_plan_is_told_what_a_plan_is(tmp_path):
+    path = tmp_path / "shop.glb"
+    path.write_bytes(b"glTF\x02\0\0\0\xff\xfe")
+    with pytest.raises(InvalidPlan, match="is not a plan; plans are TOML files"):
         load_plan(str(path))
 
 
