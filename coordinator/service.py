@@ -360,6 +360,12 @@ class Coordinator(Closing):
                 raise
 
     def _write_split_tables(self) -> None:
-        """At the end only, as it reads a frame of each new episode; a run that is stopped early does not wait long."""
-        if self._terms.errands is None and not self._changed.is_set():  # else what they are made from is missing
-            write_split_tables(self._archive, None if self.is_finished() else _THUMBNAILS_S)
+        """Runs once, at the end, as it reads a frame of each new episode; a run that is stopped limits its time."""
+        if self._terms.errands is not None or self._changed.is_set():
+            return  # the tables that they are made from are not up to date
+        try:
+            limit_s = None if self.is_finished() else _THUMBNAILS_S
+        except WorldError as error:
+            log.warning("split_tables_not_written", error=str(error), remedy=_AGAIN)
+            return
+        write_split_tables(self._archive, limit_s)

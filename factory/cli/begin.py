@@ -51,7 +51,9 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
     elif site.store is None:
         with translated("look into", site.home):
             _look_around(site.home)
-    return Beginning(plan, begun is None and not children(site.place / EPISODES))
+    with translated("look into", site.home):
+        has_episodes = bool(children(site.place / EPISODES))
+    return Beginning(plan, begun is None and not has_episodes)
 
 
 def _look_around(out: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 from collections.abc import Iterator
@@ -19,11 +20,12 @@ ROOT = Path(factory.__file__).parents[1]
 
 
 @pytest.fixture
-def lines(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
-    """What is logged as by an entry point."""
+def lines() -> Iterator[io.StringIO]:
+    """Everything that is logged, with the configuration of an entry point."""
     stream = io.StringIO()
-    monkeypatch.setattr("sys.stderr", stream)
-    configure_logs(verbose=True)
+    with contextlib.redirect_stderr(stream):
+        configure_logs(verbose=True)
+    structlog.configure(logger_factory=structlog.PrintLoggerFactory(stream))
     yield stream
     structlog.reset_defaults()
 
@@ -87,3 +89,14 @@ def test_the_table_of_kinds_is_bounded() -> None:
     for number in range(5000):
         assert limit.admit(f"host-{number}") == 0
     assert len(limit._kinds) <= 1000
+
+
+def test_a_logger_outlives_the_stream_it_first_wrote_to(capsys: pytest.CaptureFixture[str]) -> None:
+    log = structlog.get_logger("long-lived")
+    configure_logs()
+    with contextlib.redirect_stderr(io.StringIO()) as first:
+        log.warning("early")
+    first.close()
+    log.warning("late")
+    assert "late" in capsys.readouterr().err
+    structlog.reset_defaults()
