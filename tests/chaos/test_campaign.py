@@ -42,9 +42,7 @@ def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_pa
 
 @pytest.mark.slow
 def test_one_hostile_peer_and_one_faulty_host_change_no_episode_and_lose_none(tmp_path):
-    cast = fake_cast(
-        EPISODES, 1.0, crashes=Budget().crashes
-    )  # of a default plan
+    cast = fake_cast(EPISODES, 1.0, crashes=Budget().crashes)  # of a default plan
     calm = calm_digest(cast, tmp_path / "calm")
     storm = Storm(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
     tally = play_round(cast, tmp_path / "wild", storm, 1, calm)
