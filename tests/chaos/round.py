@@ -155,5 +155,5 @@ def _hostile_peer(party: Party, storm: Storm, rng: random.Random, stack: ExitSta
 
 def _topology(cast: Cast, storm: Storm) -> str:
     where = f"with {cast.gateways} gateways" if cast.gateways else "without gateways"
-    budget = f", budget of {cast.crashes} crashes" if cast.crashes < STORM_CRASHES else ""
-    return where + (", with peers" if storm.peers is not None else "") + budget
+    budget = f" and a budget of {cast.crashes} crashes" if cast.crashes < STORM_CRASHES else ""
+    return where + (" with peers" if storm.peers is not None else "") + budget
