@@ -39,14 +39,15 @@ bench: $(READY)
 	$(VENV)/bin/factory bench rollout --against plain
 	$(VENV)/bin/python -m tests.benchmarks.figures coordinator read
 
-# half an hour of kills, freezes, lost replies and full disks; every dataset must equal that of a calm run
+# half an hour of kills, freezes, lost replies and full disks, beside a hostile peer and a faulty host in every round
+# (PEERS=--no-peers leaves them out); every dataset must equal that of a calm run
 chaos: $(READY)
-	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30
+	$(VENV)/bin/python -m tests.chaos.campaign --minutes 30 $(PEERS)
 
 # ten thousand faults that somebody felt: an hour of both cores; goes on where it was stopped
 chaos-long: $(READY)
 	mkdir -p build
-	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 --tally build/chaos.json
+	$(VENV)/bin/python -m tests.chaos.campaign --faults 10000 --at-once 4 $(PEERS) --tally build/chaos.json
 
 # fifty ledgers deleted, replaced by older copies, truncated and damaged in the middle of runs; goes on where it was stopped
 ledger-accidents: $(READY)

@@ -35,6 +35,8 @@ _VALIDATION_S = 120.0
 """Lease granted once a bundle is here whole: its worker may die now."""
 _TURN_S = 0.25
 """How long a bundle is fetched while others wait."""
+_FAILURES = 5
+"""Failed transfers after which a bundle may be refused as not served."""
 _QUEUED = 2
 """Bundles of one host that may wait for each puller of a gateway, the one under way included."""
 
@@ -83,6 +85,18 @@ class Book(Protocol):
 
     def refuse(self, pull: Pull, detail: str) -> None:
         """Reports a bundle that is not what was asked for."""
+
+
+@dataclass
+class _Failures:
+    """Failed transfers of a bundle that its worker goes on announcing."""
+
+    lease: Lease
+    since: float
+    """Monotonic time of the first one, seconds."""
+    count: int = 0
+    most_bytes: int = 0
+    """Most that one of them has brought."""
 
 
 @dataclass
@@ -135,6 +149,8 @@ class Pullers(Closing):
         self._failing = Repeated(log, "pull_failed")
         self._busy: dict[int, int] = {}
         """Episode -> bytes of its bundle that are still to come."""
+        self._failed: dict[int, _Failures] = {}
+        """Episode -> the failed transfers of its bundle."""
         self._guard = threading.Lock()
         self._stop = threading.Event()
         self._threads = [
@@ -255,7 +271,11 @@ class Pullers(Closing):
             if self._stop.is_set():
                 raise TransientError("the coordinator is closing; the bundle waits in its spool")
             length = min(self._settings.chunk_bytes, pull.size - staged.size)
-            data = self._fetch(pull.sid, pull.lease, Chunk(staged.size, length))
+            try:
+                data = self._fetch(pull.sid, pull.lease, Chunk(staged.size, length))
+            except TransientError:
+                self._note_failure(pull, staged.size)
+                raise
             self._meters.add(Meter.PULLED_BYTES, len(data))
             staged.write(data)
             with self._guard:
@@ -267,6 +287,23 @@ class Pullers(Closing):
             if turn_s > _TURN_S and staged.size < pull.size and self._queue.has_others(host):
                 return False
         return True
+
+    def _note_failure(self, pull: Pull, size: int) -> None:
+        """Refuses a bundle of which, however often it is asked for, less comes than a slow worker has to serve."""
+        now = time.monotonic()
+        with self._guard:
+            failures = self._failed.get(pull.job.index)
+            if failures is None or failures.lease != pull.lease:
+                failures = self._failed[pull.job.index] = _Failures(pull.lease, now)
+            failures.count += 1
+            failures.most_bytes = max(failures.most_bytes, size)
+        limit_s = self._settings.slow_start_s + failures.most_bytes / self._settings.min_bytes_per_s
+        if failures.count >= _FAILURES and now - failures.since > limit_s:
+            self._refuse(
+                pull,
+                f"not served: {failures.most_bytes} of {pull.size} bytes in {failures.count} transfers over "
+                f"{now - failures.since:.0f} s, while its worker was alive",
+            )
 
     def _take_nearby(self, pull: Pull, staged: Staged) -> None:
         """Spares a bundle on the archive's own disk the way over the network and the second copy."""
@@ -289,12 +326,18 @@ class Pullers(Closing):
             self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
 
     def _refuse(self, pull: Pull, detail: str) -> None:
+        self._forget_failures(pull)
         self._meters.add(Meter.REFUSED)
         log.warning("bundle_refused", episode=episode_id(pull.job.index), worker=pull.sid, detail=detail)
         self._book.refuse(pull, detail)
 
+    def _forget_failures(self, pull: Pull) -> None:
+        with self._guard:
+            self._failed.pop(pull.job.index, None)
+
     def _publish(self, pull: Pull, staged: Staged, receipt: Receipt) -> None:
         index = pull.job.index
+        self._forget_failures(pull)
         self._archive.publish(staged, index)
         if self._book.own(pull, receipt):
             self._meters.add(Meter.ARCHIVED)

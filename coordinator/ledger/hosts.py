@@ -1,12 +1,12 @@
 """Which hosts harm jobs: strikes, the pauses that follow them, and the bar that an operator lifts. Moves no job.
 
-A host with a strike gets one job at a time until it brings an episode. A job is at fault only where several hosts, or
-one host over a long time, have failed it; until then the host is.
+A host with a strike gets one job at a time until it brings an episode. A job is at fault only where as many hosts as it
+may crash, or all that are there, or the only one over a long time, have failed it; until then the host is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -24,8 +24,8 @@ from schemas.wire import AdminReply, HostStatus
 __all__ = [
     "LONGEST_PAUSE_S",
     "STRIKES",
+    "has_failed_everywhere",
     "is_alone",
-    "others_hurt",
     "pause_of",
     "release",
     "relieve",
@@ -121,25 +121,44 @@ def troubled(connection: Connection) -> tuple[HostStatus, ...]:
     )
 
 
-def others_hurt(connection: Connection, job: JobRow, host: str) -> bool:
-    """Returns whether the job has failed on another host too, since its crashes were last counted from nothing."""
+def has_failed_everywhere(connection: Connection, job: JobRow, host: str, most: int, now: datetime) -> bool:
+    """Returns whether a job has failed on several hosts, and on so many, or on all that could try it.
+
+    Args:
+        connection: within a transaction.
+        job: that has just failed again.
+        host: on which it has.
+        most: hosts whose word is enough; fewer may all be faulty or hostile while another waits.
+        now: of the failure.
+    """
+    hurt = _hurt_hosts(connection, job) | {host}
+    return len(hurt) > 1 and (len(hurt) >= most or not _others(connection, hurt, now))
+
+
+def _hurt_hosts(connection: Connection, job: JobRow) -> set[str]:
+    """Returns the hosts on which a job has failed since its crashes were last counted from nothing."""
     recent = (
         select(attempts.c.sid)
         .where(attempts.c.job_id == job.id, attempts.c.outcome.in_(_HARM))
         .order_by(attempts.c.id.desc())
         .limit(job.crashes)
     )
-    return any(host_of(sid) != host for sid in connection.execute(recent).scalars())
+    return {host_of(sid) for sid in connection.execute(recent).scalars()}
 
 
 def is_alone(connection: Connection, host: str, now: datetime) -> bool:
     """Returns whether no other host is there that could try a job."""
+    return not _others(connection, {host}, now)
+
+
+def _others(connection: Connection, known: Collection[str], now: datetime) -> bool:
+    """Returns whether a host beside the known ones was heard of lately and is not barred."""
     barred = select(hosts.c.host).where(hosts.c.barred_at.is_not(None))
     since = now.timestamp() - _ABSENT_S
     others = select(workers.c.sid).where(
-        workers.c.host != host, workers.c.last_beat >= since, workers.c.host.not_in(barred)
+        workers.c.host.not_in(known), workers.c.last_beat >= since, workers.c.host.not_in(barred)
     )
-    return connection.execute(others.limit(1)).first() is None
+    return connection.execute(others.limit(1)).first() is not None
 
 
 def _is_of_job(connection: Connection, host: str, row: JobRow, job: JobRow, now: datetime) -> bool:

@@ -227,7 +227,7 @@ def _hurt(
     crashes, host = row.crashes + 1, host_of(row.sid)
     is_last = crashes >= budget.crashes and (
         not blames_hosts
-        or hosts.others_hurt(connection, row, host)
+        or hosts.has_failed_everywhere(connection, row, host, budget.crashes, now)
         or (crashes >= _CRASHES_ALONE and hosts.is_alone(connection, host, now))
     )
     why = f"quarantined after {crashes} times {_HURTS}, last {report.reason}: {report.detail}" if is_last else ""

@@ -1,4 +1,4 @@
-"""A coordinator of the smallest run, to be killed: `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S]`."""
+"""A coordinator of the smallest run, to be killed: `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES]]`."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ __all__ = ["main"]
 def main() -> None:
     root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])
     checkpoint_s = float(sys.argv[5]) if len(sys.argv) > 5 else 30.0
+    crashes = int(sys.argv[6]) if len(sys.argv) > 6 else 20
     root.mkdir(parents=True, exist_ok=True)
     settings = CoordinatorSettings(
         lease_ttl_s=lease_s,
@@ -25,7 +26,7 @@ def main() -> None:
         transport_lease_s=2.0,
         checkpoint_s=checkpoint_s,
     )
-    plan = room_plan(episodes, crashes=20)
+    plan = room_plan(episodes, crashes=crashes)
     with (
         stop_on_signals() as (stop, _),
         Coordinator(root / "out", plan, room_catalog(root), (endpoint,), settings=settings),

@@ -90,9 +90,11 @@ def started_worker(settings: WorkerSettings) -> Iterator[subprocess.Popen[bytes]
 
 
 def main() -> int:
-    """Runs a worker: `ENDPOINT FOLDER CORES SIMULATION...`."""
-    endpoint, folder, cores, *command = sys.argv[1:]
-    settings = settings_for(endpoint, Path(folder), cores=int(cores), command=tuple(command))
+    """Runs a worker: `[--host HOST] ENDPOINT FOLDER CORES SIMULATION...`."""
+    words = sys.argv[1:]
+    named = {"host": words[1]} if words[0] == "--host" else {}
+    endpoint, folder, cores, *command = words[2 * len(named) :]
+    settings = settings_for(endpoint, Path(folder), cores=int(cores), command=tuple(command), **named)
     with stop_on_signals() as (stop, at_once):
         return run_worker(settings, stop, at_once)
 

@@ -22,9 +22,11 @@ from pathlib import Path
 
 from rich.console import Console
 
+from schemas.plan import Budget
 from tests.builders.tools import find_system_tools
 from tests.chaos.faults import FAULTS
-from tests.chaos.party import Cast, fake_cast, real_cast
+from tests.chaos.party import STORM_CRASHES, Cast, fake_cast, real_cast
+from tests.chaos.peers import PEER_KINDS, Peers
 from tests.chaos.round import Storm, calm_digest, play_round
 from tests.chaos.tally import Tally
 
@@ -70,8 +72,9 @@ def run_campaign(
         kept: file of a tally to go on from, written after each round.
     """
     tally = Tally.load(kept) if kept is not None else Tally()
-    calm = calm_digest(casts[0], root / "calm")
-    log.print(f"calm digest {calm}")
+    plans = {cast.crashes: cast for cast in casts}
+    calm = {crashes: calm_digest(cast, root / f"calm-{crashes}") for crashes, cast in plans.items()}
+    log.print(f"calm digest {', '.join(calm.values())}")
     before, begun = tally.seconds, time.monotonic()
     numbers = itertools.count(tally.rounds.total()) if only is None else iter((only,))
     stop, playing = threading.Event(), set[Future[Tally]]()
@@ -81,7 +84,7 @@ def run_campaign(
                 is_on = time.monotonic() - begun < 60 * minutes and tally.faults.total() < faults
                 while is_on and len(playing) < at_once and (number := next(numbers, None)) is not None:
                     cast, place = casts[number % len(casts)], root / f"round-{number}"
-                    playing.add(pool.submit(play_round, cast, place, storm, seed + number, calm, stop))
+                    playing.add(pool.submit(play_round, cast, place, storm, seed + number, calm[cast.crashes], stop))
                 if not playing:
                     return tally
                 done, playing = wait(playing, return_when=FIRST_COMPLETED)
@@ -116,6 +119,12 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=60, help="episodes of one round (default 60)")
     parser.add_argument("--workers", type=int, default=3, help="hosts (default 3)")
     parser.add_argument("--gateways", type=int, default=2, help="of every second round, 0 for none (default 2)")
+    parser.add_argument(
+        "--peers",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="a hostile peer and a faulty host in every round (default; not with --simulation real)",
+    )
     parser.add_argument("--at-once", type=int, default=2, help="rounds side by side (default 2)")
     parser.add_argument("--longest", type=float, help="what a round may take, s (default: a few times what it needs)")
     parser.add_argument("--pause", type=float, default=0.4, help="longest pause between two faults, s (default 0.4)")
@@ -138,7 +147,7 @@ def main() -> int:
             tally = run_campaign(
                 _casts(told, root),
                 root,
-                Storm(told.workers, told.per_round, (told.pause / 8, told.pause)),
+                Storm(told.workers, told.per_round, (told.pause / 8, told.pause), _peers(told)),
                 told.seed,
                 told.minutes or (30.0 if told.faults is None else 240.0),
                 told.faults or sys.maxsize,
@@ -151,7 +160,7 @@ def main() -> int:
     if told.json:
         sys.stdout.write(json.dumps(tally.to_plain(), indent=2) + "\n")
     else:
-        tally.print(Console(highlight=False), FAULTS)
+        tally.print(Console(highlight=False), (*FAULTS, *(PEER_KINDS if _peers(told) is not None else ())))
     too_few = told.round is None and tally.faults.total() < (told.faults or 0)
     if too_few:
         log.print(f"asked for {told.faults} faults, {tally.faults.total()} were felt: give it more --minutes")
@@ -164,9 +173,14 @@ def _casts(told: argparse.Namespace, root: Path) -> tuple[Cast, ...]:
         plan.write_text(_REAL_PLAN.format(episodes=told.episodes))
         casts = [real_cast(plan, told.episodes)]
     else:
-        gateways = {0, told.gateways}
-        casts = [fake_cast(told.episodes, 2.0, number) for number in sorted(gateways)]
+        budgets = (STORM_CRASHES, Budget().crashes) if told.peers else (STORM_CRASHES,)
+        choices = itertools.product(budgets, sorted({0, told.gateways}))
+        casts = [fake_cast(told.episodes, 2.0, number, crashes=crashes) for crashes, number in choices]
     return tuple(replace(cast, longest_s=told.longest or cast.longest_s) for cast in casts)
+
+
+def _peers(told: argparse.Namespace) -> Peers | None:
+    return Peers() if told.peers and told.simulation == "fake" else None
 
 
 def _keep_evidence(root: Path) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping
 
-from tests.chaos.party import LEASE_S, Party
+from tests.chaos.party import LEASE_S, STORM_CRASHES, Party
 from tests.chaos.spell import Spell
 
 __all__ = ["FAULTS", "possible"]
@@ -61,4 +61,6 @@ def possible(party: Party) -> list[str]:
         missing |= _GATEWAYS
     if not party.cast.has_small_disk:
         missing.add("full disk")
+    if party.cast.crashes < STORM_CRASHES:
+        missing.add("kill -9 simulation")
     return [name for name in FAULTS if name not in missing]

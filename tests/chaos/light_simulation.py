@@ -13,42 +13,56 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 _MISS_EVERY = 4
 
 
-def main() -> None:
-    threading.Thread(target=_serve_all, daemon=True).start()
+def main(damage: Callable[[bytes], tuple[bytes, str]] | None = None) -> None:
+    """Serves orders until stdin ends.
+
+    Args:
+        damage: (bundle) -> what is written to the disk, and the SHA-256 that is reported; `None` is an intact host.
+    """
+    threading.Thread(target=_serve_all, args=(damage or _keep,), daemon=True).start()
     while True:
         time.sleep(60)
 
 
-def _serve_all() -> None:
+def _keep(bundle: bytes) -> tuple[bytes, str]:
+    return bundle, hashlib.sha256(bundle).hexdigest()
+
+
+def _serve_all(damage: Callable[[bytes], tuple[bytes, str]]) -> None:
     try:
         _tell(kind="ready", renderer="synthetic")
         for line in os.fdopen(0, "rb", closefd=False):
-            threading.Thread(target=_serve, args=(line,)).start()
+            threading.Thread(target=_serve, args=(line, damage)).start()
     finally:  # whatever became of the supervisor
         os._exit(0)
 
 
-def _serve(line: bytes) -> None:
+def _serve(line: bytes, damage: Callable[[bytes], tuple[bytes, str]]) -> None:
     order = json.loads(line)
     steps = random.randint(1, 10)
     for step in range(1, steps + 1):
         time.sleep(random.uniform(0.0, float(sys.argv[1]) / 10))
         _tell(kind="progress", step=step)
-    seed = hashlib.sha256(f"{order['job']['index']} {order['job']['attempt']}".encode()).digest()[0]
-    if seed % _MISS_EVERY == 0:
+    if misses(order["job"]["index"], order["job"]["attempt"]):
         _tell(kind="failure", reason="collision", detail="stalled", step=steps)
         return
-    data = _fetch(line)
+    data, sha256 = damage(_fetch(line))
     part = order["bundle_path"] + ".part"
     with open(part, "wb") as file:
         file.write(data)
     os.rename(part, order["bundle_path"])
-    _tell(kind="success", step=12, sha256=hashlib.sha256(data).hexdigest(), size=len(data))
+    _tell(kind="success", step=12, sha256=sha256, size=len(data))
+
+
+def misses(index: int, attempt: int) -> bool:
+    """Returns whether the world refuses an attempt at an episode: a function of both, on every host."""
+    return hashlib.sha256(f"{index} {attempt}".encode()).digest()[0] % _MISS_EVERY == 0
 
 
 def _fetch(line: bytes) -> bytes:

@@ -26,8 +26,12 @@ from tests.chaos.nursery import Child, Nursery
 from tests.chaos.spell import Spell
 from tests.chaos.wire import Wires
 
-__all__ = ["Cast", "Party", "fake_cast", "real_cast"]
+__all__ = ["FAULTY_HOST", "STORM_CRASHES", "Cast", "Party", "fake_cast", "real_cast"]
 
+STORM_CRASHES = 20
+"""Budget of crashes of a job in a run in which the simulations of honest hosts are killed."""
+FAULTY_HOST = "faulty"
+"""Name of the host that damages what it makes; the honest ones are `host-NUMBER`."""
 _Process = subprocess.Popen[bytes] | Child
 LEASE_S = 2.0
 _LEAVES_WITHIN_S = 30.0
@@ -57,9 +61,15 @@ class Cast:
     gateways: int = 0
     gateway: Callable[[Path, str, str], list[str]] | None = None
     """(its directory, endpoint of the core, endpoint) -> command line; its name is that of the directory."""
+    faulty_worker: Callable[[Path, str, str, float], list[str]] | None = None
+    """As `worker`, and the share of the attempts that it damages."""
+    crashes: int = STORM_CRASHES
+    """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
 
 
-def fake_cast(episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: float = 30.0) -> Cast:
+def fake_cast(
+    episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: float = 30.0, crashes: int = STORM_CRASHES
+) -> Cast:
     """Returns the real parts around a simulation without physics: the protocol is on trial.
 
     Args:
@@ -67,17 +77,19 @@ def fake_cast(episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: 
         longest_s: how long a simulation may take.
         gateways: that the workers are connected to; without any they are to the coordinator.
         checkpoint_s: pause between two writings of the tables.
+        crashes: budget of crashes of a job.
     """
-    simulation = [sys.executable, "-I", "-S", str(Path(__file__).with_name("light_simulation.py")), str(longest_s)]
+
+    def worker(folder: Path, endpoints: str, script: str, *words: object) -> list[str]:
+        simulation = (sys.executable, "-I", "-S", Path(__file__).with_name(script), longest_s)
+        return _module("tests.builders.worker", "--host", folder.name, endpoints, folder, 2, *simulation, *words)
+
     return Cast(
         episodes,
         lambda root, endpoint: _module(
-            "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s
+            "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s, crashes
         ),
-        lambda folder, endpoints, kitchen: [
-            *_module("tests.builders.worker", endpoints, folder, 2),
-            *(*simulation, kitchen),
-        ],
+        lambda folder, endpoints, kitchen: worker(folder, endpoints, "light_simulation.py", kitchen),
         longest_s=_CALM_S + _EPISODE_S * episodes,
         has_small_disk=True,
         modules=("tests.builders.room_coordinator", "tests.builders.worker", "tests.builders.room_gateway"),
@@ -85,6 +97,10 @@ def fake_cast(episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: 
         gateway=lambda folder, core, endpoint: _module(
             "tests.builders.room_gateway", folder, folder.name, core, endpoint
         ),
+        faulty_worker=lambda folder, endpoints, kitchen, share: worker(
+            folder, endpoints, "faulty_host.py", kitchen, share
+        ),
+        crashes=crashes,
     )
 
 
@@ -116,10 +132,12 @@ class Party:
         cast: how to start them.
         workers: how many hosts.
         disk: the coordinator's; `None` for an ordinary folder.
+        damage: share of the attempts that a faulty host, one more than `workers`, damages; 0 for no faulty host.
     """
 
-    def __init__(self, root: Path, cast: Cast, workers: int, disk: Disk | None = None) -> None:
+    def __init__(self, root: Path, cast: Cast, workers: int, disk: Disk | None = None, damage: float = 0.0) -> None:
         self.root, self.cast, self.disk = root, cast, disk
+        self._honest, self._damage = workers, damage
         self.log = root / "log"
         self.place = disk.path if disk is not None and cast.has_small_disk else root
         self.violations: list[str] = []
@@ -135,14 +153,14 @@ class Party:
         """A worker told to leave -> when it counts as deaf."""
         self._stack = ExitStack()
         doors = self._doors or [self._endpoint]
-        self.wires = self._stack.enter_context(Wires([doors] * workers))
+        self.wires = self._stack.enter_context(Wires([doors] * (workers + (damage > 0))))
         self._kitchen = self._stack.enter_context(Kitchen())
         preload = disk.preload if disk is not None else {}
         self._nursery = self._stack.enter_context(Nursery(cast.modules, preload)) if cast.modules else None
         self._stack.callback(self._kill_all)
         self.coordinator = self._start_coordinator()
         self.gateways = [self._start_gateway(number) for number in range(cast.gateways)]
-        self.workers = [self._start_worker(number) for number in range(workers)]
+        self.workers = [self._start_worker(number) for number in range(workers + (damage > 0))]
 
     @property
     def out(self) -> Path:
@@ -153,6 +171,11 @@ class Party:
     def stores(self) -> list[Path]:
         """The directories of the gateways."""
         return [self.root / f"gw{number}" for number in range(self.cast.gateways)]
+
+    @property
+    def doors(self) -> list[str]:
+        """Endpoints that workers connect to, without a relay."""
+        return self._doors or [self._endpoint]
 
     @property
     def everybody(self) -> tuple[_Process, ...]:
@@ -280,6 +303,8 @@ class Party:
             process.send_signal(signal.SIGTERM)
         for process in self.everybody:
             self._await(process, "at the end")
+        if self.coordinator.poll() != 0:
+            self.violations.append(f"the coordinator ends with {self.coordinator.poll()}")
 
     def __enter__(self) -> Self:
         return self
@@ -356,6 +381,10 @@ class Party:
 
     def _start_worker(self, number: int) -> _Process:
         doors = ",".join(self.wires.endpoints[number])
+        if number >= self._honest:
+            assert self.cast.faulty_worker is not None
+            folder = self.root / FAULTY_HOST
+            return self._spawn(self.cast.faulty_worker(folder, doors, self._kitchen.name, self._damage), {})
         return self._spawn(self.cast.worker(self.root / f"host-{number}", doors, self._kitchen.name), {})
 
     def _spawn(self, command: Sequence[str], extra: dict[str, str]) -> _Process:

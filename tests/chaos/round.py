@@ -13,7 +13,9 @@ from pathlib import Path
 
 from tests.chaos.disk import Disk
 from tests.chaos.faults import FAULTS, possible
-from tests.chaos.party import Cast, Party
+from tests.chaos.hostile_peer import HostilePeer
+from tests.chaos.party import STORM_CRASHES, Cast, Party
+from tests.chaos.peers import Peers, effects_of_peers, give_history
 from tests.chaos.spell import Spell
 from tests.chaos.tally import Tally
 from tests.chaos.verdict import digest_of, gathering_of, violations_of
@@ -41,6 +43,8 @@ class Storm:
     """At most that many; fewer when the run is finished before."""
     pause_s: tuple[float, float] = (0.1, 0.7)
     """From one mishap to the next, shortest and longest."""
+    peers: Peers | None = None
+    """A hostile peer and a faulty host beside the workers; `None` for none."""
 
 
 def calm_digest(cast: Cast, root: Path) -> str:
@@ -77,15 +81,24 @@ def play_round(
     root.mkdir()
     with ExitStack() as stack:
         disk = stack.enter_context(Disk(root, _DISK_MB))
-        party = stack.enter_context(Party(root, cast, storm.workers, disk))
-        tally = Tally(missing=disk.missing, rounds=Counter({_topology(cast): 1}))
+        rng = random.Random(seed)
+        damage = rng.choice(storm.peers.damages) if storm.peers is not None else 0.0
+        party = stack.enter_context(Party(root, cast, storm.workers, disk, damage))
+        hostile = _hostile_peer(party, storm, random.Random(f"{seed} hostile"), stack)
+        tally = Tally(missing=disk.missing, rounds=Counter({_topology(cast, storm): 1}))
         begun = time.monotonic()
-        spells = _harass(party, disk, storm, random.Random(seed), stop or threading.Event())
+        spells = _harass(party, disk, storm, rng, stop or threading.Event())
         if len(party.archived()) < cast.episodes:
             party.violations.append(f"{len(party.archived())} of {cast.episodes} episodes after {cast.longest_s:g} s")
             shutil.copy(party.out / "ledger.db", root / "evidence-then.db")
+        if hostile is not None:
+            hostile.stop()
         party.end()
         tally.seconds = time.monotonic() - begun
+        if hostile is not None:
+            hostile.settle()
+            party.violations += hostile.violations
+            spells += hostile.acts + effects_of_peers(party)
         party.violations += gathering_of(party)
         party.violations += violations_of(party)
         digest = digest_of(party)
@@ -111,6 +124,7 @@ def _harass(
     """Lets mishaps fall until every episode is archived or time is up; then calms everything down."""
     kinds, spells = possible(party), list[tuple[str, Spell]]()
     deadline = time.monotonic() + party.cast.longest_s
+    has_history = storm.peers is None
     next_harm, relief = time.monotonic() + _CALM_START_S, float("inf")
     while len(party.archived()) < party.cast.episodes and time.monotonic() < deadline:
         now = time.monotonic()
@@ -124,6 +138,7 @@ def _harass(
                 spells.append((kind, spell))
                 relief = min(relief, now + rng.uniform(*_SHORT_DISK_S)) if kind.endswith("disk") else relief
                 next_harm = time.monotonic() + rng.uniform(*storm.pause_s)
+        has_history = has_history or give_history(party, rng)
         party.tend()
         if stop.wait(_TICK_S):
             raise Stopped
@@ -132,5 +147,13 @@ def _harass(
     return spells
 
 
-def _topology(cast: Cast) -> str:
-    return f"with {cast.gateways} gateways" if cast.gateways else "without gateways"
+def _hostile_peer(party: Party, storm: Storm, rng: random.Random, stack: ExitStack) -> HostilePeer | None:
+    if storm.peers is None:
+        return None
+    return stack.enter_context(HostilePeer(party, rng, storm.peers.pause_s))
+
+
+def _topology(cast: Cast, storm: Storm) -> str:
+    where = f"with {cast.gateways} gateways" if cast.gateways else "without gateways"
+    budget = f" and a budget of {cast.crashes} crashes" if cast.crashes < STORM_CRASHES else ""
+    return where + (" with peers" if storm.peers is not None else "") + budget

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from schemas.plan import Budget
 from tests.chaos.party import Party, fake_cast
-from tests.chaos.round import Storm, play_round
+from tests.chaos.peers import Peers
+from tests.chaos.round import Storm, calm_digest, play_round
 from tests.chaos.verdict import digest_of, gathering_of, violations_of
 
 EPISODES = 10
@@ -36,6 +38,18 @@ def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_pa
     assert tally.violations == []
     assert tally.faults.total() >= FAULTS // 2
     assert tally.outcomes["success"] == tally.episodes == EPISODES
+
+
+@pytest.mark.slow
+def test_one_hostile_peer_and_one_faulty_host_change_no_episode_and_lose_none(tmp_path):
+    cast = fake_cast(EPISODES, 1.0, crashes=Budget().crashes)  # of a default plan
+    calm = calm_digest(cast, tmp_path / "calm")
+    storm = Storm(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
+    tally = play_round(cast, tmp_path / "wild", storm, 1, calm)
+    assert tally.violations == []
+    assert tally.outcomes["success"] == tally.episodes == EPISODES
+    assert tally.faults.total() >= FAULTS
+    assert tally.outcomes["invalid"] + tally.outcomes["crash"] > 0
 
 
 def test_workers_change_over_when_a_gateway_is_killed_and_the_gathered_dataset_equals_a_calm_ones(calm, tmp_path):

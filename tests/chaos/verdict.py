@@ -12,7 +12,8 @@ from coordinator.gateway.gather import gather
 from coordinator.repair.mend import Patient, repair
 from schemas.digest import dataset_digest
 from tests.builders.ledger import room_catalog, room_plan
-from tests.chaos.party import Party
+from tests.chaos.hostile_peer import HOSTILE_HOST
+from tests.chaos.party import FAULTY_HOST, Party
 
 __all__ = ["digest_of", "gathering_of", "violations_of"]
 
@@ -55,7 +56,19 @@ def violations_of(party: Party) -> Iterator[str]:
         yield "part files are left"
     for held in party.query("select idx, state from jobs where state in ('leased', 'submitted')"):
         yield f"episode {held[0]} is still {held[1]}"
+    yield from _ended_badly(party)
     yield from _disagreements(party)
+
+
+def _ended_badly(party: Party) -> Iterator[str]:
+    """Jobs without an episode, and honest hosts that get no more jobs."""
+    for index, state, reason in party.query(
+        "select idx, state, reason from jobs where not superseded and state != 'archived'"
+    ):
+        yield f"episode {index} ended as {state}: {reason}"
+    for host, reason in party.query("select host, reason from hosts where barred_at is not null"):
+        if host not in {FAULTY_HOST, HOSTILE_HOST}:
+            yield f"honest host {host} is barred: {reason}"
 
 
 def _disagreements(party: Party) -> Iterator[str]:
@@ -68,5 +81,5 @@ def _disagreements(party: Party) -> Iterator[str]:
 
 
 def _patient(party: Party) -> Patient:
-    plan, catalog = room_plan(party.cast.episodes, crashes=20), room_catalog(party.place)
+    plan, catalog = room_plan(party.cast.episodes, crashes=party.cast.crashes), room_catalog(party.place)
     return Patient(party.out, party.out, f"sqlite:///{party.out / 'ledger.db'}", plan, catalog, {})

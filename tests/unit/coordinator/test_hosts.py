@@ -7,13 +7,14 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from sqlalchemy import inspect
+from sqlalchemy import func, inspect, select
 
 from coordinator.ledger import hosts
 from coordinator.ledger.engine import open_reader
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.progress import read_progress
 from coordinator.ledger.tables import hosts as hosts_table
+from coordinator.ledger.tables import jobs
 from coordinator.wire.protocol import Request, Terms, parse, serve
 from schemas.base import Model
 from schemas.terms import FailReason
@@ -168,17 +169,44 @@ def test_a_released_host_gets_jobs_again(counter):
     assert counter.ask("operator", "admin", AdminRequest(action=AdminAction.RELEASE)) == AdminReply(changed=())
 
 
-def test_a_job_that_fails_on_two_hosts_is_given_up(counter):
+def test_a_job_that_fails_on_every_host_is_given_up(counter):
     target = counter.claim("one")
     counter.fail("one", target.lease)
     others = [counter.claim("other").lease for _ in range(EPISODES - 1)]
     assert None not in others
-    for host in ("two", "one"):
+    for host in ("two", "other"):
         while (reply := counter.claim(host)).job is None:
             counter.desk.tick(1)
             counter.ask("other", "beat", Beat(sid="other.1", spool=tuple(others)))
         assert reply.job.index == target.job.index
         counter.fail(host, reply.lease)
+    assert counter.counts()["failed"] == 1
+
+
+def test_two_hosts_that_fail_everything_give_up_no_job_that_another_host_could_try(counter):
+    kept = tuple(counter.claim("good").lease for _ in range(EPISODES - 1))
+    for _ in range(400):
+        for host in ("hostile", "faulty"):
+            if (lease := counter.claim(host).lease) is not None:
+                counter.fail(host, lease)
+        counter.desk.tick(5)
+        counter.ask("good", "beat", Beat(sid="good.1", spool=kept))
+    with counter.desk.open() as connection:
+        crashes = connection.execute(select(func.max(jobs.c.crashes))).scalar_one()
+    assert crashes >= counter.desk.plan.budget.crashes
+    assert counter.counts()["failed"] == 0
+    assert [host.barred_at is not None for host in counter.troubled()] == [True, True]
+
+
+def test_a_job_that_fails_on_two_hosts_is_given_up_where_there_is_no_other(counter):
+    first, *others = [counter.claim("one").lease for _ in range(EPISODES)]
+    counter.fail("one", first)
+    for failures in (1, 2):
+        assert counter.counts()["failed"] == 0, failures
+        while (lease := counter.claim("two").lease) is None:
+            counter.desk.tick(1)
+            counter.ask("one", "beat", Beat(sid="one.1", spool=tuple(others)))
+        counter.fail("two", lease)
     assert counter.counts()["failed"] == 1
 
 

@@ -18,6 +18,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.puller import Nearby, Pullers, nothing_nearby
 from coordinator.settings import CoordinatorSettings
 from coordinator.wire.protocol import Pull
+from schemas.errors import TransientError
 from schemas.keys import Chunk
 from schemas.wire import Lease
 from tests.builders.bundle import job_for
@@ -196,6 +197,55 @@ def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
         assert crowd.done.wait(30)
     assert crowd.owned == []
     assert "too slow" in crowd.refused[0]
+
+
+@pytest.mark.parametrize("size", [0, 1])
+def test_a_bundle_that_is_announced_again_and_again_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
+    house, asked = House(), threading.Event()
+
+    def fetch(_sid: str, _lease: Lease, chunk: Chunk) -> bytes:
+        if chunk.offset >= size * 1024:
+            asked.set()
+            raise TransientError("no answer in time")
+        return BUNDLE[: chunk.length]
+
+    settings = CoordinatorSettings(
+        pullers=1, chunk_bytes=1024, reserve_bytes=0, slow_start_s=0.2, min_bytes_per_s=10_000_000
+    )
+    pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
+    ):
+        for _ in range(600):  # as beats do
+            pullers.offer(pull)
+            if house.done.wait(0.05):
+                break
+    assert asked.is_set()
+    assert len(house.refused) == 1
+    assert f"not served: {size * 1024} of {len(BUNDLE)} bytes" in house.refused[0]
+
+
+def test_a_bundle_whose_transfers_fail_for_a_moment_is_brought(tmp_path: Path) -> None:
+    house, failures = House(), iter(range(3))
+
+    def fetch(sid: str, lease: Lease, chunk: Chunk) -> bytes:
+        if next(failures, None) is not None:
+            raise TransientError("no answer in time")
+        return house.fetch(sid, lease, chunk)
+
+    settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0, slow_start_s=0.0)
+    pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
+    ):
+        for _ in range(600):
+            pullers.offer(pull)
+            if house.done.wait(0.05):
+                break
+    assert house.refused == []
+    assert house.judged == [BUNDLE]
 
 
 def test_room_is_counted_for_bundles_that_are_under_way(tmp_path: Path) -> None:

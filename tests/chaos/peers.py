@@ -1,0 +1,59 @@
+"""One hostile peer and one faulty host beside the honest ones of a round, and what was seen of their effects."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+
+from tests.chaos.hostile_peer import HOSTILE_HOST, HOSTILE_KINDS
+from tests.chaos.party import FAULTY_HOST, Party
+from tests.chaos.spell import Spell
+
+__all__ = ["PEER_KINDS", "Peers", "effects_of_peers", "give_history"]
+
+_LAST_STRIKE = 7
+_REFUSED, _CRASHED = "bundle of a faulty host refused", "simulation of a faulty host crashed"
+_BARRED = {HOSTILE_HOST: "hostile peer barred", FAULTY_HOST: "faulty host barred"}
+_OUTCOMES = {"invalid": _REFUSED, "crash": _CRASHED, "hang": _CRASHED}
+PEER_KINDS = (*HOSTILE_KINDS, _REFUSED, _CRASHED, *_BARRED.values())
+
+
+@dataclass(frozen=True)
+class Peers:
+    """What the two do in a round."""
+
+    pause_s: tuple[float, float] = (0.1, 0.6)
+    """Between two acts of the hostile peer, shortest and longest, seconds."""
+    damages: tuple[float, ...] = (0.3, 1.0)
+    """Shares of its attempts that the faulty host damages, one of which is drawn for a round."""
+
+
+def give_history(party: Party, rng: random.Random) -> bool:
+    """Gives one of the two so many strikes that the next one bars it; a round is too short for eight.
+
+    Returns:
+        Whether the ledger took it; it is to be tried again later else.
+    """
+    host = rng.choice(tuple(_BARRED))
+    row = (host, _LAST_STRIKE, 0, 0.0, "history")
+    try:
+        with (
+            closing(sqlite3.connect(f"file:{party.out / 'ledger.db'}?mode=rw", uri=True, timeout=1.0)) as ledger,
+            ledger,
+        ):
+            ledger.execute(
+                "insert or replace into hosts (host, strikes, last_job, resumes_at, reason) values (?, ?, ?, ?, ?)", row
+            )
+    except sqlite3.DatabaseError:  # not there yet, busy, or the disk is full
+        return False
+    return True
+
+
+def effects_of_peers(party: Party) -> list[tuple[str, Spell]]:
+    """Returns what the ledger of an ended run says about the faulty host, and who was barred."""
+    failed = party.query(f"select outcome, count(*) from attempts where sid like '{FAULTY_HOST}.%' group by outcome")
+    seen = [(_OUTCOMES[outcome], Spell(1)) for outcome, count in failed if outcome in _OUTCOMES for _ in range(count)]
+    barred = party.query("select host from hosts where barred_at is not null")
+    return seen + [(_BARRED[host], Spell(1)) for (host,) in barred if host in _BARRED]
