@@ -156,7 +156,7 @@ def test_swapped_episode_is_noticed(varied: Path, tmp_path: Path) -> None:
 def test_episodes_are_named_by_number_id_and_range() -> None:
     assert parse_episodes("2-4, ep_000009,3") == ["ep_000002", "ep_000003", "ep_000004", "ep_000009"]
     for wrong in ("", "x", "0", "4-2", "1-", "-3", "1,,2"):
-        with pytest.raises(UsageError, match="--episodes"):
+        with pytest.raises(UsageError, match="--episode "):
             parse_episodes(wrong)
 
 

@@ -93,7 +93,8 @@ def test_a_stage_under_a_wrong_suffix_is_to_be_renamed(tmp_path: Path) -> None:
 
     text = stage(tmp_path)
     crate, packed = tmp_path / "c.usdc", tmp_path / "p.usdz"
-    Usd.Stage.Open(str(text)).GetRootLayer().Export(str(crate))
+    opened = Usd.Stage.Open(str(text))  # kept: a layer without its stage is freed
+    opened.GetRootLayer().Export(str(crate))
     assert UsdUtils.CreateNewUsdzPackage(str(crate), str(packed))
     opens = {text: (".usd", ".usda", ".USDA"), crate: (".usd", ".usdc"), packed: (".usdz",)}
     for source, suffixes in opens.items():
