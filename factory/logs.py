@@ -32,12 +32,12 @@ def configure_logs(verbose: bool = False) -> None:
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.PrintLoggerFactory(cast("TextIO", _CurrentStderr())),
-        cache_logger_on_first_use=True,
+        cache_logger_on_first_use=False,
     )
 
 
 class _CurrentStderr:
-    """Writes to the present `sys.stderr`: loggers are cached, and the stream may be replaced or closed meanwhile."""
+    """Writes to the present `sys.stderr`: loggers live long, and the stream may be replaced or closed meanwhile."""
 
     def write(self, text: str) -> int:
         return sys.stderr.write(text)

@@ -18,7 +18,15 @@ from urllib.parse import unquote
 
 from schemas.errors import UsageError
 
-__all__ = ["EXTRA_OF", "direct_url", "install_command", "missing_package", "require_package", "requirement_of"]
+__all__ = [
+    "EXTRA_OF",
+    "direct_url",
+    "install_command",
+    "missing_package",
+    "pip_install",
+    "require_package",
+    "requirement_of",
+]
 
 _DISTRIBUTION = "minivla-factory"
 
@@ -82,7 +90,12 @@ def missing_package(module: str, who: str) -> UsageError:
 
 def install_command(extra: str | None = None) -> str:
     """Returns the shell command that adds an extra to this installation, or repairs its base when no extra is given."""
-    return f"{shlex.quote(sys.executable or 'python')} -m pip install {requirement_of(extra, direct_url())}"
+    return pip_install(requirement_of(extra, direct_url()))
+
+
+def pip_install(words: str) -> str:
+    """Returns the shell command that calls `pip install` of this Python; `words` are quoted for a shell."""
+    return f"{shlex.quote(sys.executable or 'python')} -m pip install {words}"
 
 
 def direct_url() -> dict[str, Any] | None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.extras import pip_install
 
 __all__ = ["DEPTH_CODEC", "RGB_CODEC", "Codec", "VideoWriter", "join_videos", "read_video"]
 
@@ -89,7 +89,7 @@ class VideoWriter:
             self._container.close()
             raise WorldError(
                 f"PyAV {av.__version__} was built without the encoder {codec.encoder}; "
-                f"install its wheel: {sys.executable} -m pip install --force-reinstall --only-binary :all: av"
+                f"install its wheel: {pip_install('--force-reinstall --only-binary :all: av')}"
             ) from error
         context: Any = self._stream.codec_context
         context.width, context.height, context.pix_fmt = width, height, codec.pixels

@@ -120,7 +120,7 @@ def test_json_that_a_parser_chokes_on_is_damage(tmp_path, text):
 
 
 def test_a_sound_file_is_still_read(tmp_path):
-    assert load_plan("demo").episodes == 15
+    assert load_plan("demo").episodes == 16
     assert read_yaml(json.dumps({"a": [1, "b"]})) == {"a": [1, "b"]}
     make_dataset(tmp_path / "out")
     assert len(Dataset(tmp_path / "out")) == 3

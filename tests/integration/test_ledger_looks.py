@@ -46,7 +46,7 @@ def ledger_files(root: Path) -> list[str]:
 
 def test_a_look_at_a_ledger_leaves_no_files_beside_it(data: Path) -> None:
     assert progress_of(site_of(str(data))).planned == 2
-    assert plan_of(data) == room_plan(2)
+    assert plan_of(site_of(str(data))) == room_plan(2)
     assert ledger_files(data) == ["ledger.db"]
 
 

@@ -10,9 +10,9 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import weakref
 
+from schemas.child import python_module
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.terms import RendererKind
@@ -25,7 +25,7 @@ __all__ = ["RenderingProcess"]
 _ANSWER_S = 300.0
 _REAP_S = 3.0
 _CAMERA, _ORIGIN = CameraConfig(), Pose(0.0, 0.0, 0.0)
-_CHILD = (sys.executable, "-P", "-m", "workers.render.process_child")
+_CHILD = python_module("workers.render.process_child")
 
 
 class RenderingProcess:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from factory.dataset import Dataset
 from factory.panels import show_ids
 from factory.view import floor_picture, view_episode
 from schemas.errors import UsageError
+from schemas.extras import install_command
 from schemas.scene import decode_scene
 from tests.builders.dataset import make_dataset, office_package
 
@@ -46,7 +48,7 @@ def test_ids_have_colours_of_their_own_and_the_target_is_red():
 @pytest.mark.skipif(HAS_RERUN, reason="rerun-sdk is installed")
 def test_without_rerun_the_extra_is_named(scene, tmp_path):
     make_dataset(tmp_path / "dataset", 1)
-    with pytest.raises(UsageError, match=r"pip install 'minivla-factory\[view\]'"):
+    with pytest.raises(UsageError, match=re.escape(install_command("view"))):
         view_episode(Dataset(tmp_path / "dataset")[0], scene, tmp_path / "x.rrd")
     assert not (tmp_path / "x.rrd").exists()
 
