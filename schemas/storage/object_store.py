@@ -1,8 +1,8 @@
-"""The door to object storage: objects written, read in ranges and listed by key, through `obstore`. Knows no datasets.
+"""Client of object storage: writes, reads, lists, copies and deletes objects with `obstore`. Independent of datasets.
 
-An object that is not there is a `FileNotFoundError`, one that is there already a `FileExistsError`; all else is a
-`WorldError` that names the place, what was found and the remedy. Credentials come from the environment, never from a
-URL, and no message of ours repeats what a server said but its code.
+Raises `FileNotFoundError` for a missing object, `FileExistsError` for an existing one, and `WorldError` for all other
+failures, with URL, cause and remedy. Credentials are read from the environment, not from a URL. Error messages repeat
+the status code of a server's answer, but not its text.
 """
 
 from __future__ import annotations
@@ -27,42 +27,44 @@ __all__ = ["SCHEMES", "Listed", "Objects", "objects_at"]
 
 SCHEMES = ("s3", "gs", "az")
 _CLIENT: ClientConfig = {"connect_timeout": "5s", "timeout": "10m", "allow_http": True}
-"""An endpoint that the user writes as http:// is taken at its word; a bundle may take minutes on a slow line."""
+"""An endpoint may be http:// if the user gives it so; a bundle may take minutes on a slow connection."""
 _RETRY: RetryConfig = {"max_retries": 5, "retry_timeout": timedelta(seconds=60)}
 _BATCH = 1000
 _COPY_BYTES = 1 << 20
 _STATUS = re.compile(r"status code: (\d{3} [A-Za-z ]+)")
 _CODE = re.compile(r"<Code>(\w{1,64})</Code>")
 _ASKED_THE_CLOUD = ("latest/api/token", "latest/meta-data", "computeMetadata", "metadata/identity")
-"""Where machines of a cloud ask for credentials, which they do only when none were given."""
+"""URLs of cloud metadata services; `obstore` requests credentials there only if the environment has none."""
 _REMEDIES = (
-    ("NoSuchBucket", "make the bucket, or check its name and AWS_ENDPOINT_URL"),
+    ("NoSuchBucket", "create the bucket, or check its name and AWS_ENDPOINT_URL"),
     ("no credentials", "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or your cloud's own variables"),
     ("401", "check the credentials in the environment"),
     ("403", "check the credentials in the environment, and that they may read, write, list and delete there"),
-    ("501", "the store must know conditional writes (If-None-Match), so that no episode is ever overwritten"),
+    ("501", "use a store that supports conditional writes (If-None-Match), so that no episode is overwritten"),
     ("cannot be reached", "check the network and AWS_ENDPOINT_URL, then try again"),
 )
 
 
 class Listed(NamedTuple):
-    """An object, as a list or its head says."""
+    """Entry of a listing."""
 
     key: str
+    """Key of the object."""
     size: int
+    """Size of the object, bytes."""
 
 
 @functools.cache
 def objects_at(url: str) -> Objects:
-    """Returns the objects below a URL; one of them a process, however often it is asked for."""
+    """Returns the client for a URL; calls with one URL return one client per process."""
     return Objects(url)
 
 
 class Objects:
-    """The objects below a URL such as `s3://bucket/run`; may be used from several threads, but not after a fork.
+    """Client of the objects below a URL such as `s3://bucket/run`; safe to use from several threads, not after a fork.
 
     Raises:
-        UsageError: the URL cannot be understood, or `obstore` is not installed.
+        UsageError: the URL is not valid, or `obstore` is not installed.
     """
 
     def __init__(self, url: str) -> None:
@@ -70,48 +72,48 @@ class Objects:
         self._store = _open(self.url)
 
     def put_new(self, key: str, data: Buffer) -> None:
-        """Writes an object in one request that fails when it is there already; nothing of it shows before it is whole.
+        """Writes a new object in one request; the object becomes visible when it is complete.
 
         Raises:
-            FileExistsError: an object of that key is there; it is left as it is.
+            FileExistsError: an object of that key exists; it is not changed.
         """
         self._put(key, data, "create")
 
     def put(self, key: str, data: Buffer) -> None:
-        """Writes an object in the place of a former one; readers see the one or the other, whole."""
+        """Writes an object or replaces an existing one; readers see either version complete."""
         self._put(key, data, "overwrite")
 
     def _put(self, key: str, data: Buffer, mode: str) -> None:
-        # one request, not several parts: only a single put can be conditional, and it leaves no parts behind
+        # one request instead of a multipart upload: only a single put can be conditional, and it leaves no parts behind
         self._call("write", key, lambda door, store: door.put(store, key, data, mode=mode, use_multipart=False))
 
     def read(self, key: str) -> bytes:
-        """Returns an object whole; meant for small ones."""
+        """Returns the content of a small object."""
         return b"".join(self.stream(key))
 
     def stream(self, key: str) -> Iterator[bytes]:
-        """Yields an object piece by piece."""
+        """Yields the content of an object in pieces."""
         answer = self._call("read", key, lambda door, store: door.get(store, key))
         pieces = iter(answer.stream(min_chunk_size=_COPY_BYTES))
         while (piece := self._call("read", key, lambda _door, _store: next(pieces, None))) is not None:
             yield bytes(piece)
 
     def read_range(self, key: str, start: int, end: int) -> bytes:
-        """Returns the bytes from `start` up to, not including, `end`."""
+        """Returns the bytes from `start` to `end`, `end` excluded."""
         return bytes(self._call("read", key, lambda door, store: door.get_range(store, key, start=start, end=end)))
 
     def head(self, key: str) -> Listed:
-        """Returns an object's size."""
+        """Returns the key and size of an object."""
         return Listed(key, self._call("read", key, lambda door, store: door.head(store, key))["size"])
 
     def walk(self, folder: str) -> Iterator[Listed]:
-        """Yields all objects below a folder, in any depth."""
+        """Yields all objects below a folder, recursively."""
         batches = iter(self._call("list", folder, lambda door, store: door.list(store, folder, chunk_size=_BATCH)))
         while (batch := self._call("list", folder, lambda _door, _store: next(batches, None))) is not None:
             yield from (Listed(found["path"], found["size"]) for found in batch)
 
     def list_folder(self, folder: str) -> tuple[list[str], list[Listed]]:
-        """Returns the folders directly in a folder, by their keys, and the objects."""
+        """Returns the keys of the folders directly in a folder, and the objects directly in it."""
         found = self._call("list", folder, lambda door, store: door.list_with_delimiter(store, folder or None))
         return list(found["common_prefixes"]), [Listed(item["path"], item["size"]) for item in found["objects"]]
 
@@ -120,7 +122,7 @@ class Objects:
         self._call("copy", key, lambda door, store: door.copy(store, key, to))
 
     def delete(self, key: str) -> None:
-        """Deletes an object; does nothing when there is none."""
+        """Deletes an object, if it exists."""
         with contextlib.suppress(FileNotFoundError):
             self._call("delete", key, lambda door, store: door.delete(store, key))
 
@@ -133,8 +135,8 @@ class Objects:
         try:
             return action(obstore, self._store)
         except (AlreadyExistsError, PreconditionError):
-            raise FileExistsError(errno.EEXIST, "is there already", place) from None
-        # the door's own errors may quote requests with their signatures, so that none is chained to ours
+            raise FileExistsError(errno.EEXIST, "the object exists already", place) from None
+        # errors of obstore may quote requests with their signatures, so they are not chained
         except FileNotFoundError as error:
             if "NoSuchBucket" not in str(error):
                 raise FileNotFoundError(errno.ENOENT, "no such object", place) from None
@@ -147,16 +149,16 @@ class Objects:
 
 
 _users: list[int] = []
-"""The process that has used a store first."""
+"""Id of the first process that used a store."""
 
 
 def _require_own_process(url: str) -> None:
-    """The threads that carry requests do not survive a fork: without them a request would wait for ever."""
+    """Rejects requests in a forked process: it lacks the threads that send requests, and would wait forever."""
     if not _users:
         _users.append(os.getpid())
     if os.getpid() not in _users:
         raise UsageError(
-            f"{url} cannot be read in a process forked from one that has read it: start processes by spawning, e.g. "
+            f"{url} cannot be read in a process forked from one that has read it: start processes with 'spawn', e.g. "
             "DataLoader(..., multiprocessing_context='spawn')"
         )
 
@@ -165,15 +167,15 @@ def _checked(url: str) -> str:
     scheme, _, rest = url.rstrip("/").partition("://")
     if scheme not in SCHEMES or not rest or any(mark in rest for mark in "?#") or ".." in rest.split("/"):
         raise UsageError(
-            f"{_shown(url)!r} names no place for a dataset: give a directory, or {'://, '.join(SCHEMES)}://BUCKET/NAME"
+            f"{_shown(url)!r} is not a valid dataset URL: give a directory, or {'://, '.join(SCHEMES)}://BUCKET/NAME"
         )
     if "@" in rest:
-        raise UsageError(f"{_shown(url)!r}: a URL is no place for credentials; they are read from the environment")
+        raise UsageError(f"{_shown(url)!r}: a URL must not contain credentials; set them in the environment")
     return f"{scheme}://{rest}"
 
 
 def _shown(url: str) -> str:
-    """Returns a URL without what might be a password or a signature."""
+    """Returns a URL without user information and query, which may contain a password or a signature."""
     return re.sub(r"//[^/]*@", "//...@", url).split("?")[0]
 
 
@@ -192,12 +194,12 @@ def _open(url: str) -> Any:
 
 def _world_error(what: str, place: str, said: str) -> WorldError:
     found = _found(said)
-    remedy = next((remedy for mark, remedy in _REMEDIES if mark in found), "look after the store, then try again")
+    remedy = next((remedy for mark, remedy in _REMEDIES if mark in found), "check the store, then try again")
     return WorldError(f"cannot {what} {place}: {found}; {remedy}")
 
 
 def _found(said: str) -> str:
-    """Returns what happened, in words of ours and the server's code; the rest of its answer may hold secrets."""
+    """Returns the cause of an error with the server's status code; the rest of its answer may contain secrets."""
     if any(path in said for path in _ASKED_THE_CLOUD):
         return "no credentials were found"
     status, code = _STATUS.search(said), _CODE.search(said)

@@ -1,4 +1,4 @@
-"""Suggests the closest known name for a misspelled one. Pure; the message around it is the caller's."""
+"""Suggests the closest known name for a misspelled one. The caller formats the message around it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["did_you_mean"]
 
 
 def did_you_mean(word: str, names: Iterable[str], most: int = 1) -> str:
-    """Returns `; did you mean 'NAME'?` with the closest names, or nothing where none is close.
+    """Returns `; did you mean 'NAME'?` with the closest names, or an empty text if no name is close.
 
     Args:
         word: the misspelled name.

@@ -75,7 +75,7 @@ def copy_to(store: ObjectPath, folder: Path) -> None:
 def test_missing_bucket_is_named_with_the_remedy(store: ObjectPath, tmp_path: Path) -> None:
     said = said_by(lambda: open_archive(tmp_path, ObjectPath.at("s3://never-made/run")))
     assert said.startswith("cannot write s3://never-made/run/.lock: the store answers 404 Not Found (NoSuchBucket)")
-    assert "make the bucket" in said
+    assert "create the bucket" in said
 
 
 def test_refused_access_is_named_without_the_servers_words(
@@ -96,14 +96,14 @@ def test_absent_credentials_are_named(store: ObjectPath, tmp_path: Path, monkeyp
 
 
 def test_credentials_in_a_url_are_refused_and_not_repeated() -> None:
-    with pytest.raises(UsageError, match="a URL is no place for credentials") as caught:
+    with pytest.raises(UsageError, match="a URL must not contain credentials") as caught:
         place_of(f"s3://tester:{SECRET}@bucket/run")
     assert SECRET not in str(caught.value)
 
 
 @pytest.mark.parametrize("url", ["s3://", "ftp://host/run", "s3://bucket/../other", "s3://bucket/run?versionId=1"])
 def test_url_that_names_no_place_is_refused(url: str) -> None:
-    with pytest.raises(UsageError, match="names no place for a dataset"):
+    with pytest.raises(UsageError, match="is not a valid dataset URL"):
         place_of(url)
 
 
