@@ -9,6 +9,7 @@ import pytest
 
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
+from tests.builders.process_state import unchanged_process
 from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
@@ -58,7 +59,16 @@ def bucket_url(object_store: ObjectServer, monkeypatch: pytest.MonkeyPatch) -> C
 
 
 @pytest.fixture(autouse=True)
-def guarded_home(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+def guarded_process() -> Iterator[None]:
+    """Restores what all tests of a process share, and fails the test that left it changed."""
+    with unchanged_process():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def guarded_home(
+    guarded_process: None, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     """Points HOME and every cache at a folder that only the test sees."""
     home = tmp_path_factory.mktemp("home")
     monkeypatch.setenv("HOME", str(home))

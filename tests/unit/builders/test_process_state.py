@@ -1,0 +1,88 @@
+"""What a test changes in its process is restored, and the test is told."""
+
+from __future__ import annotations
+
+import logging
+import os
+import resource
+import signal
+from pathlib import Path
+
+import pytest
+import structlog
+
+from factory.logs import configure_logs
+from tests.builders.process_state import OF_ENTRY_POINTS, ProcessState, unchanged_process
+
+
+def change_variable() -> None:
+    os.environ["MINIVLA_LEFT"] = "1"
+
+
+def remove_variable() -> None:
+    del os.environ["HOME"]
+
+
+def change_folder() -> None:
+    os.chdir("/")
+
+
+def change_handler() -> None:
+    signal.signal(signal.SIGUSR1, lambda *_: None)
+
+
+def change_level() -> None:
+    logging.root.setLevel(logging.DEBUG)
+
+
+def disable_logging() -> None:
+    logging.disable(logging.CRITICAL)
+
+
+def lower_limit() -> None:
+    _soft, hard = resource.getrlimit(resource.RLIMIT_CORE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2**40, hard))
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (change_variable, "MINIVLA_LEFT"),
+        (remove_variable, "HOME"),
+        (change_folder, "working directory"),
+        (change_handler, "SIGUSR1"),
+        (change_level, "logging"),
+        (disable_logging, "logging"),
+        (lower_limit, "resource limit"),
+    ],
+)
+def test_what_a_test_leaves_changed_is_restored_and_named(change, named):
+    before = ProcessState.now()
+    with pytest.raises(AssertionError, match=named), unchanged_process():
+        change()
+    assert ProcessState.now() == before
+
+
+def test_a_removed_working_directory_is_restored(tmp_path):
+    before = Path.cwd()
+    (tmp_path / "gone").mkdir()
+    with pytest.raises(AssertionError, match="working directory"), unchanged_process():
+        os.chdir(tmp_path / "gone")
+        (tmp_path / "gone").rmdir()
+    assert Path.cwd() == before
+
+
+def test_what_a_command_configures_in_structlog_is_reset_after_the_test():
+    with unchanged_process():
+        configure_logs()
+        structlog.contextvars.bind_contextvars(job=1)
+    assert not structlog.is_configured()
+    assert structlog.contextvars.get_contextvars() == {}
+
+
+@pytest.mark.parametrize("name", OF_ENTRY_POINTS)
+def test_what_an_entry_point_sets_in_the_environment_is_restored_silently(name):
+    before = os.environ.get(name)
+    with unchanged_process():
+        os.environ[name] = "changed"
+    assert os.environ.get(name) == before
