@@ -44,6 +44,12 @@ def lower_limit() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**40, hard))
 
 
+def enter_and_remove(folder: Path) -> None:
+    folder.mkdir()
+    os.chdir(folder)
+    folder.rmdir()
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -65,10 +71,8 @@ def test_what_a_test_leaves_changed_is_restored_and_named(change, named):
 
 def test_a_removed_working_directory_is_restored(tmp_path):
     before = Path.cwd()
-    (tmp_path / "gone").mkdir()
     with pytest.raises(AssertionError, match="working directory"), unchanged_process():
-        os.chdir(tmp_path / "gone")
-        (tmp_path / "gone").rmdir()
+        enter_and_remove(tmp_path / "gone")
     assert Path.cwd() == before
 
 
