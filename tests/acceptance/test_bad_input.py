@@ -9,7 +9,7 @@ import signal
 import pytest
 
 from tests.acceptance.factory_cli import episodes_in, wait_for
-from tests.acceptance.test_run import free_endpoint
+from tests.builders.ports import free_endpoint
 
 
 def test_an_unknown_plan_names_the_known_ones(factory, tmp_path):

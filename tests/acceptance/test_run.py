@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import signal
-import socket
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
 from tests.acceptance.factory_cli import FactoryCli, episodes_in, kill_group, wait_for
+from tests.builders.ports import free_endpoint
 
 
 def digest_of(factory: FactoryCli, root: Path) -> str:
@@ -16,12 +16,6 @@ def digest_of(factory: FactoryCli, root: Path) -> str:
     assert report["ok"], report["findings"]
     assert report["complete"]
     return report["digest"]
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def test_a_finished_run_has_a_table_with_thumbnails_for_each_split_that_has_episodes(calm):

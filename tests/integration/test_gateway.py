@@ -22,8 +22,8 @@ from coordinator.settings import CoordinatorSettings
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.terms import FailReason
-from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ports import free_endpoint
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)

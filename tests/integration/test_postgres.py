@@ -18,8 +18,8 @@ from coordinator.repair.mend import Patient, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import UsageError, WorldError
-from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ports import free_endpoint
 from tests.builders.postgres import Postgres
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 

@@ -26,9 +26,9 @@ from schemas.identity import Role, TlsFiles
 from schemas.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
 from schemas.wire import AdminAction, AdminReply, AdminRequest, Claim, ClaimReply, HelloReply
 from tests.builders.bundle import parts_for
-from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ports import free_endpoint
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 from tests.builders.worker import WorkerThread, settings_for
 
