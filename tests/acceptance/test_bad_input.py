@@ -85,11 +85,11 @@ def test_listening_beyond_loopback_is_refused(factory, plan, tmp_path):
     assert "factory keys" in factory(*words, expect=2).stderr
 
 
-def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, calm, plan, tmp_path):
+def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, own_calm, plan, tmp_path):
     endpoint = free_endpoint()
-    first = factory.start("coordinator", "start", "--out", calm, "--listen", endpoint, "--stay")
-    wait_for(lambda: (calm / ".coordinator.json").exists())
-    err = factory("run", "--out", calm, expect=1).stderr
+    first = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
+    wait_for(lambda: (own_calm / ".coordinator.json").exists())
+    err = factory("run", "--out", own_calm, expect=1).stderr
     assert "another coordinator works on" in err
     words = ("coordinator", "start", plan, "--out", tmp_path / "x", "--listen", endpoint)
     err = factory(*words, expect=1).stderr

@@ -10,17 +10,10 @@ from typing import Any
 import pytest
 
 from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
-from tests.builders.evaluation import archive_drives
 from tests.builders.ports import free_endpoint
 
 SLOW = "tests.builders.policies:Dawdles"  # last, so that the kill of the coordinator comes before the end
 POLICIES = ("expert", "replay", "random", SLOW)
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of two drives in a room of boxes."""
-    return archive_drives(tmp_path_factory.mktemp("drives") / "dataset", episodes=2)
 
 
 @pytest.fixture(scope="module")

@@ -109,9 +109,9 @@ def test_status_agrees_with_what_lies_on_disk(factory, calm):
     assert len(status["workers"]) == 1
 
 
-def test_status_can_be_asked_of_a_running_coordinator(factory, calm):
+def test_status_can_be_asked_of_a_running_coordinator(factory, own_calm):
     endpoint = free_endpoint()
-    coordinator = factory.start("coordinator", "start", "--out", calm, "--listen", endpoint, "--stay")
+    coordinator = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
     wait_for(lambda: factory.start("status", "--connect", endpoint).wait(30) == 0, 60)
     assert factory.json("status", "--connect", endpoint)["jobs"]["archived"] == 5
     coordinator.send_signal(signal.SIGTERM)
