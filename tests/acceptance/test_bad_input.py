@@ -96,7 +96,7 @@ def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, own_
     assert endpoint in err
     assert "--listen" in err
     first.send_signal(signal.SIGTERM)
-    assert first.wait(10) == 0
+    assert first.wait(60) == 0
 
 
 def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, calm, tmp_path):

@@ -54,7 +54,7 @@ def test_killed_coordinator_and_worker_lose_and_change_nothing(factory, plan, ca
     kill_group(worker)
     worker = start_worker()
     assert coordinator.wait(180) == 0
-    assert worker.wait(30) == 0
+    assert worker.wait(60) == 0
     assert digest_of(factory, root) == digest_of(factory, calm)
 
 
@@ -63,7 +63,7 @@ def test_an_interrupted_run_goes_on_where_it_was_and_makes_nothing_twice(factory
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
     running.send_signal(signal.SIGINT)
-    assert running.wait(30) == 130
+    assert running.wait(60) == 130
     before = {name: (root / "episodes" / name).stat().st_ino for name in episodes_in(root)}
     assert 0 < len(before) < 5
     factory("run", "--out", root, "--workers", 2)
@@ -77,8 +77,8 @@ def test_a_killed_run_takes_its_workers_with_it_and_can_be_resumed(factory, plan
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
     running.kill()
-    running.wait(30)
-    wait_for(lambda: not processes_that_name(root), 30)
+    running.wait(60)
+    wait_for(lambda: not processes_that_name(root), 60)
     factory("run", plan, "--out", root, "--workers", 2)
     assert digest_of(factory, root) == digest_of(factory, calm)
 
@@ -112,10 +112,10 @@ def test_status_agrees_with_what_lies_on_disk(factory, calm):
 def test_status_can_be_asked_of_a_running_coordinator(factory, own_calm):
     endpoint = free_endpoint()
     coordinator = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
-    wait_for(lambda: factory.start("status", "--connect", endpoint).wait(30) == 0, 60)
+    wait_for(lambda: factory.start("status", "--connect", endpoint).wait(60) == 0, 60)
     assert factory.json("status", "--connect", endpoint)["jobs"]["archived"] == 5
     coordinator.send_signal(signal.SIGTERM)
-    assert coordinator.wait(10) == 0
+    assert coordinator.wait(60) == 0
 
 
 def test_held_out_categories_are_only_in_their_split(factory, calm):

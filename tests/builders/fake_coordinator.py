@@ -118,7 +118,7 @@ class FakeCoordinator:
     def wait_until(self, holds: Callable[[], bool], what: str) -> None:
         """Waits for something to become true; fails with `what` after half a minute."""
         with self.changed:
-            assert self.changed.wait_for(holds, 30), f"never came: {what}; heard {self.heard[-5:]}"
+            assert self.changed.wait_for(holds, 120), f"never came: {what}; heard {self.heard[-5:]}"
 
     def of(self, kind: type[Model]) -> list[Model]:
         """Returns the messages of one kind."""
