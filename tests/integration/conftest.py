@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from tests.builders.evaluation import archive_drives
 from tests.builders.shared import build_once
 

@@ -19,7 +19,7 @@ from tests.builders.fake_coordinator import RUN, FakeCoordinator, jobs_saying
 from tests.builders.fake_simulation import bundle_for
 from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
-from workers.spool import Spool, folder_of
+from workers.client.spool import Spool, folder_of
 
 
 @contextmanager
