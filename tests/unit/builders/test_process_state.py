@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import structlog
-from factory.logs import configure_logs
+from factory.support.logs import configure_logs
 
 from tests.builders.process_state import OF_ENTRY_POINTS, ProcessState, unchanged_process
 
@@ -90,3 +90,10 @@ def test_what_an_entry_point_sets_in_the_environment_is_restored_silently(name):
     with unchanged_process():
         os.environ[name] = "changed"
     assert os.environ.get(name) == before
+
+
+def test_the_limit_of_open_files_that_a_coordinator_raises_is_restored_silently():
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with unchanged_process():
+        resource.setrlimit(resource.RLIMIT_NOFILE, (before[0] - 1, before[1]))
+    assert resource.getrlimit(resource.RLIMIT_NOFILE) == before
