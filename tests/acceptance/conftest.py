@@ -21,10 +21,15 @@ def factory(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Iterator[F
 
 
 @pytest.fixture(scope="session")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("plan") / "tiny.toml"
-    path.write_text(TINY_PLAN)
-    return path
+def plan(factory: FactoryCli, shared: Path) -> Path:
+    """A small plan, whose scenes are compiled by the first process that asks for it."""
+
+    def build(folder: Path) -> None:
+        folder.mkdir()
+        (folder / "tiny.toml").write_text(TINY_PLAN)
+        factory("plan", "nearest", folder / "tiny.toml")
+
+    return build_once(shared / "plan", build) / "tiny.toml"
 
 
 @pytest.fixture(scope="session")
