@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 import structlog
-from factory.support.logs import configure_logs
 
+from factory.support.logs import configure_logs
 from tests.builders.process_state import OF_ENTRY_POINTS, ProcessState, unchanged_process
 
 
