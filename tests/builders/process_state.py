@@ -19,8 +19,6 @@ RAISED_BY_COORDINATORS = resource.RLIMIT_NOFILE
 """A coordinator raises its soft limit to the hard one: restored like the others, but its change is no error."""
 OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Variables that pytest itself changes between the phases of a test."""
-OF_ENTRY_POINTS = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONSAFEPATH", "ZENOH_RUNTIME")
-"""Variables that our modules set for their whole process: restored like the others, but their change is no error."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,9 @@ class ProcessState:
         )
 
     def restore(self) -> list[str]:
-        """Restores this state; returns one line for each thing that was different."""
-        leaks = [*_restore_folder(self.folder), *_restore_variables(self.variables), *_restore_handlers(self.handlers)]
+        """Restores this state; returns one line for each difference that only a test can have made."""
+        _restore_variables(self.variables)
+        leaks = [*_restore_folder(self.folder), *_restore_handlers(self.handlers)]
         if (logging.root.level, logging.root.manager.disable) != self.levels:
             leaks.append(f"logging: {(logging.root.level, logging.root.manager.disable)} instead of {self.levels}")
             logging.root.setLevel(self.levels[0])
@@ -69,7 +68,8 @@ class ProcessState:
 def unchanged_process() -> Iterator[None]:
     """Restores the process at the end.
 
-    structlog and the variables of entry points are restored silently, since a command called in this process sets them.
+    structlog and the variables are restored silently: a command called in this process sets them, as does the import of
+    some libraries (gymnasium).
 
     Raises:
         AssertionError: something else was left changed; it is restored as well.
@@ -95,17 +95,10 @@ def _restore_folder(folder: Path) -> Iterator[str]:
         yield f"working directory: {present} instead of {folder}"
 
 
-def _restore_variables(variables: dict[str, str]) -> Iterator[str]:
-    for name in sorted({*os.environ, *variables} - {*OF_PYTEST}):
-        present, before = os.environ.get(name), variables.get(name)
-        if present == before:
-            continue
-        if name not in OF_ENTRY_POINTS:
-            yield f"variable {name}: {present!r} instead of {before!r}"
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
+def _restore_variables(variables: dict[str, str]) -> None:
+    for name in {*os.environ} - {*variables, *OF_PYTEST}:
+        del os.environ[name]
+    os.environ.update(variables)
 
 
 def _restore_handlers(handlers: dict[int, Any]) -> Iterator[str]:
