@@ -40,6 +40,8 @@ DOORS = {
     "matplotlib": {"factory/report/canvas.py"},
     "jinja2": {"factory/html/"},
     "mcap": {"factory/export/mcap.py"},
+    "mcap_protobuf": {"factory/export/mcap_protobuf.py"},
+    "google": {"factory/export/mcap_protobuf.py"},
     "rosbags": {"factory/export/ros2_cdr.py"},
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
 from coordinator.archive.opening import open_archive
@@ -28,7 +29,6 @@ from factory.export.vlnce_episode import from_habitat
 from schemas.terms import Split
 from tests.builders.dataset import NOW, archive_episode, episode_of, office_package
 from tests.builders.plan import small_plan
-from tests.builders.wire_reader import read_fields
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TRAIN_ID)
 
@@ -206,24 +206,26 @@ def test_mcap_images_and_poses_are_those_of_the_episode(dataset, mcap):
     episode = Dataset(dataset)[1]
     seen = Counter()
     with (mcap / f"episodes/{episode.episode_id}.mcap").open("rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
             t = round(message.log_time * 60 / 1e9)
-            fields = read_fields(message.data)
             seen[channel.topic] += 1
+            assert schema.encoding == "protobuf"
             if channel.topic == "/camera/rgb":
-                assert (schema.name, schema.encoding) == ("foxglove.CompressedImage", "protobuf")
-                assert fields[3] == [b"png"]
-                np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(fields[2][0]))), episode.rgb(t))
+                assert (schema.name, decoded.format) == ("foxglove.CompressedImage", "png")
+                np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(decoded.data))), episode.rgb(t))
             elif channel.topic == "/camera/depth":
-                assert (fields[2], fields[3], fields[4], fields[5]) == ([640], [640], [b"32FC1"], [2560])
-                depth = np.frombuffer(fields[6][0], "<f4").reshape(640, 640)
+                assert (decoded.width, decoded.height, decoded.encoding, decoded.step) == (640, 640, "32FC1", 2560)
+                depth = np.frombuffer(decoded.data, "<f4").reshape(640, 640)
                 np.testing.assert_array_equal(depth, episode.depth(t))
             elif channel.topic == "/camera/ids":
-                ids = np.frombuffer(fields[6][0], "<u2").reshape(640, 640)
+                ids = np.frombuffer(decoded.data, "<u2").reshape(640, 640)
                 np.testing.assert_array_equal(ids, episode.ids(t))
             elif channel.topic == "/odom":
-                place = read_fields(read_fields(fields[4][0])[1][0])
-                assert place.get(1, [0.0])[0] == float(episode.poses[t, 0])
+                assert decoded.pose.position.x == float(episode.poses[t, 0])
+            elif channel.topic == "/action":
+                assert (decoded.v_mps, decoded.w_rps) == tuple(map(float, episode.actions[t]))
+                assert (decoded.v_token, decoded.w_token) == tuple(episode.tokens[t])
     assert seen["/camera/rgb"] == 6
 
 
