@@ -42,6 +42,7 @@ DOORS = {
     "mcap": {"factory/export/mcap.py"},
     "mcap_protobuf": {"factory/export/mcap_protobuf.py"},
     "google": {"factory/export/mcap_protobuf.py"},
+    "trimesh": {"factory/export/vlnce_glb.py"},
     "rosbags": {"factory/export/ros2_cdr.py"},
     "rerun": {"factory/view.py"},
     "embreex": {"factory/scenes/light/rays.py"},

@@ -111,6 +111,7 @@ class McapExporter(Exporter[McapOptions, Facts]):
 
     name = "mcap"
     about = "one MCAP file an episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
+    version = 2
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     options = McapOptions
     facts = Facts
