@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from PIL import Image
 from pydantic import Field
@@ -74,6 +75,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
     name = "gnm"
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
+    version = 2
     options = GnmOptions
     facts = GnmFacts
 
@@ -137,21 +139,13 @@ def _spacing(pieces: Sequence[Piece[GnmFacts]]) -> float:
 def _config(camera: CameraConfig, spacing_m: float) -> str:
     focal = FRAME_SIZE_PX / 2 / math.tan(math.radians(camera.fov_deg) / 2)
     centre = FRAME_SIZE_PX / 2 - 0.5
-    return f"""\
-{DATASET_NAME}:
-  metric_waypoint_spacing: {spacing_m:.6f}  # average spacing between waypoints (meters)
-  camera_metrics:
-    camera_height: {camera.z_m}
-    camera_x_offset: {camera.x_m}
-    camera_matrix:
-      fx: {focal:.6f}
-      fy: {focal:.6f}
-      cx: {centre}
-      cy: {centre}
-    dist_coeffs:
-      k1: 0.0
-      k2: 0.0
-      p1: 0.0
-      p2: 0.0
-      k3: 0.0
-"""
+    entry = {
+        "metric_waypoint_spacing": round(spacing_m, 6),  # mean distance between waypoints, metres
+        "camera_metrics": {
+            "camera_height": camera.z_m,
+            "camera_x_offset": camera.x_m,
+            "camera_matrix": {"fx": round(focal, 6), "fy": round(focal, 6), "cx": centre, "cy": centre},
+            "dist_coeffs": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+        },
+    }
+    return yaml.safe_dump({DATASET_NAME: entry}, sort_keys=False)
