@@ -13,8 +13,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import structlog
 
@@ -26,6 +24,7 @@ from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.catalog import write_target_lists
 from schemas.child import child_environment, python_module
+from schemas.closing import Closing
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.terms import RendererKind
@@ -126,7 +125,7 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     )
 
 
-class _Crew:
+class _Crew(Closing):
     """The worker processes; each watches our end of its stdin and leaves when it closes, however we end."""
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
@@ -167,12 +166,8 @@ class _Crew:
             start_new_session=True,
         )
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Lets the workers end; kills those that take too long."""
         for member in self._members:
             if member.stdin is not None:
                 member.stdin.close()

@@ -91,6 +91,12 @@ def test_each_foreign_system_has_its_door(system):
     assert not stray
 
 
+def test_only_one_class_defines_how_a_with_block_closes():
+    """`VideoWriter` closes differently after an error; every other class that is opened inherits `Closing`."""
+    writers = {str(path.relative_to(ROOT)) for path in sources() if "def __exit__" in path.read_text()}
+    assert writers == {"schemas/closing.py", "factory/export/video.py"}
+
+
 def test_modules_import_each_other_without_cycles():
     names = {_module(path): path for path in sources()}
     graph = {

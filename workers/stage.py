@@ -9,12 +9,11 @@ import functools
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.closing import Closing
 from schemas.fingerprint import Fingerprint
 from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene, decode_scene
@@ -48,7 +47,7 @@ class LoadedScene:
         return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
 
 
-class Stage:
+class Stage(Closing):
     """Opens the renderer; loads scenes on demand and keeps the few used last."""
 
     def __init__(self, renderer_kind: RendererKind = "auto", lap: Lap = no_lap, apart: bool = False) -> None:
@@ -78,12 +77,8 @@ class Stage:
         """Returns a scene that `load` has brought; `KeyError` when it has not."""
         return self._loaded[sha256]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Closes the renderer."""
         self.renderer.close()
 
 

@@ -6,14 +6,13 @@ Drives nobody and measures nothing; experts, policies and the Gymnasium environm
 from __future__ import annotations
 
 from contextlib import ExitStack
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factory.eval.spec import EvalSettings, EvalSpec
 from schemas.bundle import EpisodeArrays
+from schemas.closing import Closing
 from schemas.errors import WorldError
 from schemas.scene import Target
 from workers.closed_loop import ClosedLoop
@@ -31,7 +30,7 @@ class NoFirmStand(WorldError):
     """The robot does not stand firm at the start of a spec."""
 
 
-class Simulator:
+class Simulator(Closing):
     """One episode at a time; `reset`, then `step` until a view has an end. A context manager."""
 
     def __init__(self, stage: Stage, settings: EvalSettings) -> None:
@@ -40,14 +39,6 @@ class Simulator:
         self.settings = settings
         self._held = ExitStack()
         self._loop: ClosedLoop | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the world of the last episode; the stage stays open."""

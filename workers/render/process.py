@@ -7,10 +7,8 @@ A process that has not loaded the driver has neither problem. This module loads 
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Self
-
 from schemas.arrays import FRAME_SIZE_PX
+from schemas.closing import Closing
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
 from schemas.lap import Lap, no_lap
@@ -27,7 +25,7 @@ __all__ = ["ProcessRenderer"]
 _KEPT_SCENES = 2
 
 
-class ProcessRenderer:
+class ProcessRenderer(Closing):
     """A `Renderer` whose frames equal, bit for bit, those of the renderer that its process opens."""
 
     def __init__(self, kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
@@ -46,14 +44,6 @@ class ProcessRenderer:
         self._process = RenderingProcess(kind, size)
         self._shelf = SceneShelf(_Storage(self._process).store, _KEPT_SCENES)
         self.description = self._process.description
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Ends the process; closing twice is harmless."""

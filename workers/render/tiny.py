@@ -8,14 +8,13 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from schemas.arrays import FRAME_SIZE_PX
+from schemas.closing import Closing
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
 from schemas.lap import Lap, no_lap
@@ -34,7 +33,7 @@ _TEXTURE_PX = 128
 """Textures are shrunk to this: TinyRenderer picks single texels, which flicker at full resolution."""
 
 
-class TinyRenderer:
+class TinyRenderer(Closing):
     """A `Renderer` in software that runs wherever PyBullet does."""
 
     def __init__(self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
@@ -50,14 +49,6 @@ class TinyRenderer:
         self._lap = lap
         self._shelf = SceneShelf(TinyScene, _KEPT_SCENES)
         self._scene: TinyScene | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the physics clients that hold the scenes; closing twice is harmless."""
