@@ -19,24 +19,24 @@ ALLOWED = {
     "minivla": {"schemas", "factory", "minivla"},
 }
 DOORS = {
-    "pybullet": {"workers/bullet.py"},
+    "pybullet": {"workers/physics/bullet.py"},
     "moderngl": {"workers/render/"},
     "zenoh": {
-        "workers/link.py",
-        "coordinator/wire/node.py",
-        "coordinator/wire/router.py",
-        "coordinator/wire/zenoh_config.py",
-        "coordinator/wire/ask.py",
+        "workers/client/link.py",
+        "coordinator/protocol/node.py",
+        "coordinator/protocol/router.py",
+        "coordinator/protocol/zenoh_config.py",
+        "coordinator/protocol/ask.py",
         "factory/bench/fleet.py",
     },
     "sqlalchemy": {"coordinator/"},
     "pxr": {"factory/scenes/importer/", "factory/scenes/author/"},
-    "prometheus_client": {"coordinator/http/exposition.py"},
-    "tornado": {"coordinator/http/server.py"},
+    "prometheus_client": {"coordinator/status/exposition.py"},
+    "tornado": {"coordinator/status/server.py"},
     "cryptography": {"factory/keys/"},
-    "pyseccomp": {"coordinator/check/sandbox.py"},
+    "pyseccomp": {"coordinator/validation/sandbox.py"},
     "huggingface_hub": {"factory/push/hub.py"},
-    "av": {"factory/export/video.py", "factory/film.py"},
+    "av": {"factory/export/video.py", "factory/visualize/film.py"},
     "matplotlib": {"factory/report/canvas.py"},
     "jinja2": {"factory/html/"},
     "mcap": {"factory/export/mcap.py"},
@@ -44,10 +44,10 @@ DOORS = {
     "google": {"factory/export/mcap_protobuf.py"},
     "trimesh": {"factory/export/vlnce_glb.py"},
     "rosbags": {"factory/export/ros2_cdr.py"},
-    "rerun": {"factory/view.py"},
+    "rerun": {"factory/visualize/rerun.py"},
     "embreex": {"factory/scenes/light/rays.py"},
-    "obstore": {"coordinator/archive/object_store.py"},
-    "pyarrow": {"coordinator/dataset/", "factory/"},
+    "obstore": {"schemas/storage/object_store.py"},
+    "pyarrow": {"coordinator/tables/", "factory/"},
 }
 
 
@@ -94,7 +94,7 @@ def test_each_foreign_system_has_its_door(system):
 def test_only_one_class_defines_how_a_with_block_closes():
     """`VideoWriter` closes differently after an error; every other class that is opened inherits `Closing`."""
     writers = {str(path.relative_to(ROOT)) for path in sources() if "def __exit__" in path.read_text()}
-    assert writers == {"schemas/closing.py", "factory/export/video.py"}
+    assert writers == {"schemas/support/closing.py", "factory/export/video.py"}
 
 
 def test_modules_import_each_other_without_cycles():

@@ -11,9 +11,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
-from coordinator.archive.place import Place
 from coordinator.archive.staged import Staged
 from schemas.job import episode_id
+from schemas.storage.place import Place
 
 __all__ = [
     "EPISODES",

@@ -7,8 +7,8 @@ import os
 from io import FileIO
 from pathlib import Path
 
-from coordinator.archive.disk import world_error
-from schemas.closing import Closing
+from schemas.storage.disk import world_error
+from schemas.support.closing import Closing
 
 __all__ = ["Staged"]
 

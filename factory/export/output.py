@@ -14,9 +14,9 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from coordinator.archive.disk import sync_directory, sync_file, translated, world_error
-from schemas.closing import Closing
 from schemas.errors import WorldError
+from schemas.storage.disk import sync_directory, sync_file, translated, world_error
+from schemas.support.closing import Closing
 
 __all__ = ["WORK_FOLDER", "Output", "sync_tree"]
 

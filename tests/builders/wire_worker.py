@@ -10,12 +10,12 @@ from typing import TypeVar
 
 import zenoh
 
-from coordinator.wire.zenoh_config import client_config
+from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
-from schemas.closing import Closing
 from schemas.identity import TlsFiles
 from schemas.job import Job
 from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
+from schemas.support.closing import Closing
 from schemas.terms import FailReason
 from schemas.wire import (
     Ack,

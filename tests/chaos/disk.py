@@ -12,7 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from schemas.closing import Closing
+from schemas.support.closing import Closing
 from tests.chaos.spell import Spell
 
 __all__ = ["Disk"]

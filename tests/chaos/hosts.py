@@ -7,7 +7,7 @@ import secrets
 import shutil
 import subprocess
 
-from schemas.closing import Closing
+from schemas.support.closing import Closing
 
 __all__ = ["Hosts", "why_not"]
 

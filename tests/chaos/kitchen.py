@@ -6,9 +6,9 @@ import secrets
 import socketserver
 import threading
 
-from schemas.closing import Closing
+from schemas.support.closing import Closing
 from tests.builders.bundle import parts_for
-from workers.order import Order
+from workers.process.messages import Order
 
 __all__ = ["Kitchen"]
 

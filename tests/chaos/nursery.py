@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from schemas.closing import Closing
+from schemas.support.closing import Closing
 
 __all__ = ["Child", "Nursery", "main"]
 

@@ -18,7 +18,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.closing import Closing
+from schemas.support.closing import Closing
 from tests.chaos.disk import Disk
 from tests.chaos.kitchen import Kitchen
 from tests.chaos.nursery import Child, Nursery

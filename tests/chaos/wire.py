@@ -9,7 +9,7 @@ import struct
 import threading
 from collections.abc import Sequence
 
-from schemas.closing import Closing
+from schemas.support.closing import Closing
 from tests.chaos.spell import Spell
 
 __all__ = ["Wires"]
