@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+import pickle
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -19,7 +21,6 @@ from pydantic import Field
 from factory.dataset.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Piece
 from factory.export.card import CARD_FILE, export_card
-from factory.export.gnm_pickle import pickle_arrays
 from factory.export.options import Decimated, stride_of
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -30,6 +31,7 @@ __all__ = ["DATASET_NAME", "GnmExporter", "GnmFacts", "GnmOptions"]
 
 DATASET_NAME = "minivla_nav"
 """Name of the dataset in `data_config.yaml` and `data_splits`."""
+_PICKLE_PROTOCOL = 2
 _LOADER_SPLITS = ("train", "test")
 _TEST_SPLITS = frozenset(split for split in Split if split not in (Split.TRAIN_ID, Split.VAL_ID))
 _CARD = """
@@ -149,3 +151,22 @@ def _config(camera: CameraConfig, spacing_m: float) -> str:
         },
     }
     return yaml.safe_dump({DATASET_NAME: entry}, sort_keys=False)
+
+
+def pickle_arrays(arrays: Mapping[str, NDArray[np.float64]]) -> bytes:
+    """Returns the pickle of a dictionary of float64 arrays; equal arrays give equal bytes."""
+    buffer = io.BytesIO()
+    _PortablePickler(buffer, _PICKLE_PROTOCOL).dump(dict(arrays))
+    return buffer.getvalue()
+
+
+class _PortablePickler(pickle.Pickler):
+    """Pickles an array as a call of `numpy.array` on a list of floats.
+
+    numpy's own pickles name `numpy._core`, which numpy 1.x, as those projects pin it (Python 3.8), does not have.
+    """
+
+    def reducer_override(self, item: Any) -> Any:
+        if isinstance(item, np.ndarray):
+            return np.array, (item.tolist(), "float64")
+        return NotImplemented
