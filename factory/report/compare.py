@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from factory.report import reasons
-from factory.report.comparison import Comparison
-from factory.report.facts import Facts, facts_of
-from factory.report.material import Material
+from factory.report.comparison import PaperComparison
+from factory.report.facts import RunFacts, facts_of
+from factory.report.material import ReportInput
 from factory.stats import paper
 from factory.stats.model import Published, RolloutRow
 from factory.stats.rollouts import ALL
@@ -49,7 +49,7 @@ _KINDS = {
 }
 
 
-def compare(material: Material) -> tuple[Comparison, ...]:
+def compare(material: ReportInput) -> tuple[PaperComparison, ...]:
     """Returns every number that the paper prints and that this dataset has; none where it is not compared."""
     if not material.episodes or not material.statistics.beside_paper:
         return ()
@@ -66,12 +66,12 @@ def _compare(
     source: str,
     explain: Callable[..., str],
     *arguments: Any,
-) -> Iterator[Comparison]:
+) -> Iterator[PaperComparison]:
     """Yields a number that the paper prints; `explain(*arguments)` gives the reason of a noticeable difference."""
     if published is None:
         return
     unit, digits, *_ = _KINDS[kind]
-    yield Comparison(
+    yield PaperComparison(
         exhibit=exhibit,
         what=what,
         ours=ours,
@@ -83,7 +83,7 @@ def _compare(
     )
 
 
-def _lengths(material: Material) -> Iterator[Comparison]:
+def _lengths(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
         yield from _length(material, "lengths", row, _facts(material, row.group))
         if said := row.paper:
@@ -91,7 +91,7 @@ def _lengths(material: Material) -> Iterator[Comparison]:
             yield from _compare("lengths", "TL median, all", "TL", ours, published, said.source, str, same)
 
 
-def _length(material: Material, exhibit: str, row: RolloutRow, facts: Facts | None) -> Iterator[Comparison]:
+def _length(material: ReportInput, exhibit: str, row: RolloutRow, facts: RunFacts | None) -> Iterator[PaperComparison]:
     if said := row.paper:
         what = f"TL mean, {row.group if exhibit == 'splits' else _said(row.group)}"
         ours, published = row.tl_mean_m, said.tl_mean_m
@@ -99,7 +99,7 @@ def _length(material: Material, exhibit: str, row: RolloutRow, facts: Facts | No
         yield from _compare(exhibit, what, "TL", ours, published, said.source, *why)
 
 
-def _why_length(material: Material, exhibit: str, group: str, facts: Facts | None, said: Published) -> str:
+def _why_length(material: ReportInput, exhibit: str, group: str, facts: RunFacts | None, said: Published) -> str:
     published_ne = said.ne_mean_m if said.ne_mean_m is not None else paper.OVERALL.ne_mean_m
     if facts is None or said.tl_mean_m is None or published_ne is None:
         return ""
@@ -111,14 +111,14 @@ def _why_length(material: Material, exhibit: str, group: str, facts: Facts | Non
     return text
 
 
-def _errors(material: Material) -> Iterator[Comparison]:
+def _errors(material: ReportInput) -> Iterator[PaperComparison]:
     said, why = paper.NAVIGATION_ERROR, (reasons.say_error, material.statistics)
     row = next(row for row in material.statistics.navigation_error if row.group == ALL)
     yield from _compare("errors", "NE mean", "NE", row.mean, said.ne_mean_m, said.source, *why)
     yield from _compare("errors", "NE standard deviation", "NE spread", row.std, said.ne_std_m, said.source, *why)
 
 
-def _steps(material: Material) -> Iterator[Comparison]:
+def _steps(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
         if said := row.paper:
             what, ours, published = f"steps median, {_said(row.group)}", row.steps_median, said.steps_median
@@ -126,13 +126,13 @@ def _steps(material: Material) -> Iterator[Comparison]:
             yield from _compare("steps", what, "steps median", ours, published, said.source, *why)
 
 
-def _why_steps(facts: Facts | None, said: Published, floor: tuple[Material, str] | None = None) -> str:
+def _why_steps(facts: RunFacts | None, said: Published, floor: tuple[ReportInput, str] | None = None) -> str:
     if facts is None:
         return ""
     return reasons.say_steps(facts, said) + (reasons.say_floor(*floor) if floor else "")
 
 
-def _tiers(material: Material) -> Iterator[Comparison]:
+def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.tiers:
         said = row.paper
         if said is None or said.steps_mean is None:
@@ -148,7 +148,7 @@ def _tiers(material: Material) -> Iterator[Comparison]:
             yield from _compare("tier_statistics", what, "NE", ours, said.ne_mean_m, said.source, *error)
 
 
-def _tier_shares(material: Material) -> Iterator[Comparison]:
+def _tier_shares(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.tiers:
         if (said := row.paper) and said.share is not None:
             tier = Tier(row.group)
@@ -156,7 +156,7 @@ def _tier_shares(material: Material) -> Iterator[Comparison]:
             yield from _compare("tiers", f"share of {tier}", "share", row.share, said.share, said.source, *why)
 
 
-def _splits(material: Material) -> Iterator[Comparison]:
+def _splits(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.splits:
         said = row.paper
         if said is None or said.n is None or paper.OVERALL.n is None or row.group == ALL:
@@ -169,7 +169,7 @@ def _splits(material: Material) -> Iterator[Comparison]:
         )
 
 
-def _categories(material: Material) -> Iterator[Comparison]:
+def _categories(material: ReportInput) -> Iterator[PaperComparison]:
     rows = {row.group: row for row in material.statistics.categories}
     for name, said in paper.CATEGORIES.items():
         what, ours = f"share of {say_category(name)}", rows[name].share if name in rows else 0.0
@@ -180,7 +180,7 @@ def _categories(material: Material) -> Iterator[Comparison]:
     yield from _compare("categories", what, "share", ours, paper.THREE_LARGEST_SHARE, "Sec. VIII", *why_largest)
 
 
-def _fit(material: Material) -> Iterator[Comparison]:
+def _fit(material: ReportInput) -> Iterator[PaperComparison]:
     ours, said = material.statistics.correlation[0], paper.FIT
     if said.r is None or said.slope is None:
         return
@@ -192,7 +192,7 @@ def _fit(material: Material) -> Iterator[Comparison]:
     yield from _compare("fit", "slope, m/m", "coefficient", ours.slope, said.slope, "Fig. 11", *why_slope)
 
 
-def _templates(material: Material) -> Iterator[Comparison]:
+def _templates(material: ReportInput) -> Iterator[PaperComparison]:
     with_colour = [row for row in material.statistics.templates if row.group in paper.TEMPLATE_COUNTS]
     share, why = sum(row.n for row in with_colour) / len(material.episodes), (reasons.say_colours, material)
     yield from _compare("templates", "share with a colour word", "share of colours", share, 0.0, "Fig. 12", *why)
@@ -200,13 +200,13 @@ def _templates(material: Material) -> Iterator[Comparison]:
     yield from _compare("templates", "templates in use without colour", "count", len(used), 13 + 10, "Table III", str)
 
 
-def _attempts(material: Material) -> Iterator[Comparison]:
+def _attempts(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.attempts or ():
         if row.paper is None or row.paper.rate is None:
             continue
         low, high = row.paper.rate
         rate = row.success.share
-        yield Comparison(
+        yield PaperComparison(
             exhibit="attempts",
             what=f"attempts that succeed, {_said(row.group)}",
             ours=rate,
@@ -219,7 +219,7 @@ def _attempts(material: Material) -> Iterator[Comparison]:
         )
 
 
-def _facts(material: Material, scene: str) -> Facts | None:
+def _facts(material: ReportInput, scene: str) -> RunFacts | None:
     return facts_of([row for row in material.episodes if scene in (ALL, row.scene)])
 
 

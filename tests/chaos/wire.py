@@ -10,7 +10,7 @@ import threading
 from collections.abc import Sequence
 
 from schemas.support.closing import Closing
-from tests.chaos.spell import Spell
+from tests.chaos.fault_span import FaultSpan
 
 __all__ = ["Wires"]
 
@@ -29,7 +29,7 @@ class _Wire:
         self._open: set[asyncio.StreamWriter] = set()
         self.is_cut = False
         self.is_mute = False
-        self.spell = Spell()
+        self.spell = FaultSpan()
 
     @property
     def is_open(self) -> bool:
@@ -106,10 +106,10 @@ class Wires(Closing):
         self.endpoints = [[f"tcp/127.0.0.1:{self._call(wire.listen())}" for wire in wires] for wires in self._wires]
         """For each worker its own ends of the wires."""
 
-    def cut(self, number: int, seconds: float) -> Spell | None:
+    def cut(self, number: int, seconds: float) -> FaultSpan | None:
         """Resets the connections of a worker and lets none through for a while; `None` while it has none."""
 
-        async def act() -> Spell | None:
+        async def act() -> FaultSpan | None:
             spell = self._begin(number, seconds)
             if spell is None:
                 return None
@@ -120,14 +120,14 @@ class Wires(Closing):
 
         return self._call(act())
 
-    def mute(self, number: int, seconds: float) -> Spell | None:
+    def mute(self, number: int, seconds: float) -> FaultSpan | None:
         """Loses whatever a worker is answered for a while, then resets its connections: bytes are missing in them.
 
         Returns:
             `None` while it has no connection, or is muted already.
         """
 
-        async def act() -> Spell | None:
+        async def act() -> FaultSpan | None:
             spell = self._begin(number, seconds)
             if spell is None:
                 return None
@@ -153,8 +153,8 @@ class Wires(Closing):
         self._thread.join()
         self._loop.close()
 
-    def _begin(self, number: int, seconds: float) -> Spell | None:
-        wires, spell = self._wires[number], Spell()
+    def _begin(self, number: int, seconds: float) -> FaultSpan | None:
+        wires, spell = self._wires[number], FaultSpan()
         if any(wire.is_cut or wire.is_mute for wire in wires) or not any(wire.is_open for wire in wires):
             return None
         for wire in wires:

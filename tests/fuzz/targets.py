@@ -18,12 +18,12 @@ from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
 from coordinator.protocol.relay_desk import RELAY_MESSAGES
 from coordinator.tables.table_reader import read_column, read_failed_attempts
-from coordinator.validation.validator import Task
+from coordinator.validation.validator import ValidationTask
 from coordinator.validation.validator_child import judge
 from factory.dataset.reader import Dataset
 from factory.scenes.importer import extract_stage
 from factory.verify.dataset import verify
-from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
@@ -86,7 +86,7 @@ def _plans(_folder: Path) -> list[bytes]:
 
 def _read_container(data: bytes, _folder: Path) -> None:
     """Reads every member; where `zipfile` reads the file too, both must have found the same bytes."""
-    reader = ContainerReader(io.BytesIO(data), Limits(members=16, member_bytes=1 << 16))
+    reader = ContainerReader(io.BytesIO(data), ContainerLimits(members=16, member_bytes=1 << 16))
     ours = [_or_none(reader.read, name) for name in reader.names]
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as other:
@@ -120,7 +120,7 @@ def _read_bundle(data: bytes, folder: Path) -> None:
     path = folder / "bundle.zip"
     path.write_bytes(data)
     with path.open("rb") as file:
-        judge(Task(job=job_for(), target=chair()), file)
+        judge(ValidationTask(job=job_for(), target=chair()), file)
 
 
 def _bundles(_folder: Path) -> list[bytes]:

@@ -15,12 +15,12 @@ from schemas.bundle import EpisodeArrays
 from schemas.errors import WorldError
 from schemas.scene import Target
 from schemas.support.closing import Closing
-from workers.experts.observation import View
+from workers.experts.observation import Observation
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.physics.world import World
 from workers.sim.closed_loop import ClosedLoop
-from workers.sim.scene_renderer import LoadedScene, Stage
+from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import is_spawn_firm
 
 __all__ = ["NoFirmStand", "Simulator"]
@@ -33,7 +33,7 @@ class NoFirmStand(WorldError):
 class Simulator(Closing):
     """One episode at a time; `reset`, then `step` until a view has an end. A context manager."""
 
-    def __init__(self, stage: Stage, settings: EvalSettings) -> None:
+    def __init__(self, stage: SceneRenderer, settings: EvalSettings) -> None:
         """Keeps the caller's open stage, whose renderer it uses."""
         self._stage = stage
         self.settings = settings
@@ -45,7 +45,7 @@ class Simulator(Closing):
         self._held.close()
         self._loop = None
 
-    def reset(self, spec: EvalSpec, place: LoadedScene) -> View:
+    def reset(self, spec: EvalSpec, place: LoadedScene) -> Observation:
         """Puts the robot at the start of an episode and returns the first view.
 
         Args:
@@ -72,7 +72,7 @@ class Simulator(Closing):
         self._held.callback(self._loop.leave)
         return self._loop.view
 
-    def step(self, wanted: Twist) -> View:
+    def step(self, wanted: Twist) -> Observation:
         """Asks for a twist and simulates one period, unless the episode ends with this action.
 
         Args:
@@ -112,7 +112,7 @@ class Simulator(Closing):
         """Returns the steps so far as the archive has them: poses and actions of equal length."""
         return self._running.arrays()
 
-    def observe(self) -> View:
+    def observe(self) -> Observation:
         """Returns the present view: ground truth, never given to a model."""
         return self._running.view
 

@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 
 from schemas.support.closing import Closing
 
-__all__ = ["Child", "Nursery", "main"]
+__all__ = ["Child", "ForkServer", "main"]
 
 _STARTS_WITHIN_S = 120.0
 
@@ -58,7 +58,7 @@ class Child:
         self._ended.set()
 
 
-class Nursery(Closing):
+class ForkServer(Closing):
     """Starts processes quickly; a context manager whose exit kills all that are left.
 
     Args:
@@ -68,7 +68,7 @@ class Nursery(Closing):
 
     def __init__(self, modules: Sequence[str], environment: Mapping[str, str]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.chaos.nursery", *modules],
+            [sys.executable, "-m", "tests.chaos.fork_server", *modules],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | environment | {"OPENBLAS_NUM_THREADS": "1"},
