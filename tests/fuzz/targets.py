@@ -13,7 +13,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from coordinator.archive.contract import EPISODES
 from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
 from coordinator.protocol.relay_desk import RELAY_MESSAGES
@@ -23,6 +22,7 @@ from coordinator.validation.validator_child import judge
 from factory.dataset.reader import Dataset
 from factory.scenes.importer import extract_stage
 from factory.verify.dataset import verify
+from schemas.dataset_files import EPISODES
 from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
 from schemas.keys import Verb
