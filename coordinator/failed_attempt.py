@@ -14,7 +14,7 @@ __all__ = ["FailedAttempt"]
 
 
 class FailedAttempt(Model):
-    """An attempt that brought no episode (STYLE 18)."""
+    """An attempt that brought no episode."""
 
     episode_id: Name
     draw: Annotated[int, Field(ge=0)]
