@@ -28,8 +28,8 @@ def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
 
     Without the limit the wheels slip by half a metre a second and the robot drifts 25 cm over 6 m
     (docs/design/robot.md#limits-of-commands). The limits of speed itself are not applied here. The twist is rounded
-    to float32, the precision it is recorded in, so that what was recorded is what was carried out, and carrying it out again gives
-    the same poses: slewing towards a recorded twist returns it unchanged.
+    to float32, the precision it is recorded in, so that what was recorded is what was carried out, and carrying it
+    out again gives the same poses: slewing towards a recorded twist returns it unchanged.
 
     Args:
         current: the twist commanded in the period before.
