@@ -116,6 +116,14 @@ def test_the_architecture_names_packages_that_exist() -> None:
     assert [name for name in named if not (ROOT / name.replace(".", "/") / "__init__.py").exists()] == []
 
 
+def test_the_api_reference_names_modules_that_exist() -> None:
+    text = (ROOT / "docs" / "site" / "hook.py").read_text(encoding="utf-8")
+    named = re.findall(rf'"((?:{"|".join(PACKAGES)})(?:\.[a-z_]+)*)"', text)
+    files = [ROOT / name.replace(".", "/") for name in named]
+    assert "minivla" in named
+    assert [str(file) for file in files if not (file.is_dir() or file.with_suffix(".py").exists())] == []
+
+
 def test_the_index_of_documents_reaches_every_document() -> None:
     reached, waiting = set(), [ROOT / "docs" / "README.md"]
     while waiting:

@@ -17,8 +17,11 @@ from nbconvert import MarkdownExporter
 ROOT = Path(__file__).parents[2]
 NOTEBOOK = "docs/quickstart.ipynb"
 API = {
-    "minivla": ("The public API of minivla", ("minivla", "factory.dataset", "factory.torch_dataset")),
-    "policies": ("Policies and environment", ("factory.eval.policy", "factory.gym.env")),
+    "minivla": (
+        "The public API of minivla",
+        ("minivla", "factory.dataset.reader", "factory.dataset.episode", "factory.dataset.torch"),
+    ),
+    "policies": ("Policies and environment", ("factory.eval.driving.policy", "factory.gym.env")),
     "schemas": ("Plans and episodes", ("schemas.plan", "schemas.config", "schemas.terms", "schemas.episode")),
     "extend": ("Extension points", ("workers.experts.base", "workers.render", "factory.export.base")),
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from factory.cli.groups import DefaultGroup
+from factory.cli.common.groups import DefaultGroup
 from factory.cli.main import cli
 
 __all__ = ["PAGES", "ROOT", "anchors_of", "blocks", "factory_lines", "links_of", "make_lines", "parse_line", "prose"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from tests.builders.ledger import room_catalog, room_plan
-from workers.stopping import stop_on_signals
+from workers.client.stopping import stop_on_signals
 
 __all__ = ["main"]
 

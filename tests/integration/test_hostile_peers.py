@@ -16,9 +16,9 @@ import zenoh
 
 from coordinator.admin import administer
 from coordinator.ledger.workers import SESSIONS_OF_HOST
+from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.zenoh_config import client_config
 from schemas.keys import Verb, verb_key
 from schemas.terms import FailReason
 from schemas.wire import Ack, AdminAction, AdminReply, AdminRequest, Beat, BeatReply, Hello, HelloReply, Refusal
