@@ -15,7 +15,7 @@ from schemas.base import Bytes, Count, Finite, Line, Model, Name, NonNegative, O
 from schemas.episode import EpisodeMeta
 from schemas.terms import EndReason, ExpertName, Split, Tier
 
-__all__ = ["PUBLISHED_COLUMNS", "EpisodeSummary", "Receipt", "file_name_of", "summary_of"]
+__all__ = ["PUBLISHED_COLUMNS", "BundleReceipt", "EpisodeSummary", "file_name_of", "summary_of"]
 
 _MAX_SOFTWARE_CHARS = 1 << 18
 """As JSON, whatever characters the names and versions of a fingerprint have."""
@@ -37,7 +37,7 @@ PUBLISHED_COLUMNS = (
 """The columns of the published data set, in its order; every other column stands behind them."""
 
 
-class Receipt(Protocol):
+class BundleReceipt(Protocol):
     """What the ledger must know of a bundle that was found good; an `EpisodeSummary` is one."""
 
     @property

@@ -20,7 +20,7 @@ from coordinator.log_limit import LogLimit, describe_error
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.load import Load
-from coordinator.protocol.protocol import Answer, Request, Terms, parse, serve
+from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from coordinator.protocol.relay import Archived, Duty, Inventory, Join, JoinReply
 from coordinator.protocol.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
@@ -125,7 +125,7 @@ class Front(Closing):
         future = self._writer.submit(lambda connection: do(connection, request, self._terms, self._clock()))
         future.add_done_callback(partial(self._reply, inquiry, request, octets))
 
-    def _reply(self, inquiry: Inquiry, request: Request, octets: int, future: Future[Answer]) -> None:
+    def _reply(self, inquiry: Inquiry, request: ParsedRequest, octets: int, future: Future[ProtocolAnswer]) -> None:
         """Answers in the one answering thread; nothing that goes wrong with a request may reach the next."""
         self._load.leave(request.host, octets)
         error = future.exception()
@@ -139,7 +139,7 @@ class Front(Closing):
         except Exception as unforeseen:  # noqa: BLE001 - see above
             self._fail(inquiry, unforeseen)
 
-    def _answer(self, inquiry: Inquiry, request: Request, answer: Answer) -> None:
+    def _answer(self, inquiry: Inquiry, request: ParsedRequest, answer: ProtocolAnswer) -> None:
         if isinstance(request.message, AdminRequest):
             self._note_operator(request.message)
         if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):

@@ -23,7 +23,7 @@ from schemas.storage.place import Place, children, digest_of
 
 __all__ = ["Survey", "survey_archive"]
 
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Survey:
 
 
 def survey_archive(
-    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: Tell
+    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: ProgressCallback
 ) -> Survey:
     """Compares every file of a dataset with the ledger, and what the ledger does not own with the plan.
 

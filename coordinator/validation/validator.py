@@ -34,7 +34,7 @@ from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
 
-__all__ = ["HEADER", "MAX_FINDINGS", "MAX_FINDING_CHARS", "Limits", "Task", "Validator", "Verdict"]
+__all__ = ["HEADER", "MAX_FINDINGS", "MAX_FINDING_CHARS", "ValidationTask", "Validator", "ValidatorLimits", "Verdict"]
 
 log = structlog.get_logger(__name__)
 
@@ -48,7 +48,7 @@ HEADER = struct.Struct("!I")
 """Before a task: its length in bytes. The open bundle is sent with it."""
 
 
-class Limits(Model):
+class ValidatorLimits(Model):
     """What one child may use."""
 
     memory_bytes: Annotated[int, Field(ge=256 << 20)] = 1536 << 20
@@ -59,7 +59,7 @@ class Limits(Model):
     """Wall time a bundle."""
 
 
-class Task(Model):
+class ValidationTask(Model):
     """What a child is asked about the open bundle that comes with it."""
 
     job: Job
@@ -80,8 +80,8 @@ class Validator(Closing):
         TransientError: a child cannot be started.
     """
 
-    def __init__(self, children: int = 1, limits: Limits | None = None) -> None:
-        self._limits = limits or Limits()
+    def __init__(self, children: int = 1, limits: ValidatorLimits | None = None) -> None:
+        self._limits = limits or ValidatorLimits()
         self._is_told = False
         self._free: queue.SimpleQueue[_Child] = queue.SimpleQueue()
         self._all = [_Child(self._limits) for _ in range(children)]
@@ -103,7 +103,7 @@ class Validator(Closing):
             InvalidBundle: with every violation; also when the bundle brought two children down.
             TransientError: no child can be started, or the file not be opened, on this machine now.
         """
-        task = Task(job=job, target=target)
+        task = ValidationTask(job=job, target=target)
         with self._child() as child:
             for _ in range(_TRIES):
                 verdict = self._ask(child, task, path)
@@ -112,7 +112,7 @@ class Validator(Closing):
                 log.warning("validator_died", file=str(path), how=child.last_words)
         raise InvalidBundle("validation crashed", [f"{path.name}: {_TRIES} children died of it ({child.last_words})"])
 
-    def _ask(self, child: _Child, task: Task, path: Path) -> Verdict | None:
+    def _ask(self, child: _Child, task: ValidationTask, path: Path) -> Verdict | None:
         with _opened(path) as bundle:
             verdict = child.ask(task, bundle)
         if child.layers and not self._is_told:
@@ -137,7 +137,7 @@ class Validator(Closing):
 class _Child:
     """One process, started when first needed and again after every death."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: ValidatorLimits) -> None:
         self._limits = limits
         self._process: subprocess.Popen[str] | None = None
         self._orders: socket.socket | None = None
@@ -146,7 +146,7 @@ class _Child:
         self.layers: tuple[str, ...] = ()
         """What confines it, once it has been started."""
 
-    def ask(self, task: Task, bundle: int) -> Verdict | None:
+    def ask(self, task: ValidationTask, bundle: int) -> Verdict | None:
         """Returns the verdict, or `None` when the child died or had to be killed."""
         process = self._started()
         line = self._exchange(process, self._limits.wall_s, (task.model_dump_json().encode(), bundle))
@@ -207,7 +207,7 @@ class _Child:
         self._kill()
 
 
-def _spawn(limits: Limits) -> tuple[subprocess.Popen[str], socket.socket]:
+def _spawn(limits: ValidatorLimits) -> tuple[subprocess.Popen[str], socket.socket]:
     """Starts a child; its standard input is the other end of the returned socket."""
     arguments = python_module("coordinator.validation.validator_child", limits.model_dump_json())
     environment = {"PYTHONPATH": import_path(sys.path), "OPENBLAS_NUM_THREADS": "1"}

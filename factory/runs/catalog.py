@@ -26,10 +26,10 @@ from schemas.storage.place import Place
 
 __all__ = ["collect_scenes", "find_built", "find_package", "open_catalog", "write_target_lists"]
 
-Listener = Callable[[str], None]
+MessageCallback = Callable[[str], None]
 
 
-def open_catalog(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _: None) -> Catalog:
+def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
     """Returns the scenes of a plan that they can fulfil; see `collect_scenes`.
 
     Raises:
@@ -47,7 +47,7 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _
     return entries
 
 
-def collect_scenes(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _: None) -> Catalog:
+def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
     """Returns the scenes of a plan, whatever they hold.
 
     Args:

@@ -21,7 +21,7 @@ from schemas.terms import FailReason, Tier
 __all__ = ["attempt_rows", "cell_rows"]
 
 Tried = EpisodeSummary | FailedAttempt
-_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_of_the_world)
+_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 
 
 def attempt_rows(

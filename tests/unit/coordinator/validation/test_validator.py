@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.validation.validator import Limits, Validator
+from coordinator.validation.validator import Validator, ValidatorLimits
 from schemas.errors import InvalidBundle, TransientError
 from tests.builders.bundle import bundle_bytes, job_for, parts_for
 from tests.builders.dataset import chair
@@ -69,7 +69,7 @@ def test_zip_bomb_is_refused(validator: Validator, tmp_path: Path) -> None:
 
 
 def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> None:
-    with Validator(limits=Limits(wall_s=0.001)) as validator:
+    with Validator(limits=ValidatorLimits(wall_s=0.001)) as validator:
         with pytest.raises(InvalidBundle, match="2 children died of it"):
             validator.check(bundle, job_for())
         with pytest.raises(InvalidBundle, match="validation crashed"):
@@ -77,7 +77,7 @@ def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> N
 
 
 def test_child_that_cannot_start_is_the_machine_and_not_the_bundle(bundle: Path) -> None:
-    tight = Limits.model_construct(memory_bytes=1 << 20, cpu_s=10, wall_s=10.0)
+    tight = ValidatorLimits.model_construct(memory_bytes=1 << 20, cpu_s=10, wall_s=10.0)
     with Validator(limits=tight) as validator, pytest.raises(TransientError, match="does not start"):
         validator.check(bundle, job_for())
 
