@@ -14,7 +14,7 @@ from pathlib import Path
 from sqlalchemy import Engine, select
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import EPISODES, Archive
+from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.keepers import all_keepers, bring_home
@@ -25,6 +25,7 @@ from coordinator.recovery.mend import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.base import Model
+from schemas.dataset_files import EPISODES
 from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
 from schemas.storage.object_path import ObjectPath

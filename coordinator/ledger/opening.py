@@ -18,13 +18,13 @@ from pydantic import TypeAdapter
 from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import LEDGER_FILE
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
 from schemas.base import Sha256
+from schemas.dataset_files import LEDGER_FILE
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import Split, Tier

@@ -22,8 +22,7 @@ from coordinator.ledger.moves import FREED, Transition
 from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, jobs
-from schemas.dataset import BundleReceipt
-from schemas.failed_attempt import FailedAttempt
+from schemas.dataset import BundleReceipt, FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import FailReason

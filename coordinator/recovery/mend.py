@@ -27,15 +27,14 @@ from coordinator.recovery.memory import recall_failures
 from coordinator.recovery.renewal import set_aside_ledger
 from coordinator.recovery.report import Action, RepairKind, RepairReport
 from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
-from coordinator.tables.card import CARD_FILE
 from coordinator.tables.checkpoint import read_failures, write_checkpoint
 from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.table_reader import read_column
-from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
-from schemas.dataset_meta import META_FILE, read_dataset_meta
+from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
+from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan

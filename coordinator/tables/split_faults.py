@@ -10,7 +10,6 @@ from typing import NamedTuple
 import pyarrow.parquet as pq
 from PIL import Image
 
-from coordinator.tables.card_configs import SPLITS_FOLDER
 from coordinator.tables.split_layout import (
     DIGEST_KEY,
     PICTURES_KEY,
@@ -20,7 +19,7 @@ from coordinator.tables.split_layout import (
     read_pictures,
     split_tables_of,
 )
-from coordinator.tables.write import METADATA_FILE
+from schemas.dataset_files import METADATA_FILE, SPLITS_FOLDER
 from schemas.storage.place import Place, children, table_of
 
 __all__ = ["SURPLUS", "FaultKind", "SplitFault", "fault_of", "find_faults", "surplus_tables"]

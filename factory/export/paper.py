@@ -12,14 +12,13 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import Field
 
-from coordinator.tables.card_configs import SPLITS_FOLDER
-from coordinator.tables.write import METADATA_FILE
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.export.base import EpisodeFacts, Exporter, Finish, Options
 from factory.export.card import CARD_FILE, export_card
 from schemas.dataset import PUBLISHED_COLUMNS
-from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.dataset_files import META_FILE, METADATA_FILE, SPLITS_FOLDER
+from schemas.dataset_meta import DatasetMeta
 from schemas.encoding.arrays import EPISODE_ARRAYS
 from schemas.encoding.ndarray import encode_npy
 from schemas.terms import Split

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from factory.report.comparison import PaperComparison
 from factory.stats.model import Remark
 from schemas.base import Model
-from schemas.dataset_meta import META_FILE
+from schemas.dataset_files import META_FILE
 from schemas.errors import UsageError, WorldError
 
 __all__ = ["FIGURES", "MARKER_FILE", "PAGE_FILE", "Summary", "require_usable", "write_files"]

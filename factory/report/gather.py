@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.archive.contract import EPISODES, SCENES
 from factory.dataset.episode import Episode
 from factory.report.floor_map import map_of
 from factory.report.material import Drives, FloorMap, FrameSample, ReportInput
@@ -16,6 +15,7 @@ from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rows import Rows, read_rows
 from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import decode_scene
 from schemas.storage.place import Place

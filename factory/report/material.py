@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.stats import Statistics
-from schemas.dataset import EpisodeSummary
+from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_meta import DatasetMeta
-from schemas.failed_attempt import FailedAttempt
 from schemas.tokens import GRID_POINTS
 
 __all__ = ["Drives", "FloorMap", "FrameSample", "Outlines", "ReportInput"]

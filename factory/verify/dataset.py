@@ -15,20 +15,27 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive.contract import EPISODES, SCENES, index_of_file
+from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.draw import cells
-from coordinator.tables.card import CARD_FILE
-from coordinator.tables.card_configs import SPLITS_FOLDER, names_split_tables
+from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
-from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
-from factory.dataset.parts import is_part
 from factory.dataset.reader import Dataset
 from factory.scenes.target_list import list_file_name
 from factory.verify.episode import EpisodeCheck, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from schemas.dataset import EpisodeSummary
-from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.dataset_files import (
+    ATTEMPTS_FILE,
+    CARD_FILE,
+    EPISODES,
+    META_FILE,
+    METADATA_FILE,
+    SCENES,
+    SPLITS_FOLDER,
+    is_part,
+)
+from schemas.dataset_meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.job import episode_id
 from schemas.storage.place import Place, at_hand, children, table_of

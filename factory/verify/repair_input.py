@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from coordinator.archive.contract import SCENES
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, require_plan
 from coordinator.ledger.reading.look import look_into
@@ -17,6 +16,7 @@ from coordinator.recovery.judge import count_plans
 from coordinator.recovery.mend import RepairInput
 from factory.dataset.packages import package_file
 from factory.runs.catalog import open_catalog
+from schemas.dataset_files import SCENES
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan

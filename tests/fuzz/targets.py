@@ -10,7 +10,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from coordinator.archive.contract import EPISODES
 from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
 from coordinator.protocol.relay_desk import RELAY_MESSAGES
@@ -20,6 +19,7 @@ from coordinator.validation.validator_child import judge
 from factory.dataset.reader import Dataset
 from factory.scenes.importer import extract_stage
 from factory.verify.dataset import verify
+from schemas.dataset_files import EPISODES
 from schemas.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
 from tests.builders.bundle import bundle_bytes, job_for

@@ -89,7 +89,8 @@ class BcPolicy:
         """Returns (hold, 2) twists."""
         size = self.meta.options.size
         picture = preprocess.to_input(
-            preprocess.shrink_rgb(observation["rgb"], size)[None], preprocess.shrink_depth(observation["depth"], size)[None]
+            preprocess.shrink_rgb(observation["rgb"], size)[None],
+            preprocess.shrink_depth(observation["depth"], size)[None],
         )
         with self._torch.inference_mode():
             answer = self._network(self._torch.from_numpy(picture), self._words)
