@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shlex
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -132,6 +134,22 @@ def test_the_index_of_documents_reaches_every_document() -> None:
         targets = {(page.parent / link.partition("#")[0]).resolve() for link in links_of(page) if ".md" in link}
         waiting += sorted(targets - reached - set(waiting))
     assert set(PAGES) - reached == set()
+
+
+def test_the_quickstart_notebook_was_executed_and_its_commands_are_understood() -> None:
+    path = ROOT / "docs" / "quickstart.ipynb"
+    text = path.read_text(encoding="utf-8")
+    assert len(text) < 300_000
+    assert re.findall(r"/(?:tmp|home|work|root)/", text) == []
+    cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+    commands = [line for cell in cells for line in "".join(cell["source"]).splitlines() if line.startswith("!factory ")]
+    assert len(commands) >= 5
+    for line in commands:
+        parse_line(shlex.split(line.partition(" 2>")[0])[1:])
+    for cell in cells:
+        assert cell["execution_count"] is not None
+        assert cell["outputs"], cell["source"]
+        assert [one for one in cell["outputs"] if one["output_type"] == "error"] == []
 
 
 def test_every_decision_is_listed_once_and_has_all_its_sections() -> None:
