@@ -145,7 +145,7 @@ def test_the_quickstart_notebook_was_executed_and_its_commands_are_understood() 
     commands = [line for cell in cells for line in "".join(cell["source"]).splitlines() if line.startswith("!factory ")]
     assert len(commands) >= 5
     for line in commands:
-        parse_line(shlex.split(line.partition(" 2>")[0])[1:])
+        parse_line(shlex.split(re.split(r" 2>| \|", line)[0])[1:])
     for cell in cells:
         assert cell["execution_count"] is not None
         assert cell["outputs"], cell["source"]

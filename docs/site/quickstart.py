@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -24,7 +25,7 @@ def execute(path: Path) -> None:
 
 
 def _tidy(notebook: NotebookNode, folder: str) -> None:
-    """Removes times, names of the machine's folders and messages on stderr."""
+    """Removes names of the machine's folders, terminal colours and messages on stderr."""
     notebook.metadata = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
     for number, cell in enumerate(notebook.cells, 1):
         cell.id, cell.metadata = f"cell-{number:02d}", {}
@@ -32,7 +33,7 @@ def _tidy(notebook: NotebookNode, folder: str) -> None:
             cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
             for output in cell.outputs:
                 if "text" in output:
-                    output.text = output.text.replace(f"{folder}/", "")
+                    output.text = re.sub(r"\x1b\[[0-9;]*m", "", output.text).replace(f"{folder}/", "")
 
 
 if __name__ == "__main__":
