@@ -12,8 +12,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import structlog
 import zenoh
@@ -32,6 +31,7 @@ from schemas.keys import (
     scene_selector,
     verb_key,
 )
+from schemas.support.closing import Closing
 from schemas.support.repeated import Repeated
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
@@ -50,7 +50,7 @@ _CHUNK_FIELDS = ("job", "fence", "off", "n")
 log = structlog.get_logger(__name__)
 
 
-class Link:
+class Link(Closing):
     """A session that can be opened again and again; a context manager.
 
     Args:
@@ -156,14 +156,6 @@ class Link:
             self._closings += 1
         if session is not None and not session.is_closed():
             session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _declare(self) -> None:
         session = self._session
