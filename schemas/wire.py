@@ -1,6 +1,6 @@
 """Messages between workers and the coordinator: every verb is idempotent and carries the lease it speaks for.
 
-An empty reply and a time-out both mean *unknown*: the caller repeats the same message (DESIGN 9).
+An empty reply and a time-out both mean *unknown*: the caller repeats the same message (docs/design/protocol.md#verbs).
 """
 
 from __future__ import annotations

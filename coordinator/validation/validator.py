@@ -1,4 +1,6 @@
-"""Validation in sandboxed child processes, so that a hostile bundle costs bounded memory and time (DESIGN 9).
+"""Validation in sandboxed child processes, so that a hostile bundle costs bounded memory and time.
+
+Design: docs/design/protocol.md#security.
 
 A child (`coordinator.validation.validator_child`) gets each bundle as an open file and answers with a line of JSON. One
 that dies, hangs or says too much is replaced.

@@ -1,4 +1,6 @@
-"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool (DESIGN 9).
+"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool.
+
+Design: docs/design/protocol.md.
 
 Never decides what to do about silence: an answer that did not come is `None`, whatever the reason.
 """
@@ -230,7 +232,7 @@ def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",
-        "transport/shared_memory/enabled": "false",  # loses queries under load (notes/zenoh.md A7)
+        "transport/shared_memory/enabled": "false",  # loses queries under load
         "transport/link/tx/lease": str(_LEASE_MS),
         "transport/link/rx/max_message_size": str(_MAX_PACKET_BYTES),
         "queries_default_timeout": "5000",
