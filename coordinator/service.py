@@ -24,6 +24,7 @@ from coordinator.dataset.checkpoint import is_checkpoint_owed, write_checkpoint
 from coordinator.dataset.meta import GateOutcome
 from coordinator.dataset.split_tables import write_split_tables
 from coordinator.housekeeper import Housekeeper
+from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.guard import require_ledger
@@ -58,6 +59,8 @@ _WAIT_S = 0.5
 _THUMBNAILS_S = 2.0
 """Time for thumbnails at the end of a run that is not finished."""
 _BARRED_S = 5.0
+_LEASE_LIMIT_S = 1.0
+"""Pause between two looks for leases that are too old."""
 _FAREWELL_S = 3.0
 """How long a finished run is announced at least: a worker may just be reconnecting."""
 _AGAIN = "start again: the ledger is rebuilt from the episodes"
@@ -147,6 +150,8 @@ class Coordinator(Closing):
             stack.callback(self._write_tables)
             self._pullers = stack.enter_context(self._open_pullers(checker, nearby))
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
+            limit_s = settings.lease_limit_s
+            self._lease_limit = LeaseLimit(self._reading, self._writer.call, self._terms, clock, limit_s)
             self._look_for_room()
             front = stack.enter_context(self._open_front())
             files = errands.files if errands is not None else {}
@@ -293,6 +298,7 @@ class Coordinator(Closing):
         return Housekeeper(
             {
                 "expire": (settings.sweep_s, self._expire),
+                "limit_leases": (_LEASE_LIMIT_S, self._limit_leases),
                 "look_for_room": (1.0, self._look_for_room),
                 "admit": (settings.admission_s, self._admit),
                 "warn_of_barred": (_BARRED_S, self._warn_of_barred),
@@ -305,6 +311,12 @@ class Coordinator(Closing):
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
+
+    def _limit_leases(self) -> None:
+        self._mind_clock()
+        if not self._has_room:
+            self._lease_limit.restart()  # no worker is to blame that its bundle waits
+        self._meters.add(Meter.EXPIRED, self._lease_limit.enforce())
 
     def _warn_of_barred(self) -> None:
         with self._reader.connect() as connection:
@@ -323,6 +335,7 @@ class Coordinator(Closing):
             ttl_s = self._settings.lease_ttl_s
             held = self._writer.call(lambda connection: claims.grant_grace(connection, self._clock(), ttl_s))
             self._watch.accept()
+            self._lease_limit.restart()
             log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases begin anew")
 
     def _admit(self) -> None:
