@@ -27,7 +27,6 @@ from coordinator.housekeeper import Housekeeper
 from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
-from coordinator.ledger.guard import require_ledger
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.look import Connection, damage_translated
 from coordinator.ledger.opening import ledger_url_of, open_run
@@ -142,7 +141,6 @@ class Coordinator(Closing):
         with ExitStack() as stack:
             stack.callback(checker.close)
             self._archive = stack.enter_context(open_archive(root, store))
-            require_ledger(self._archive, url)
             renew_ledger(self._archive, url, catalog)
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
