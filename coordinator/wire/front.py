@@ -21,14 +21,14 @@ from coordinator.meters import Meter, Meters
 from coordinator.wire.dispatch import Dispatch
 from coordinator.wire.load import Load
 from coordinator.wire.protocol import Answer, Request, Terms, parse, serve
-from coordinator.wire.relay import Archived, Duty, Inventory, Join, JoinReply
+from coordinator.wire.relay import Archived, Duty, InventoryReply, Join, JoinReply
 from coordinator.wire.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.wire.router import Inquiry
 from schemas.closing import Closing
 from schemas.errors import TransientError
 from schemas.keys import Verb
 from schemas.repeated import Repeated
-from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusal
+from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 __all__ = ["Front"]
 
@@ -144,7 +144,7 @@ class Front(Closing):
             self._note_operator(request.message)
         if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
             self._dispatch.take(request.host, request.message.router, 0)
-        if isinstance(request.message, Archived | Inventory):
+        if _changes_tables(request, answer):
             self._on_archived()
         if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
             self._meters.add(Meter.CLAIMS)
@@ -182,3 +182,10 @@ class Front(Closing):
         else:
             self._unread.succeed()
             inquiry.answer(future.result())
+
+
+def _changes_tables(request: Request, answer: Answer) -> bool:
+    """Returns whether a gateway has brought or lost an episode."""
+    if isinstance(request.message, Archived):
+        return answer.reply == Ack(accepted=True)
+    return isinstance(answer.reply, InventoryReply) and bool(answer.reply.lost)
