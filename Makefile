@@ -109,7 +109,7 @@ test-install: $(READY)
 # training, recipes and their tests, in an environment of their own: PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build
 test-train: $(TRAIN)/.ready
-	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/test_dataset.py tests/integration/test_train.py \
+	OMP_NUM_THREADS=1 $(TRAIN)/bin/python -m pytest tests/unit/factory/train tests/unit/factory/dataset/test_dataset.py tests/integration/test_train.py \
 		tests/integration/test_recipes.py tests/integration/test_training_libraries.py
 
 $(TRAIN)/.ready: requirements.txt

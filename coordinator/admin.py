@@ -12,10 +12,10 @@ from pathlib import Path
 from coordinator.archive.staging import Staging
 from coordinator.ledger import hosts, operator
 from coordinator.ledger.engine import open_writer
-from coordinator.ledger.look import damage_translated, look_into, require_sound
 from coordinator.ledger.opening import ledger_url_of, read_info
-from coordinator.wire.ask import OPERATOR, ask_admin
-from coordinator.wire.beacon import sight
+from coordinator.ledger.reading.look import damage_translated, look_into, require_sound
+from coordinator.protocol.ask import OPERATOR, ask_admin
+from coordinator.protocol.beacon import sight
 from schemas.errors import TransientError, UsageError
 from schemas.identity import TlsFiles
 from schemas.wire import AdminAction, AdminReply, AdminRequest

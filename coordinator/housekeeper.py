@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from schemas.closing import Closing
-from schemas.repeated import Repeated
+from schemas.support.closing import Closing
+from schemas.support.repeated import Repeated
 
 __all__ = ["Chore", "Housekeeper"]
 

@@ -15,7 +15,7 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import held_too_long, lease_of
 from coordinator.ledger.moves import JobRow
-from coordinator.wire.protocol import Terms, fail_attempt
+from coordinator.protocol.protocol import Terms, fail_attempt
 from schemas.job import episode_id
 from schemas.keys import host_of
 from schemas.terms import FailReason

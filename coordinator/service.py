@@ -15,40 +15,40 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.opening import open_archive
-from coordinator.book import LedgerBook
-from coordinator.check.validator import Validator
 from coordinator.clock import ClockWatch, seconds_since_boot
-from coordinator.dataset.checkpoint import is_checkpoint_owed, write_checkpoint
-from coordinator.dataset.meta import GateOutcome
-from coordinator.dataset.split_tables import write_split_tables
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.evaluation import Errands
 from coordinator.housekeeper import Housekeeper
 from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.hosts import troubled
-from coordinator.ledger.look import Connection, damage_translated
 from coordinator.ledger.opening import ledger_url_of, open_run
-from coordinator.ledger.progress import count_frames, read_progress
+from coordinator.ledger.reading.look import Connection, damage_translated
+from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
-from coordinator.plan.catalog import Catalog
-from coordinator.plan.errands import Errands
-from coordinator.puller import Judge, Nearby, Pullers, nothing_nearby
-from coordinator.repair.reconcile import reconcile
-from coordinator.repair.renewal import renew_ledger
+from coordinator.protocol.beacon import light, quench
+from coordinator.protocol.dispatch import Dispatch
+from coordinator.protocol.front import Front
+from coordinator.protocol.protocol import Terms
+from coordinator.protocol.router import Router
+from coordinator.protocol.tls import Guard
+from coordinator.recovery.reconcile import reconcile
+from coordinator.recovery.renewal import renew_ledger
 from coordinator.settings import CoordinatorSettings
-from coordinator.vitals import Vitals
-from coordinator.wire.beacon import light, quench
-from coordinator.wire.dispatch import Dispatch
-from coordinator.wire.front import Front
-from coordinator.wire.protocol import Terms
-from coordinator.wire.router import Router
-from coordinator.wire.tls import Guard
-from schemas.closing import Closing
+from coordinator.status.vitals import Vitals
+from coordinator.tables.checkpoint import is_checkpoint_owed, write_checkpoint
+from coordinator.tables.split_tables import write_split_tables
+from coordinator.transfer.book import LedgerBook
+from coordinator.transfer.puller import Judge, Nearby, Pullers, nothing_nearby
+from coordinator.validation.validator import Validator
+from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.plan import Plan
+from schemas.storage.object_path import ObjectPath
+from schemas.support.closing import Closing
 from schemas.wire import Progress
 
 __all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from factory.dataset import Dataset
+    from factory.dataset.reader import Dataset
 
 __all__ = ["Dataset"]
 
@@ -13,7 +13,7 @@ __all__ = ["Dataset"]
 def __getattr__(name: str) -> Any:
     """Imports the reader when it is asked for, so that `import factory` stays light."""
     if name == "Dataset":
-        from factory.dataset import Dataset
+        from factory.dataset.reader import Dataset
 
         return Dataset
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -21,17 +21,17 @@ from typing import TYPE_CHECKING, Any
 from minivla.packages import require_own_packages
 
 if TYPE_CHECKING:
-    from factory.dataset import Dataset, Episode, Frame
-    from factory.torch_dataset import FrameDataset, collate
+    from factory.dataset.reader import Dataset, Episode, Frame
+    from factory.dataset.torch import FrameDataset, collate
 
 __all__ = ["Dataset", "Episode", "Frame", "FrameDataset", "collate"]
 
 _HOMES = {
-    "Dataset": "factory.dataset",
-    "Episode": "factory.dataset",
-    "Frame": "factory.dataset",
-    "FrameDataset": "factory.torch_dataset",
-    "collate": "factory.torch_dataset",
+    "Dataset": "factory.dataset.reader",
+    "Episode": "factory.dataset.reader",
+    "Frame": "factory.dataset.reader",
+    "FrameDataset": "factory.dataset.torch",
+    "collate": "factory.dataset.torch",
 }
 
 if "gymnasium" in sys.modules:  # then the id `minivla:MiniVLANav-v0` works too

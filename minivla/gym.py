@@ -16,7 +16,7 @@ try:
     from gymnasium.envs import registration
 except ImportError as error:
     require_own_packages()
-    from schemas.extras import missing_package
+    from schemas.support.extras import missing_package
 
     raise ImportError(str(missing_package("gymnasium", "minivla.gym"))) from error
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from schemas.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, RGB_FRAME, ArraySpec
-from schemas.container import ContainerReader, ContainerWriter, Limits
-from schemas.digest import content_digest, frame_digest
+from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, RGB_FRAME, ArraySpec
+from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.digest import content_digest, frame_digest
+from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
+from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import BUNDLE_FORMAT, MAX_FRAMES, EpisodeMeta
 from schemas.errors import InvalidBundle
-from schemas.lap import Lap, no_lap
-from schemas.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
-from schemas.png import decode_png, encode_png
+from schemas.support.stage_timer import Lap, no_lap
 
 __all__ = ["MAX_BUNDLE_BYTES", "MAX_FRAMES", "BundleReader", "BundleWriter", "EpisodeArrays", "member_names"]
 
@@ -47,7 +47,7 @@ def member_names(frames: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class EpisodeArrays:
-    """The arrays of an episode of T steps, as `schemas.arrays` specifies them."""
+    """The arrays of an episode of T steps, as `schemas.encoding.arrays` specifies them."""
 
     actions_continuous: NDArray[np.float32]
     """(T, 2): v in m/s, w in rad/s."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas import portable
+from schemas.support import portable
 
 __all__ = ["TrackMeasure", "measure_track", "yaw_of"]
 

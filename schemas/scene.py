@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from schemas.arrays import ArraySpec
 from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Positive, PrimPath, Text
-from schemas.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.arrays import ArraySpec
+from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.ndarray import decode_npy_zst, encode_npy_zst
 from schemas.errors import InvalidBundle
-from schemas.ndarray import decode_npy_zst, encode_npy_zst
 from schemas.terms import Tier
 
 __all__ = [

@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from coordinator.archive.place import Place
 from coordinator.archive.staged import Staged
 from schemas.job import episode_id
+from schemas.storage.place import Place
 
 __all__ = [
     "EPISODES",

@@ -12,15 +12,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
-from coordinator.archive.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error
 from coordinator.archive.listing import Listing
-from coordinator.archive.place import Place
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
-from coordinator.summary import file_name_of
-from schemas.closing import Closing
+from schemas.dataset import file_name_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
+from schemas.storage.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error
+from schemas.storage.place import Place
+from schemas.support.closing import Closing
 
 __all__ = ["DirectoryArchive"]
 

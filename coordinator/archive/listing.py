@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from coordinator.archive.object_path import ObjectPath
+from schemas.storage.object_path import ObjectPath
 
 __all__ = ["Listing"]
 

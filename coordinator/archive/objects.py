@@ -19,16 +19,16 @@ from pathlib import Path
 import structlog
 
 from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
-from coordinator.archive.disk import set_aside, translated
 from coordinator.archive.listing import Listing
-from coordinator.archive.object_path import ObjectPath
-from coordinator.archive.place import Place, digest_of
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
-from coordinator.summary import file_name_of
-from schemas.closing import Closing
+from schemas.dataset import file_name_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
+from schemas.storage.disk import set_aside, translated
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place, digest_of
+from schemas.support.closing import Closing
 
 __all__ = ["ObjectArchive"]
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.objects import ObjectArchive
+from schemas.storage.object_path import ObjectPath
 
 __all__ = ["open_archive"]
 

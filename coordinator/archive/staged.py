@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from coordinator.archive.disk import world_error
+from schemas.storage.disk import world_error
 
 __all__ = ["Staged"]
 

@@ -13,10 +13,10 @@ import time
 from pathlib import Path
 
 from coordinator.archive.contract import STAGING
-from coordinator.archive.disk import translated, world_error
 from coordinator.archive.staged import Staged
 from schemas.errors import WorldError
 from schemas.job import episode_id
+from schemas.storage.disk import translated, world_error
 
 __all__ = ["Staging", "is_held"]
 

@@ -12,11 +12,11 @@ from typing import TypeVar
 import structlog
 from pydantic import ValidationError
 
-from coordinator.wire.node import Node
+from coordinator.protocol.node import Node
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
 from schemas.keys import Verb, verb_key
-from schemas.repeated import Repeated
+from schemas.support.repeated import Repeated
 from schemas.wire import Refusal
 
 __all__ = ["CoreLink"]

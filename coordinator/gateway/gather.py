@@ -15,20 +15,20 @@ from sqlalchemy import Engine, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import EPISODES, Archive
-from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.opening import open_archive
-from coordinator.archive.place import digest_of
-from coordinator.dataset.checkpoint import write_checkpoint
-from coordinator.dataset.split_tables import write_split_tables
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.keepers import all_keepers, bring_home
-from coordinator.ledger.look import require_sound
 from coordinator.ledger.outcomes import lose
+from coordinator.ledger.reading.look import require_sound
 from coordinator.ledger.tables import episodes
-from coordinator.repair.mend import Patient
+from coordinator.recovery.mend import Patient
+from coordinator.tables.checkpoint import write_checkpoint
+from coordinator.tables.split_tables import write_split_tables
 from schemas.base import Model
 from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import digest_of
 
 __all__ = ["GatherReport", "Missing", "gather"]
 

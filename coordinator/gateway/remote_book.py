@@ -6,9 +6,9 @@ import threading
 
 from coordinator.archive.contract import Archive
 from coordinator.gateway.core_link import CoreLink
-from coordinator.summary import Receipt
-from coordinator.wire.protocol import Pull
-from coordinator.wire.relay import Archived, Hold, Inventory, InventoryReply, Refused
+from coordinator.protocol.protocol import Pull
+from coordinator.protocol.relay import Archived, Hold, Inventory, InventoryReply, Refused
+from schemas.dataset import Receipt
 from schemas.keys import Verb
 from schemas.wire import Ack, cut_detail
 

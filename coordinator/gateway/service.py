@@ -14,24 +14,24 @@ from pathlib import Path
 import structlog
 
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.check.validator import Validator
 from coordinator.gateway.core_link import CoreLink
 from coordinator.gateway.remote_book import RemoteBook
 from coordinator.gateway.stock import take_stock
 from coordinator.gateway.title import holds_title, require_title, write_title
 from coordinator.housekeeper import Housekeeper
 from coordinator.meters import Meters
-from coordinator.puller import Checker, Pullers
+from coordinator.protocol.node import Node
+from coordinator.protocol.protocol import Pull
+from coordinator.protocol.relay import MAX_ORDERS, Duty, Join, JoinReply, Order, Orders
+from coordinator.protocol.tls import Guard
+from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
-from coordinator.vitals import Snapshot
-from coordinator.wire.node import Node
-from coordinator.wire.protocol import Pull
-from coordinator.wire.relay import MAX_ORDERS, Duty, Join, JoinReply, Order, Orders
-from coordinator.wire.tls import Guard
-from coordinator.wire.zenoh_config import router_config
-from schemas.closing import Closing
+from coordinator.status.vitals import Snapshot
+from coordinator.transfer.puller import Checker, Pullers
+from coordinator.validation.validator import Validator
 from schemas.errors import TransientError
 from schemas.keys import Chunk, Verb
+from schemas.support.closing import Closing
 from schemas.wire import Lease
 
 __all__ = ["Gateway"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from coordinator.archive.disk import sync_directory, sync_file, translated
 from schemas.errors import UsageError
+from schemas.storage.disk import sync_directory, sync_file, translated
 
 __all__ = ["TITLE", "holds_title", "require_title", "write_title"]
 

@@ -19,11 +19,11 @@ from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import LEDGER_FILE
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import PlannedJob, expand
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.states import State
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
-from coordinator.plan.catalog import Catalog
-from coordinator.plan.draw import PlannedJob, expand
 from schemas.base import Sha256
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan

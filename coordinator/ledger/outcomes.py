@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import bindparam, delete, insert, select, update
 from sqlalchemy.engine import Connection
 
+from coordinator.expansion.draw import PlannedJob
 from coordinator.ledger import hosts
 from coordinator.ledger.claims import HELD_STATES
 from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, lease_parameters, record_attempt
@@ -20,8 +21,7 @@ from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.prepared import Prepared
 from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
-from coordinator.plan.draw import PlannedJob
-from coordinator.summary import Receipt
+from schemas.dataset import Receipt
 from schemas.keys import host_of
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease

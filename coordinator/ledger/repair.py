@@ -14,16 +14,16 @@ from typing import Any
 from sqlalchemy import Row, bindparam, insert, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.failed_attempt import FailedAttempt
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import redraw
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.moves import FREED, Move
 from coordinator.ledger.opening import insert_planned, planned_of
 from coordinator.ledger.states import Event, State
 from coordinator.ledger.tables import attempts, jobs
-from coordinator.plan.catalog import Catalog
-from coordinator.plan.draw import redraw
-from coordinator.summary import Receipt
+from schemas.dataset import Receipt
+from schemas.failed_attempt import FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import FailReason

@@ -19,9 +19,9 @@ from sqlalchemy.exc import DatabaseError, OperationalError, SQLAlchemyError
 
 from coordinator.ledger.engine import checkpoint_log
 from coordinator.log_limit import LogLimit, describe_error
-from schemas.closing import Closing
 from schemas.errors import TransientError, WorldError
-from schemas.repeated import Repeated
+from schemas.support.closing import Closing
+from schemas.support.repeated import Repeated
 
 __all__ = ["GROUP", "Writer"]
 

@@ -15,20 +15,20 @@ from pathlib import Path
 from typing import Any
 
 from coordinator.archive.opening import open_archive
-from coordinator.check.validator import Validator
+from coordinator.expansion.catalog import Catalog
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, open_run
-from coordinator.ledger.progress import read_progress
+from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.writer import Writer
-from coordinator.plan.catalog import Catalog
-from coordinator.summary import summary_of
+from coordinator.validation.validator import Validator
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import CoordinatorBench, Spread
 from factory.bench.sample import Sample
 from factory.bench.wire import bench_wire
 from schemas.bundle import BundleReader
+from schemas.dataset import summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Plan
 from schemas.wire import Done, Lease

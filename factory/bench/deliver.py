@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from coordinator.archive.opening import open_archive
-from coordinator.check.validate import validate
+from coordinator.validation.validate import validate
 from factory.bench.model import StageCost
 from factory.bench.watch import StageTimes, Watch, stage_costs
 from schemas.bundle import BundleReader

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 
 import zenoh
 
-from coordinator.wire.zenoh_config import client_config
+from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.errors import TransientError
 from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import structlog
 
-from coordinator.plan.catalog import Catalog
+from coordinator.expansion.catalog import Catalog
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.summary import EpisodeSummary, summary_of
 from factory.bench.machine import measure_memory, resident_mib
 from factory.bench.model import Memory
-from factory.logs import configure_logs
+from factory.support.logs import configure_logs
 from schemas.base import Model
+from schemas.dataset import EpisodeSummary, summary_of
 from schemas.episode import EpisodeMeta
 from schemas.job import Job
 from schemas.plan import Plan

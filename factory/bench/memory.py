@@ -12,14 +12,14 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
-from coordinator.plan.catalog import Catalog
+from coordinator.expansion.catalog import Catalog
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import MemoryBench
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import FailReason
-from workers.order import Order, Report, ReportKind
-from workers.simulation import Death, Simulation
+from workers.process.messages import Order, Report, ReportKind
+from workers.process.simulation import Death, Simulation
 
 __all__ = ["bench_memory"]
 

@@ -16,14 +16,14 @@ from PIL import Image
 
 from factory.bench.model import PlainPace
 from factory.bench.watch import Watch
-from schemas.arrays import FRAME_SIZE_PX
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import CompiledScene
-from workers.camera import optical_pose, projection_matrix, view_matrix
-from workers.mesh_lists import mesh_lists
-from workers.pose import Pose
+from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.pose import Pose
+from workers.physics.mesh_lists import mesh_lists
+from workers.physics.world import ColliderMesh, World
 from workers.render.tiny import TinyScene
-from workers.world import ColliderMesh, World
 
 __all__ = ["run_plain"]
 

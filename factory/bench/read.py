@@ -12,9 +12,9 @@ import numpy as np
 
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import ReadBench, Spread
-from factory.dataset import Dataset
-from factory.episode import Episode
-from factory.torch_dataset import FrameDataset, collate
+from factory.dataset.episode import Episode
+from factory.dataset.reader import Dataset
+from factory.dataset.torch import FrameDataset, collate
 
 __all__ = ["bench_read"]
 

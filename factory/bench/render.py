@@ -11,8 +11,8 @@ from factory.bench.model import SceneRender, Spread, StageCost
 from factory.bench.watch import StageTimes, Watch, stage_costs
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
-from workers.camera import optical_pose, projection_matrix, view_matrix
-from workers.pose import Pose
+from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.cull import PartBounds, visible_parts
 

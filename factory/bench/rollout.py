@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.plan.catalog import SceneEntry
+from coordinator.expansion.catalog import SceneEntry
 from factory.bench.deliver import time_delivery
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
@@ -23,9 +23,9 @@ from factory.bench.watch import StageTimes, Watch, stage_costs
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from schemas.job import Job
-from workers.attempt import Success, run_attempt
-from workers.pose import Pose
-from workers.stage import Stage
+from workers.geometry.pose import Pose
+from workers.sim.attempt import Success, run_attempt
+from workers.sim.scene_renderer import Stage
 
 __all__ = ["bench_rollout"]
 

@@ -11,15 +11,15 @@ from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.directory import DirectoryArchive
-from coordinator.dataset.tables import write_tables
-from coordinator.plan.catalog import Catalog
-from coordinator.plan.draw import expand, to_job
-from coordinator.summary import EpisodeSummary, summary_of
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import expand, to_job
+from coordinator.tables.write import write_tables
+from schemas.dataset import EpisodeSummary, summary_of
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan
-from workers.attempt import Failure, run_attempt
-from workers.stage import Stage
+from workers.sim.attempt import Failure, run_attempt
+from workers.sim.scene_renderer import Stage
 
 __all__ = ["Sample", "make_sample"]
 

@@ -14,7 +14,7 @@ StageTimes = dict[str, tuple[float, float]]
 
 
 class Watch:
-    """A `schemas.lap.Lap` that keeps time; `start` before the first stage, `take` after the last."""
+    """A `schemas.support.stage_timer.Lap` that keeps time; `start` before the first stage, `take` after the last."""
 
     def __init__(self) -> None:
         self._times: StageTimes = {}

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coordinator.plan.catalog import Catalog
+from coordinator.expansion.catalog import Catalog
 from factory.bench.fleet import (
     Effort,
     bundle_of,

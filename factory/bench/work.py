@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.plan.catalog import Catalog
-from coordinator.plan.draw import expand, to_job
-from coordinator.plan.file import shrink
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import expand, to_job
+from coordinator.expansion.file import shrink
 from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.plan import Plan

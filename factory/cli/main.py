@@ -16,12 +16,12 @@ from itertools import groupby
 import click
 from click.shell_completion import CompletionItem
 
-from factory.cli.groups import CommandGroup, say_no_option
+from factory.cli.common.groups import CommandGroup, say_no_option
 from factory.cli.verbs import VERBS
-from schemas.child import SAFE_PATH
 from schemas.errors import FactoryError, UsageError
-from schemas.extras import EXTRA_OF, missing_package
-from workers.one_core import one_core
+from schemas.support.child import SAFE_PATH
+from schemas.support.extras import EXTRA_OF, missing_package
+from workers.process.one_core import one_core
 
 __all__ = ["cli", "main"]
 
@@ -40,7 +40,7 @@ class _Verbs(CommandGroup):
         """Imports a verb and returns its command."""
         if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(f"factory.cli.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"factory.cli.{VERBS[cmd_name].module}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002

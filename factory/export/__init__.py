@@ -1,6 +1,6 @@
 """A dataset in the formats people train from: one file or folder a format, behind one base class and a registry.
 
-Reads datasets through `factory.dataset`; never simulates, never changes the dataset.
+Reads datasets through `factory.dataset.reader`; never simulates, never changes the dataset.
 """
 
 from __future__ import annotations

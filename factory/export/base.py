@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
-from coordinator.dataset.meta import DatasetMeta
-from coordinator.summary import EpisodeSummary
-from factory.dataset import Dataset
-from factory.episode import Episode
+from factory.dataset.episode import Episode
+from factory.dataset.reader import Dataset
 from factory.export.output import Output
 from schemas.base import Model
+from schemas.dataset import EpisodeSummary
+from schemas.dataset_meta import DatasetMeta
 
 __all__ = ["Exporter", "Facts", "Finish", "Options", "Piece"]
 

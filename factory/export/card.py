@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.dataset.card_configs import Configs, spell_configs
-from coordinator.dataset.meta import DatasetMeta
+from coordinator.tables.card_configs import Configs, spell_configs
+from schemas.dataset_meta import DatasetMeta
 
 __all__ = ["CARD_FILE", "TAGS", "export_card"]
 

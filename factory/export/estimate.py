@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from coordinator.archive.disk import translated
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from factory.export.manifest import require_ours
 from factory.export.registry import find_exporter, require_packages
 from factory.export.run import ExportOrder, plan_manifest, run_export
 from schemas.base import Model
 from schemas.errors import WorldError
+from schemas.storage.disk import translated
 
 __all__ = ["Estimate", "estimate_export"]
 

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import Field
 
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Piece
 from factory.export.card import CARD_FILE, export_card
 from factory.export.gnm_pickle import pickle_arrays
 from factory.export.options import Decimated, stride_of
-from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.measure import yaw_of
 from schemas.terms import Split
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from coordinator.dataset.meta import DatasetMeta, software_versions
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.report import Skip
 from schemas.base import Model, Sha256
+from schemas.dataset_meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
 
 __all__ = ["MANIFEST_FILE", "Manifest", "Source", "read_manifest", "require_ours", "write_manifest"]

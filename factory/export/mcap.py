@@ -11,18 +11,18 @@ from typing import IO, Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from coordinator.archive.place import Place
-from coordinator.dataset.meta import DatasetMeta
-from factory.catalog import find_package
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export.base import Exporter, Facts, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap_messages import Said, measured_twists, stamp_of
 from factory.export.mcap_profile import FOXGLOVE, ROS2, Profile
 from factory.export.options import Decimated, stride_of
+from factory.runs.catalog import find_package
+from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
-from schemas.extras import require_package
 from schemas.scene import CompiledScene, decode_scene
+from schemas.storage.place import Place
+from schemas.support.extras import require_package
 
 __all__ = ["START_TIME_S", "McapExporter", "McapOptions"]
 

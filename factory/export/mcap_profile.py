@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export import mcap_messages as foxglove
 from factory.export import ros2_messages as ros2
 from factory.export.mcap_messages import Said

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from coordinator.dataset.meta import DatasetMeta
 from factory.export.base import Options
+from schemas.dataset_meta import DatasetMeta
 from schemas.errors import UsageError
 
 __all__ = ["Decimated", "stride_of"]

@@ -16,8 +16,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from coordinator.archive.disk import sync_directory, sync_file, translated, world_error
 from schemas.errors import WorldError
+from schemas.storage.disk import sync_directory, sync_file, translated, world_error
 
 __all__ = ["WORK_FOLDER", "Output", "sync_tree"]
 

@@ -12,16 +12,16 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import Field
 
-from coordinator.dataset.card_configs import SPLITS_FOLDER
-from coordinator.dataset.meta import META_FILE, DatasetMeta
-from coordinator.dataset.tables import METADATA_FILE
-from coordinator.summary import PUBLISHED_COLUMNS
-from factory.dataset import Dataset
-from factory.episode import Episode
+from coordinator.tables.card_configs import SPLITS_FOLDER
+from coordinator.tables.write import METADATA_FILE
+from factory.dataset.episode import Episode
+from factory.dataset.reader import Dataset
 from factory.export.base import Exporter, Facts, Finish, Options
 from factory.export.card import CARD_FILE, export_card
-from schemas.arrays import EPISODE_ARRAYS
-from schemas.ndarray import encode_npy
+from schemas.dataset import PUBLISHED_COLUMNS
+from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.encoding.arrays import EPISODE_ARRAYS
+from schemas.encoding.ndarray import encode_npy
 from schemas.terms import Split
 
 __all__ = ["PUBLISHED_SPLITS", "PaperExporter", "PaperOptions", "published_split"]

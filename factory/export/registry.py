@@ -10,8 +10,8 @@ from typing import Any
 
 from factory.export.base import Exporter
 from schemas.errors import UsageError
-from schemas.extras import require_package
-from schemas.meant import did_you_mean
+from schemas.support.extras import require_package
+from schemas.support.suggest import did_you_mean
 
 __all__ = ["EXPORTERS", "AnyExporter", "check_format", "find_exporter", "require_packages"]
 

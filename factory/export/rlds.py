@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import stride_of
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from coordinator.archive.place import Place
-from factory.dataset import Dataset
-from factory.episode import Episode
+from factory.dataset.episode import Episode
+from factory.dataset.reader import Dataset
 from factory.export.base import Finish, Options, Piece
 from factory.export.manifest import Manifest, Source, of_software, require_ours, write_manifest
 from factory.export.output import Output
@@ -22,6 +21,7 @@ from factory.export.selection import select
 from factory.export.task import Task, make_piece
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
+from schemas.storage.place import Place
 
 __all__ = ["ExportOrder", "Progress", "plan_manifest", "run_export"]
 

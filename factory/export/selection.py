@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
 from schemas.job import episode_id
 from schemas.plan import MAX_EPISODES

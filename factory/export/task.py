@@ -5,12 +5,12 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from coordinator.archive.disk import translated
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export.output import sync_tree
 from factory.export.registry import find_exporter
 from schemas.base import Model
 from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.storage.disk import translated
 
 __all__ = ["Made", "Task", "make_piece"]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.extras import pip_install
+from schemas.support.extras import pip_install
 
 __all__ = ["DEPTH_CODEC", "RGB_CODEC", "Codec", "VideoWriter", "join_videos", "read_video"]
 

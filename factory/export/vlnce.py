@@ -12,9 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from coordinator.archive.place import Place
-from factory.catalog import find_package
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Options, Piece
 from factory.export.card import CARD_FILE, export_card
 from factory.export.output import Output
@@ -27,7 +25,9 @@ from factory.export.vlnce_episode import (
     words_of,
 )
 from factory.export.vlnce_glb import encode_glb
+from factory.runs.catalog import find_package
 from schemas.scene import SceneInfo, decode_scene
+from schemas.storage.place import Place
 
 __all__ = ["VlnceExporter"]
 

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 from isal import igzip
 from pydantic import Field
 
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export.base import Exporter, Facts, Finish, Piece
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import Decimated, stride_of
 from factory.export.webdataset_tar import join_members, member_bytes, write_member
-from schemas.ndarray import encode_npy
+from schemas.encoding.ndarray import encode_npy
 
 __all__ = ["WebdatasetExporter", "WebdatasetFacts", "WebdatasetOptions", "shards_of"]
 

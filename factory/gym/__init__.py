@@ -8,7 +8,7 @@ Gymnasium imports the package when a name begins with it:
 
 from __future__ import annotations
 
-from schemas.extras import missing_package
+from schemas.support.extras import missing_package
 
 try:
     import gymnasium

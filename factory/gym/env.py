@@ -16,22 +16,22 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from coordinator.archive.place import Place, place_of
-from factory.eval import measure
-from factory.eval.from_dataset import Places
-from factory.eval.odometry import odometry
-from factory.eval.simulator import Simulator
-from factory.eval.spec import EvalSpec, SpecSet
+from factory.eval.driving import measure
+from factory.eval.driving.odometry import odometry
+from factory.eval.driving.simulator import Simulator
+from factory.eval.models.spec import EvalSpec, SpecSet
+from factory.eval.specs.from_dataset import Places
 from factory.gym.episodes import specs_for
 from factory.gym.instruction import InstructionKind, encode_instruction, instruction_space, words_for
-from schemas.arrays import FRAME_SIZE_PX
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
+from schemas.storage.place import Place, place_of
 from schemas.terms import EndReason, RendererKind
 from schemas.tokens import GRID_POINTS, actions_of
+from workers.experts.observation import View
+from workers.geometry.slew import Twist
 from workers.render.process_wire import MAX_SIZE_PX
-from workers.slew import Twist
-from workers.stage import Stage
-from workers.view import View
+from workers.sim.scene_renderer import Stage
 
 __all__ = ["MiniVLANavEnv"]
 

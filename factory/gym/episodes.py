@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coordinator.archive.place import Place
-from factory.dataset import Dataset
-from factory.eval.from_dataset import specs_of_dataset
-from factory.eval.spec import SpecSet
-from factory.eval.spec_file import read_specs
+from factory.dataset.reader import Dataset
+from factory.eval.models.spec import SpecSet
+from factory.eval.models.spec_file import read_specs
+from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.errors import UsageError
-from schemas.meant import did_you_mean
+from schemas.storage.place import Place
+from schemas.support.suggest import did_you_mean
 from schemas.terms import Split
 
 __all__ = ["specs_for"]

@@ -14,10 +14,10 @@ from gymnasium import spaces
 from gymnasium.vector.utils import read_from_shared_memory
 from numpy.typing import NDArray
 
-from coordinator.archive.place import Place
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from factory.train.words import MAX_WORDS, encode, vocabulary
 from schemas.errors import UsageError
+from schemas.storage.place import Place
 from schemas.terms import COLOUR_NAMES
 
 __all__ = [

@@ -8,8 +8,8 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, NamedTuple
 
 from schemas.errors import WorldError
-from schemas.extras import require_package
 from schemas.identity import Role
+from schemas.support.extras import require_package
 
 if TYPE_CHECKING:
     from cryptography import x509

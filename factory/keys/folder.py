@@ -11,10 +11,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from coordinator.archive.disk import translated
 from factory.keys.authority import Certificate, expiry_of, found_authority, issue
 from schemas.errors import UsageError
 from schemas.identity import ADMITTED_FILE, CA_FILE, Role, parse_admitted, require_host_name, spell_admitted, tls_files
+from schemas.storage.disk import translated
 
 __all__ = ["HostKeys", "admit", "found", "list_hosts", "revoke"]
 

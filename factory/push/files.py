@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, STAGING
-from coordinator.dataset.card_configs import SPLITS_FOLDER
-from coordinator.dataset.meta import META_FILE
+from coordinator.tables.card_configs import SPLITS_FOLDER
+from schemas.dataset_meta import META_FILE
 from schemas.errors import UsageError, WorldError
 
 __all__ = ["BATCH_BYTES", "BATCH_FILES", "PushFile", "PushPlan", "batches_of", "plan_push", "require_repository"]

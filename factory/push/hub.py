@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from factory.push.files import PushPlan, batches_of
 from schemas.errors import UsageError, WorldError
-from schemas.extras import missing_package
+from schemas.support.extras import missing_package
 
 __all__ = ["PushResult", "push", "require_safe_endpoint"]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factory.html.palette import colour
-from schemas.extras import missing_package
+from schemas.support.extras import missing_package
 
 try:
     import matplotlib as mpl

@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from coordinator.summary import EpisodeSummary
 from factory.stats.measures import deviation_of, mean_of
+from schemas.dataset import EpisodeSummary
 from schemas.terms import Tier
 
 __all__ = ["Facts", "facts_of"]

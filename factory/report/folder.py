@@ -10,10 +10,10 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import ValidationError
 
-from coordinator.dataset.meta import META_FILE
 from factory.report.comparison import Comparison
 from factory.stats.model import Remark
 from schemas.base import Model
+from schemas.dataset_meta import META_FILE
 from schemas.errors import UsageError, WorldError
 
 __all__ = ["FIGURES", "MARKER_FILE", "PAGE_FILE", "Summary", "require_usable", "write_files"]

@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coordinator.archive.contract import EPISODES, SCENES
-from coordinator.archive.place import Place
-from coordinator.summary import EpisodeSummary, file_name_of
-from factory.catalog import find_package
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.report.floor_map import map_of
 from factory.report.material import Drives, FloorMap, Material, Sample
 from factory.report.sampling import choose_samples, spread_evenly
+from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rows import Rows, read_rows
+from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import decode_scene
+from schemas.storage.place import Place
 
 __all__ = ["gather"]
 

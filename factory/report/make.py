@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from coordinator.archive.place import Place
 from factory.report.compare import compare
 from factory.report.drawers import DRAWERS
 from factory.report.exhibit import Drawer, Exhibit
@@ -13,6 +12,7 @@ from factory.report.folder import FIGURES, PAGE_FILE, Summary, require_usable, w
 from factory.report.gather import gather
 from factory.report.material import Material
 from factory.report.page import write_page
+from schemas.storage.place import Place
 
 __all__ = ["make_report", "render_report"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.dataset.meta import DatasetMeta
-from coordinator.failed_attempt import FailedAttempt
-from coordinator.summary import EpisodeSummary
 from factory.stats import Statistics
+from schemas.dataset import EpisodeSummary
+from schemas.dataset_meta import DatasetMeta
+from schemas.failed_attempt import FailedAttempt
 from schemas.tokens import GRID_POINTS
 
 __all__ = ["Drives", "FloorMap", "Material", "Outlines", "Sample"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import zip_longest
 
-from coordinator.summary import EpisodeSummary
+from schemas.dataset import EpisodeSummary
 
 __all__ = ["choose_samples", "spread_evenly"]
 

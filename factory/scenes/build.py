@@ -20,9 +20,9 @@ from factory.scenes.stage_file import require_stage
 from factory.scenes.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import UsageError
-from schemas.extras import require_package
-from schemas.meant import did_you_mean
 from schemas.scene import SCENE_FORMAT, encode_scene
+from schemas.support.extras import require_package
+from schemas.support.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from factory.scenes.importer import Extraction

@@ -36,7 +36,7 @@ from factory.scenes.version import COMPILER_VERSION
 from schemas.config import SpawnConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, Instance, SceneInfo, Target
-from workers.grid import Grid
+from workers.geometry.grid import Grid
 
 __all__ = ["compile_extraction", "compile_stage"]
 

@@ -14,7 +14,7 @@ from scipy.ndimage import binary_closing
 
 from factory.scenes.floor import floor_triangles
 from schemas.errors import WorldError
-from workers.grid import FREE, HIDING, OCCUPIED
+from workers.geometry.grid import FREE, HIDING, OCCUPIED
 
 __all__ = ["BAND_M", "GridFrame", "build_occupancy", "draw_band"]
 

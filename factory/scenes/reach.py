@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from schemas.config import SpawnConfig
 from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, Tier
-from workers.grid import Grid, are_within, body_centre, straight_end
+from workers.geometry.grid import Grid, are_within, body_centre, straight_end
 
 __all__ = ["ARRIVAL_RADIUS_M", "SEE_RANGE_M", "Terrain", "is_reachable", "ring_tiers", "sees_matrix"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.reach import Terrain
-from workers.grid import DISC_RADIUS_M
+from workers.geometry.grid import DISC_RADIUS_M
 
 __all__ = ["MIN_SPAWNS", "survey_spawns"]
 

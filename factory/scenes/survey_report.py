@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from factory.scenes.survey import MIN_SPAWNS
 from schemas.scene import CompiledScene
-from workers.grid import Grid
+from workers.geometry.grid import Grid
 
 __all__ = ["NEAR_M", "SpawnSight", "SurveyReport", "report_survey"]
 

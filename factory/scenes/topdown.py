@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from schemas.scene import CompiledScene
-from workers.grid import DISC_RADIUS_M
+from workers.geometry.grid import DISC_RADIUS_M
 
 __all__ = ["draw_topdown", "encode_topdown"]
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
-from coordinator.failed_attempt import FailedAttempt
-from coordinator.plan.draw import cells
-from coordinator.summary import EpisodeSummary
+from coordinator.expansion.draw import cells
 from factory.stats import paper
 from factory.stats.measures import share_of
 from factory.stats.model import AttemptRow, CellRow
 from factory.stats.rollouts import ALL
+from schemas.dataset import EpisodeSummary
+from schemas.failed_attempt import FailedAttempt
 from schemas.plan import Plan
 from schemas.terms import FailReason, Tier
 

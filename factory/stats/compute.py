@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from coordinator.archive.place import Place
-from coordinator.plan.builtin import is_paper_plan
+from coordinator.expansion.builtin import is_paper_plan
 from factory.stats import attempts, counts, rollouts
 from factory.stats.model import Statistics
 from factory.stats.rows import Rows, read_rows
+from schemas.storage.place import Place
 
 __all__ = ["compute_statistics", "measure_dataset"]
 

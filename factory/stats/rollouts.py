@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from coordinator.summary import EpisodeSummary
 from factory.stats import paper
 from factory.stats.measures import deviation_of, fit_line, mean_of, median_of, quantiles_of, share_of
 from factory.stats.model import ErrorRow, Fit, Published, RolloutRow
+from schemas.dataset import EpisodeSummary
 from schemas.terms import Split, Tier
 
 __all__ = ["ALL", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "navigation_errors"]

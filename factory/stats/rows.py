@@ -11,15 +11,15 @@ import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from coordinator.archive.contract import EPISODES
-from coordinator.archive.place import Place, children, table_of
-from coordinator.dataset.meta import META_FILE, DatasetMeta
-from coordinator.dataset.tables import ATTEMPTS_FILE, METADATA_FILE
-from coordinator.failed_attempt import FailedAttempt
-from coordinator.plan.cells import cells
-from coordinator.summary import EpisodeSummary, file_name_of
-from factory.dataset import Dataset
+from coordinator.expansion.cells import cells
+from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
+from factory.dataset.reader import Dataset
 from factory.stats.model import Remark
 from schemas.base import Model
+from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.failed_attempt import FailedAttempt
+from schemas.storage.place import Place, children, table_of
 from schemas.terms import Split
 
 __all__ = ["Rows", "read_rows"]

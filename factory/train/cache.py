@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from coordinator.archive.disk import sync_directory, translated
-from factory.dataset import Dataset, Episode
+from factory.dataset.reader import Dataset, Episode
 from factory.train import look
 from factory.train.labels import chosen_frames, label_episode, stop_frame
 from schemas.base import Model, Positive, Sha256
 from schemas.errors import UsageError, WorldError
 from schemas.plan import canonical_json
-from workers.host_lock import alone
+from schemas.storage.disk import sync_directory, translated
+from workers.client.host_lock import alone
 
 __all__ = ["CACHE_FORMAT", "MASK_SHRINK", "CacheKey", "CachedEpisode", "FrameCache", "open_cache"]
 

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from coordinator.archive.disk import sync_directory, translated
 from factory.train.look import LOOK_VERSION
 from factory.train.options import CHECKPOINT_FORMAT, CheckpointMeta
 from factory.train.torch_door import load_torch
 from schemas.errors import UsageError, WorldError
+from schemas.storage.disk import sync_directory, translated
 
 __all__ = ["Checkpoint", "checkpoint_path", "parse_meta", "read_checkpoint", "write_atomically", "write_checkpoint"]
 

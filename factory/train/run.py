@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from coordinator.archive.disk import translated
-from factory.dataset import Dataset
-from factory.settings import cache_directory
+from factory.dataset.reader import Dataset
+from factory.support.settings import cache_directory
 from factory.train.cache import FrameCache, open_cache
 from factory.train.checkpoint import (
     POLICY,
@@ -33,6 +32,7 @@ from factory.train.report import EpochMeasures, TrainReport
 from factory.train.torch_door import choose_device, load_torch, require_logs, summary_writer
 from factory.train.words import vocabulary
 from schemas.errors import UsageError, WorldError
+from schemas.storage.disk import translated
 from schemas.terms import Split
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import importlib
 from typing import Any
 
 from schemas.errors import UsageError
-from schemas.extras import missing_package, require_package
+from schemas.support.extras import missing_package, require_package
 
 __all__ = ["choose_device", "load_torch", "require_logs", "summary_writer"]
 

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 
-from schemas.extras import install_command
+from schemas.support.extras import install_command
 
 
 def test_a_report_is_written_and_read_again(factory, calm, tmp_path):

@@ -15,11 +15,11 @@ from pathlib import Path
 from sqlalchemy import create_engine, insert
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.checkpoint import write_checkpoint
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.tables import METADATA, episodes
-from coordinator.summary import summary_of
-from factory.cli.output import print_table
+from coordinator.tables.checkpoint import write_checkpoint
+from factory.cli.common.output import print_table
+from schemas.dataset import summary_of
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.checkpoint import write_checkpoint
-from coordinator.dataset.split_tables import write_split_tables
+from coordinator.expansion.draw import to_job
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import ledger_url_of, planned_of
-from coordinator.plan.draw import to_job
-from coordinator.repair.mend import Patient
-from coordinator.summary import summary_of
+from coordinator.recovery.mend import Patient
+from coordinator.tables.checkpoint import write_checkpoint
+from coordinator.tables.split_tables import write_split_tables
+from schemas.dataset import summary_of
 from schemas.terms import FailReason
 from schemas.wire import Done
 from tests.builders.bundle import parts_for

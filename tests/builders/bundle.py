@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import FRAME_SIZE_PX
 from schemas.bundle import BundleWriter, EpisodeArrays
 from schemas.config import CameraConfig, ExpertConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.episode import EpisodeMeta, Provenance, Rollout
 from schemas.fingerprint import Fingerprint
 from schemas.job import Job

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from coordinator.plan.catalog import Catalog, SceneEntry
+from coordinator.expansion.catalog import Catalog, SceneEntry
 from schemas.plan import Plan
 from schemas.scene import Instance, SceneInfo, Target
 from schemas.terms import Tier

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from factory.eval.note import PolicyNote
-from factory.eval.result import EpisodeResult, EvalEnd, Variant
-from factory.eval.score import Evaluation, score_policy
-from factory.eval.spec import EvalSettings, EvalSpec, SpecSet
+from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet
+from factory.eval.policies.note import PolicyNote
+from factory.eval.results.score import Evaluation, score_policy
 from schemas.language import instruction
 from schemas.terms import Split, Tier
 

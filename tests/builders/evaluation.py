@@ -9,14 +9,14 @@ import io
 from pathlib import Path
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.tables import write_tables
-from coordinator.summary import summary_of
-from factory.dataset import Dataset
-from factory.eval.campaign import Campaign
-from factory.eval.from_dataset import specs_of_dataset
-from factory.eval.message import Setup
-from factory.eval.store import Manifest, Store
+from coordinator.tables.write import write_tables
+from factory.dataset.reader import Dataset
+from factory.eval.models.messages import Setup
+from factory.eval.results.store import Manifest, Store
+from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.config import TaskConfig
+from schemas.dataset import summary_of
 from schemas.episode import EpisodeMeta
 from schemas.job import Job
 from schemas.language import instruction
@@ -26,8 +26,8 @@ from schemas.terms import ExpertName, Split, Tier
 from tests.builders.bundle import job_for
 from tests.builders.dataset import NOW
 from tests.builders.scene import box_room
-from workers.attempt import Success, run_attempt
-from workers.stage import Stage
+from workers.sim.attempt import Success, run_attempt
+from workers.sim.scene_renderer import Stage
 
 __all__ = ["archive_drives", "open_store", "room_job", "room_package", "standing_still"]
 

@@ -1,6 +1,6 @@
-"""A simulation process that simulates nothing: what it does stands in the first word of the job's instruction.
+"""A simulation process that simulates nothing: the first word of the job's instruction names what it does.
 
-Run as a script; it speaks the pipe of `workers.order` with the standard library alone, so that it starts at once.
+Run as a script; it uses the messages of `workers.process.messages` with the standard library alone, so it starts fast.
 """
 
 from __future__ import annotations

@@ -13,14 +13,14 @@ import numpy as np
 
 from schemas.config import CameraConfig
 from schemas.measure import measure_track
-from schemas.portable import product
+from schemas.support.portable import product
 from tests.builders.evaluation import room_job, room_package
-from workers.appearance import Appearance
-from workers.attempt import Success, run_attempt
-from workers.camera import optical_pose, projection_matrix, view_matrix
-from workers.plan import geodesic_m
-from workers.pose import Pose
-from workers.stage import LoadedScene, Stage
+from workers.geometry.appearance import Appearance
+from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.pose import Pose
+from workers.planning import geodesic_m
+from workers.sim.attempt import Success, run_attempt
+from workers.sim.scene_renderer import LoadedScene, Stage
 
 _MANY = 300
 

@@ -14,14 +14,14 @@ from typing import Any
 from sqlalchemy import Engine, Row, select
 from sqlalchemy.engine import Connection
 
+from coordinator.expansion.catalog import Catalog, SceneEntry
+from coordinator.expansion.draw import redraw
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.tables import jobs
-from coordinator.plan.catalog import Catalog, SceneEntry
-from coordinator.plan.draw import redraw
-from coordinator.summary import EpisodeSummary, summary_of
+from schemas.dataset import EpisodeSummary, summary_of
 from schemas.episode import EpisodeMeta
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.scene import Instance, SceneInfo, Target

@@ -8,11 +8,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from coordinator.archive.object_path import ObjectPath
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from schemas.storage.object_path import ObjectPath
 from tests.builders.ledger import room_catalog, room_plan
-from workers.stopping import stop_on_signals
+from workers.client.stopping import stop_on_signals
 
 __all__ = ["main"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from coordinator.gateway.service import Gateway
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import TransientError
-from workers.stopping import stop_on_signals
+from workers.client.stopping import stop_on_signals
 
 __all__ = ["main"]
 

@@ -14,7 +14,7 @@ import time
 
 from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
-from workers.order import Order, Report, ReportKind, failure, to_line
+from workers.process.messages import Order, Report, ReportKind, failure, to_line
 
 __all__ = ["main"]
 

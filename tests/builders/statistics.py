@@ -5,10 +5,10 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from coordinator.dataset.meta import DatasetMeta
-from coordinator.failed_attempt import FailedAttempt
-from coordinator.summary import EpisodeSummary, summary_of
 from factory.stats.rows import Rows
+from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset_meta import DatasetMeta
+from schemas.failed_attempt import FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split

@@ -11,7 +11,7 @@ from typing import Self, TypeVar
 
 import zenoh
 
-from coordinator.wire.zenoh_config import client_config
+from coordinator.protocol.zenoh_config import client_config
 from schemas.base import Model
 from schemas.identity import TlsFiles
 from schemas.job import Job

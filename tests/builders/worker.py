@@ -12,9 +12,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from tests.builders import fake_simulation
-from workers.settings import WorkerSettings
-from workers.stopping import stop_on_signals
-from workers.supervisor import run_worker
+from workers.client.settings import WorkerSettings
+from workers.client.stopping import stop_on_signals
+from workers.client.supervisor import run_worker
 
 __all__ = ["WorkerThread", "fake_command", "settings_for", "started_worker"]
 

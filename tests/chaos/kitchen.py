@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from tests.builders.bundle import parts_for
-from workers.order import Order
+from workers.process.messages import Order
 
 __all__ = ["Kitchen"]
 

@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from coordinator.check.validator import Validator
 from coordinator.gateway.gather import gather
-from coordinator.repair.mend import Patient, repair
-from schemas.digest import dataset_digest
+from coordinator.recovery.mend import Patient, repair
+from coordinator.validation.validator import Validator
+from schemas.encoding.digest import dataset_digest
 from tests.builders.ledger import room_catalog, room_plan
 from tests.chaos.hostile_peer import HOSTILE_HOST
 from tests.chaos.party import FAULTY_HOST, Party

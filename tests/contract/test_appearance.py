@@ -11,12 +11,12 @@ from schemas.config import CameraConfig
 from schemas.job import Job
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene
-from workers.appearance import Appearance
-from workers.foresight import foresee
-from workers.pose import Pose
+from workers.experts.sight import see
+from workers.geometry.appearance import Appearance
+from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.choose import open_renderer
-from workers.sight import see
+from workers.sim.foresight import foresee
 
 CAMERA = CameraConfig()
 TARGETS = {

@@ -13,17 +13,17 @@ from pathlib import Path
 import pytest
 
 from coordinator.archive.contract import Archive
-from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.opening import open_archive
-from coordinator.archive.place import Place
 from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place
 from tests.builders.object_server import ObjectServer
 
 _HOLD = """
 import sys
 from pathlib import Path
 from coordinator.archive.opening import open_archive
-from coordinator.archive.object_path import ObjectPath
+from schemas.storage.object_path import ObjectPath
 archive = open_archive(Path(sys.argv[1]), ObjectPath.at(sys.argv[2]) if len(sys.argv) > 2 else None)
 """
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from factory.export import EXPORTERS, ExportOrder, Progress, estimate_export, find_exporter, run_export
 from factory.export.manifest import MANIFEST_FILE, read_manifest
 from factory.export.output import WORK_FOLDER
 from schemas.errors import UsageError, WorldError
-from schemas.extras import EXTRA_OF, install_command
+from schemas.support.extras import EXTRA_OF, install_command
 from tests.builders.dataset import make_dataset
 
 EPISODES = 3

@@ -21,7 +21,7 @@ from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.terms import RendererKind
 from tests.builders.scene import Box, box_room, build_scene
-from workers.pose import Pose
+from workers.geometry.pose import Pose
 from workers.render import Frame, Renderer
 from workers.render.choose import open_renderer
 
@@ -97,7 +97,7 @@ def test_only_a_renderer_in_this_process_loads_the_graphics_driver_into_it(apart
     program = f"""
 from schemas.config import CameraConfig
 from tests.builders.scene import box_room
-from workers.pose import Pose
+from workers.geometry.pose import Pose
 from workers.render.choose import open_renderer
 with open_renderer("gl", apart={apart}) as renderer:
     renderer.load(box_room(), CameraConfig())

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import structlog
 
-from schemas.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.errors import UsageError, WorldError
-from schemas.lap import Lap
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene
+from schemas.support.stage_timer import Lap
 from schemas.terms import RendererKind
 from tests.builders.scene import Box, box_room, build_scene, room_walls
-from workers.pose import Pose
+from workers.geometry.pose import Pose
 from workers.render import Frame, Renderer
 from workers.render import choose as choose_module
 from workers.render.choose import open_renderer

@@ -17,7 +17,7 @@ from factory.scenes.author.placement import Plan
 from factory.scenes.occupancy import BAND_M
 from factory.scenes.rules import load_rules
 from schemas.terms import BUILTIN_CATEGORIES
-from workers.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
+from workers.geometry.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
 
 CELL_M = 0.05
 REACH_M = 0.97 + 0.2335 + CELL_M  # arrival radius, and the body's centre behind base_link

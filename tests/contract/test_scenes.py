@@ -13,9 +13,9 @@ from factory.scenes.rules import load_rules
 from schemas.config import CameraConfig, SpawnConfig
 from schemas.scene import CompiledScene, decode_scene
 from schemas.terms import BUILTIN_CATEGORIES, Tier
-from workers.camera import optical_pose, projection_matrix, view_matrix
-from workers.grid import CONNECT_CLEARANCE_M, Grid
-from workers.pose import Pose
+from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.grid import CONNECT_CLEARANCE_M, Grid
+from workers.geometry.pose import Pose
 from workers.render.cull import PartBounds, visible_parts
 
 

@@ -11,22 +11,22 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from coordinator.archive.contract import EPISODES
-from coordinator.check.validator import Task
-from coordinator.check.validator_child import judge
-from coordinator.dataset.table_reader import read_column, read_failed_attempts
-from coordinator.plan.file import load_plan
-from coordinator.wire.protocol import parse
-from coordinator.wire.relay_desk import RELAY_MESSAGES
-from factory.dataset import Dataset
+from coordinator.expansion.file import load_plan
+from coordinator.protocol.protocol import parse
+from coordinator.protocol.relay_desk import RELAY_MESSAGES
+from coordinator.tables.table_reader import read_column, read_failed_attempts
+from coordinator.validation.validator import Task
+from coordinator.validation.validator_child import judge
+from factory.dataset.reader import Dataset
 from factory.scenes.importer import extract_stage
-from factory.verify import verify
+from factory.verify.dataset import verify
 from schemas.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
 from tests.builders.bundle import bundle_bytes, job_for
 from tests.builders.dataset import chair, make_dataset, office_package
 from tests.builders.stage import StageText, room_body
 from tests.fuzz.mutate import mutate, mutate_members
-from workers.order import read_report
+from workers.process.messages import read_report
 
 __all__ = ["CORPUS", "TARGETS", "Target"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.extras import EXTRA_OF
+from schemas.support.extras import EXTRA_OF
 from tests.builders.dataset import make_dataset
 from tests.install.interpreters import VERSIONS, Installed, build_wheel, find_python, install
 

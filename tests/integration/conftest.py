@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from tests.builders.evaluation import archive_drives
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.plan.catalog import read_entry
+from coordinator.expansion.catalog import read_entry
 from factory.bench.coordinator import bench_coordinator
 from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render
@@ -25,7 +25,7 @@ from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
 from workers.render.choose import open_renderer
-from workers.stage import Stage
+from workers.sim.scene_renderer import Stage
 
 LOOP = ["start", "render", "read-back", "control", "png rgb", "depth", "png ids", "bundle", "physics", "route"]
 LEAK_MIB = 20.0
@@ -94,7 +94,7 @@ def test_rendering_is_timed_apart_from_reading_back() -> None:
 
 
 # so that a frame left in a cycle of references counts as one
-WITHOUT_GC = "import gc, runpy; gc.disable(); runpy.run_module('workers.simulate', run_name='__main__')"
+WITHOUT_GC = "import gc, runpy; gc.disable(); runpy.run_module('workers.sim.simulate', run_name='__main__')"
 COMMAND = (sys.executable, "-c", WITHOUT_GC, "--renderer", "gl")
 
 

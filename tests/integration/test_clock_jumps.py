@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.look import look_into
+from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.service import Coordinator

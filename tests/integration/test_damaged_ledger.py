@@ -16,13 +16,13 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.check.validator import Validator
 from coordinator.gateway.gather import gather
-from coordinator.ledger.audit import ledger_trouble
+from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import METADATA
-from coordinator.repair.mend import repair
+from coordinator.recovery.mend import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.validation.validator import Validator
 from factory.cli.main import _run
 from schemas.errors import FactoryError
 from tests.builders.archived import ArchivedRun

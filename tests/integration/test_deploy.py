@@ -19,10 +19,10 @@ import click
 import pytest
 import yaml
 
-from coordinator.http import HttpAddress, StatusServer
-from coordinator.plan.file import load_plan
+from coordinator.expansion.file import load_plan
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.status import HttpAddress, StatusServer
 from factory.cli.main import cli
 from tests.builders.ledger import room_catalog, room_plan
 from tests.integration.test_status_pages import ask

@@ -14,11 +14,11 @@ import pytest
 
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.dataset import Dataset
-from factory.eval.campaign import Campaign
-from factory.eval.fleet import Door, run_fleet
-from factory.eval.result import Variant
-from factory.eval.run import Pace
+from factory.dataset.reader import Dataset
+from factory.eval.models.result import Variant
+from factory.eval.process.run import Pace
+from factory.eval.remote.fleet import Door, run_fleet
+from factory.eval.specs.campaign import Campaign
 from schemas.errors import TransientError, UsageError, WorldError
 from tests.builders.evaluation import open_store, standing_still
 from tests.builders.fake_coordinator import free_endpoint
@@ -26,7 +26,7 @@ from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.worker import WorkerThread, settings_for
 
 COLLECT = (sys.executable, "-m", "tests.builders.small_simulation", "0.2")
-EVALUATE = (sys.executable, "-m", "factory.eval.station")
+EVALUATE = (sys.executable, "-m", "factory.eval.remote.eval_worker")
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,13 @@ import pytest
 import zenoh
 
 from coordinator.gateway.service import Gateway
+from coordinator.protocol.ask import ask_presence, ask_progress
+from coordinator.protocol.tls import Guard
+from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.ask import ask_presence, ask_progress
-from coordinator.wire.tls import Guard
-from coordinator.wire.zenoh_config import client_config
-from factory.dataset import Dataset
-from factory.eval.fleet import Door, run_fleet
+from factory.dataset.reader import Dataset
+from factory.eval.remote.fleet import Door, run_fleet
 from factory.keys import revoke
 from schemas.errors import TransientError
 from schemas.keys import Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
@@ -32,7 +32,7 @@ from tests.builders.wire_worker import WireWorker, bundle_for, until
 from tests.builders.worker import WorkerThread, settings_for
 
 COLLECT = (sys.executable, "-m", "tests.builders.small_simulation", "0.2")
-EVALUATE = (sys.executable, "-m", "factory.eval.station")
+EVALUATE = (sys.executable, "-m", "factory.eval.remote.eval_worker")
 SETTINGS = CoordinatorSettings(
     reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=15.0, admission_s=0.2
 )

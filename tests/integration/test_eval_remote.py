@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from websockets.sync.server import ServerConnection, serve
 
-from factory.eval.action import read_actions
+from factory.eval.driving.action import read_actions
+from factory.eval.driving.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
 from factory.eval.policies import Outside, make_policy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.wire import WireError, pack, unpack
-from factory.eval.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
 from schemas.errors import UsageError
 
 EXAMPLES = Path(__file__).parent.parent.parent / "docs" / "evaluation"

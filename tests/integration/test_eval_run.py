@@ -10,23 +10,23 @@ from typing import Any
 
 import pytest
 
-from factory.dataset import Dataset
-from factory.eval.ablation import donors
-from factory.eval.campaign import Campaign
-from factory.eval.from_dataset import Places, specs_of_dataset
-from factory.eval.message import Setup
+from factory.dataset.reader import Dataset
+from factory.eval.driving.rollout import thin_track
+from factory.eval.driving.simulator import Simulator
+from factory.eval.models.messages import Setup
+from factory.eval.models.result import EpisodeResult, EvalEnd, Variant
+from factory.eval.models.spec import SpecSet
 from factory.eval.policies import renders_apart
-from factory.eval.publish import publish
-from factory.eval.result import EpisodeResult, EvalEnd, Variant
-from factory.eval.rollout import thin_track
-from factory.eval.run import run_campaign
-from factory.eval.simulator import Simulator
-from factory.eval.spec import SpecSet
-from factory.eval.store import Manifest, Store
+from factory.eval.process.run import run_campaign
+from factory.eval.results.publish import publish
+from factory.eval.results.store import Manifest, Store
+from factory.eval.specs.ablation import donors
+from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.from_dataset import Places, specs_of_dataset
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
-from workers.slew import Twist
-from workers.stage import Stage
+from workers.geometry.slew import Twist
+from workers.sim.scene_renderer import Stage
 
 MINE = "tests.builders.policies"
 

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from factory.dataset import Dataset
-from factory.eval.from_dataset import Places, specs_of_dataset
-from factory.eval.simulator import Simulator
-from factory.eval.spec import SpecSet
+from factory.dataset.reader import Dataset
+from factory.eval.driving.simulator import Simulator
+from factory.eval.models.spec import SpecSet
+from factory.eval.specs.from_dataset import Places, specs_of_dataset
 from schemas.errors import UsageError, WorldError
 from schemas.terms import EndReason, Split
 from workers.experts import make_expert
-from workers.slew import Twist
-from workers.stage import LoadedScene, Stage
+from workers.geometry.slew import Twist
+from workers.sim.scene_renderer import LoadedScene, Stage
 
 
 @pytest.fixture(scope="module")

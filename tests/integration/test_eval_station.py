@@ -6,13 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-from factory.eval.message import Errand, Setup
-from factory.eval.question import Question
-from factory.eval.spec import EvalSettings
+from factory.eval.models.messages import Errand, Setup
+from factory.eval.models.request import Question
+from factory.eval.models.spec import EvalSettings
 from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.eval_results import spec_of
-from workers.order import Order, Report, ReportKind, read_report, to_line
+from workers.process.messages import Order, Report, ReportKind, read_report, to_line
 
 
 def said_to(policy: str, tmp_path: Path) -> list[Report]:
@@ -26,7 +26,7 @@ def said_to(policy: str, tmp_path: Path) -> list[Report]:
         sid="host-1",
         errand=errand.model_dump_json(),
     )
-    command = [sys.executable, "-m", "factory.eval.station"]
+    command = [sys.executable, "-m", "factory.eval.remote.eval_worker"]
     found: list[Report] = []
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.check.validator import Validator
+from coordinator.validation.validator import Validator
 from tests.builders.bundle import bundle_bytes, job_for
 from tests.builders.dataset import chair, make_dataset
-from workers.order import ReportKind
-from workers.settings import WorkerSettings
-from workers.simulation import Simulation
+from workers.client.settings import WorkerSettings
+from workers.process.messages import ReportKind
+from workers.process.simulation import Simulation
 
 MODULES = (
     *("isal", "numpy", "zstandard", "xxhash", "pydantic", "click", "zenoh", "pybullet", "pyarrow", "structlog"),

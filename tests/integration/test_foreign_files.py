@@ -12,18 +12,18 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from coordinator.archive.place import place_of
-from coordinator.dataset.meta import read_dataset_meta
-from coordinator.dataset.table_reader import read_column, read_failed_attempts
-from coordinator.plan.file import load_plan
+from coordinator.expansion.file import load_plan
+from coordinator.tables.table_reader import read_column, read_failed_attempts
 from factory.cli.main import _run
-from factory.dataset import Dataset
-from factory.eval.spec_file import read_specs
+from factory.dataset.reader import Dataset
+from factory.eval.models.spec_file import read_specs
 from factory.scenes.rules import load_rules
 from factory.scenes.target_list import load_target_list
 from factory.scenes.yaml_text import read_yaml
+from schemas.dataset_meta import read_dataset_meta
+from schemas.encoding.ndarray import decode_npy
 from schemas.errors import ArchiveCorrupt, InvalidBundle, UsageError
-from schemas.ndarray import decode_npy
+from schemas.storage.place import place_of
 from tests.builders.dataset import make_dataset
 
 DEEP = 100_000

@@ -20,8 +20,8 @@ from mcap.reader import make_reader
 from PIL import Image
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.tables import write_tables
-from factory.dataset import Dataset
+from coordinator.tables.write import write_tables
+from factory.dataset.reader import Dataset
 from factory.export.registry import find_exporter
 from factory.export.run import ExportOrder, run_export
 from factory.export.vlnce_episode import from_habitat

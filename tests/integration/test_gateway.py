@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.check.validator import Validator
 from coordinator.gateway.gather import GatherReport, gather
 from coordinator.gateway.service import Gateway
 from coordinator.ledger.keepers import all_keepers
-from coordinator.ledger.look import look_into
+from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.tables import events
-from coordinator.repair.mend import Patient
+from coordinator.recovery.mend import Patient
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.validation.validator import Validator
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.terms import FailReason

@@ -13,11 +13,11 @@ import pytest
 import zenoh
 
 from coordinator.gateway.service import Gateway
+from coordinator.protocol.relay import Duty, Hold, Join, Orders
+from coordinator.protocol.tls import Guard
+from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.relay import Duty, Hold, Join, Orders
-from coordinator.wire.tls import Guard
-from coordinator.wire.zenoh_config import client_config
 from factory.keys import revoke
 from schemas.base import Model
 from schemas.errors import UsageError

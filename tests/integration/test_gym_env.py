@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from factory.dataset import Dataset
-from factory.eval.from_dataset import specs_of_dataset
-from factory.eval.spec import SpecSet
+from factory.dataset.reader import Dataset
+from factory.eval.models.spec import SpecSet
+from factory.eval.specs.from_dataset import specs_of_dataset
 from factory.gym.env import MiniVLANavEnv
 from schemas.errors import UsageError
 from schemas.terms import Split

@@ -11,16 +11,13 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.audit import ledger_trouble
+from coordinator.expansion.draw import to_job
 from coordinator.ledger.keepers import count_by_gateway
 from coordinator.ledger.opening import ledger_url_of, planned_of
+from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import jobs
-from coordinator.plan.draw import to_job
-from coordinator.service import Coordinator
-from coordinator.settings import CoordinatorSettings
-from coordinator.summary import EpisodeSummary, summary_of
-from coordinator.wire.protocol import Request, Terms
-from coordinator.wire.relay import (
+from coordinator.protocol.protocol import Request, Terms
+from coordinator.protocol.relay import (
     MAX_FILES,
     MAX_LOST,
     Archived,
@@ -31,8 +28,11 @@ from coordinator.wire.relay import (
     JoinReply,
     Refused,
 )
-from coordinator.wire.relay_desk import serve_gateway
+from coordinator.protocol.relay_desk import serve_gateway
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
 from schemas.base import MAX_COUNT
+from schemas.dataset import EpisodeSummary, summary_of
 from schemas.keys import Verb
 from schemas.wire import Ack, Lease, Refusal
 from tests.builders.bundle import job_for, parts_for

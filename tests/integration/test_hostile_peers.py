@@ -15,13 +15,13 @@ import structlog
 import zenoh
 
 from coordinator.admin import administer
-from coordinator.ledger.audit import ledger_trouble
 from coordinator.ledger.opening import ledger_url_of
+from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.workers import SESSIONS_OF_HOST
+from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.summary import summary_of
-from coordinator.wire.zenoh_config import client_config
+from schemas.dataset import summary_of
 from schemas.keys import Verb, verb_key
 from schemas.terms import FailReason
 from schemas.wire import Ack, AdminAction, AdminReply, AdminRequest, Beat, BeatReply, Hello, HelloReply, Refusal

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from coordinator.dataset.split_layout import THUMBNAIL
-from coordinator.dataset.tables import SIDE_COLUMN
-from coordinator.summary import PUBLISHED_COLUMNS, EpisodeSummary
+from coordinator.tables.split_layout import THUMBNAIL
+from coordinator.tables.write import SIDE_COLUMN
+from schemas.dataset import PUBLISHED_COLUMNS, EpisodeSummary
 from schemas.terms import Split
 from tests.builders.dataset import make_dataset
 

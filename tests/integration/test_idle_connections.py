@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from coordinator.wire.node import Node
-from coordinator.wire.zenoh_config import client_config, router_config
+from coordinator.protocol.node import Node
+from coordinator.protocol.zenoh_config import client_config, router_config
 from schemas.identity import Role, TlsFiles
 from tests.builders.keys import files_of, make_authority
 

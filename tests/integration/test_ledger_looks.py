@@ -11,12 +11,12 @@ from sqlalchemy.engine import Engine
 
 from coordinator.archive.staging import Staging
 from coordinator.ledger.engine import open_writer, sqlite_url
-from coordinator.ledger.look import look_into
 from coordinator.ledger.opening import open_run
-from coordinator.ledger.records import JobFilter, count_jobs
+from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.records import JobFilter, count_jobs
 from coordinator.ledger.workers import note_alive
-from factory.ledger import plan_of, progress_of
-from factory.site import site_of
+from factory.dataset.site import site_of
+from factory.runs.ledger import plan_of, progress_of
 from tests.builders.ledger import room_catalog, room_plan
 
 LEASE_S = 3600.0

@@ -13,17 +13,17 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from coordinator.check.validator import Validator
-from coordinator.ledger.audit import ledger_trouble
+from coordinator.expansion.catalog import read_entry
 from coordinator.ledger.engine import open_writer, sqlite_url
 from coordinator.ledger.opening import open_run
-from coordinator.plan.catalog import read_entry
-from coordinator.repair.mend import repair
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.recovery.mend import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.ledger import plan_of, progress_of
-from factory.patient import examine
-from factory.site import site_of
+from coordinator.validation.validator import Validator
+from factory.dataset.site import site_of
+from factory.runs.ledger import plan_of, progress_of
+from factory.verify.repair_input import examine
 from schemas.errors import UsageError, WorldError
 from tests.builders.archived import ArchivedRun
 from tests.builders.dataset import NOW, make_dataset

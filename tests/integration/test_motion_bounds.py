@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from coordinator.check.motion import motion_findings
+from coordinator.validation.motion import motion_findings
 from schemas.bundle import EpisodeArrays
 from schemas.config import RobotConfig
 from schemas.tokens import tokens_of
 from tests.builders.scene import box_room
-from workers.slew import Twist, slew
-from workers.world import ColliderMesh, World
+from workers.geometry.slew import Twist, slew
+from workers.physics.world import ColliderMesh, World
 
 HZ = 60
 ROBOT = RobotConfig()

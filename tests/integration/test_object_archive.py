@@ -11,23 +11,23 @@ from pathlib import Path
 import pytest
 
 from coordinator.archive.contract import Archive
-from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.objects import ObjectArchive
 from coordinator.archive.opening import open_archive
-from coordinator.archive.place import place_of
-from coordinator.check.validator import Validator
-from coordinator.dataset.card_configs import names_split_tables
-from coordinator.dataset.split_faults import find_faults
-from coordinator.dataset.split_layout import read_pictures, split_tables_of
-from coordinator.ledger.audit import ledger_trouble
 from coordinator.ledger.opening import ledger_url_of
-from coordinator.repair.mend import Patient, repair
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.recovery.mend import Patient, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from factory.dataset import Dataset
+from coordinator.tables.card_configs import names_split_tables
+from coordinator.tables.split_faults import find_faults
+from coordinator.tables.split_layout import read_pictures, split_tables_of
+from coordinator.validation.validator import Validator
+from factory.dataset.reader import Dataset
 from factory.stats import measure_dataset
-from factory.verify import verify
+from factory.verify.dataset import verify
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import place_of
 from tests.builders.archived import ArchivedRun
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.object_server import SECRET, ObjectServer

@@ -13,17 +13,17 @@ from pathlib import Path
 import pytest
 from sqlalchemy import func, select
 
-from coordinator.archive.object_path import ObjectPath
-from coordinator.archive.place import Place, children
-from coordinator.dataset.split_faults import find_faults
-from coordinator.ledger.audit import ledger_trouble
-from coordinator.ledger.look import look_into
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
+from coordinator.protocol.beacon import sight
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.beacon import sight
-from factory.dataset import Dataset
+from coordinator.tables.split_faults import find_faults
+from factory.dataset.reader import Dataset
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place, children
 from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.object_server import ObjectServer

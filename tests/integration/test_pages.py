@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from factory.eval.note import PolicyNote
-from factory.eval.page import Failure, write_page
-from factory.eval.result import EvalEnd
-from factory.eval.score import score_policy
-from factory.eval.video import draw_poster
-from factory.film import write_mp4
+from factory.eval.models.result import EvalEnd
+from factory.eval.policies.note import PolicyNote
+from factory.eval.results.page import Failure, write_page
+from factory.eval.results.score import score_policy
+from factory.eval.results.video import draw_poster
 from factory.report import render_report
 from factory.report.exhibits import attempts, categories, samples
 from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
+from factory.visualize.film import write_mp4
 from tests.builders.browser import axe_violations, chromium, opened, overflow_px, why_no_chromium
 from tests.builders.dataset import make_dataset
 from tests.builders.eval_results import evaluation_of, result_of

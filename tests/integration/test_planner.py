@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 import pytest
 
-from coordinator.check.motion import motion_findings
+from coordinator.validation.motion import motion_findings
 from schemas.config import CameraConfig, PlannerConfig, TaskConfig
 from schemas.job import Job
 from schemas.scene import CompiledScene
@@ -16,14 +16,14 @@ from schemas.terms import EndReason, ExpertName, Tier
 from tests.builders.bundle import job_for
 from tests.builders.scene import Box, box_room
 from workers.experts import make_expert
-from workers.grid import Grid
-from workers.plan import geodesic_m
-from workers.pose import Pose
+from workers.geometry.grid import Grid
+from workers.geometry.pose import Pose
+from workers.physics.world import ColliderMesh, World
+from workers.planning import geodesic_m
 from workers.render import Frame, Relief
-from workers.rollout import Drive, drive
-from workers.spawn import draw_poses
-from workers.stage import prepare_scene
-from workers.world import ColliderMesh, World
+from workers.sim.rollout import Drive, drive
+from workers.sim.scene_renderer import prepare_scene
+from workers.sim.spawn import draw_poses
 
 WALL = Box((0.8, -1.0, 0.0), (1.0, 3.0, 2.5))
 FENCE = Box((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))

@@ -10,13 +10,13 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import DatabaseError
 
-from coordinator.check.validator import Validator
-from coordinator.ledger.audit import ledger_trouble
 from coordinator.ledger.engine import open_reader, open_writer
-from coordinator.ledger.records import read_summaries
-from coordinator.repair.mend import Patient, repair
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.reading.records import read_summaries
+from coordinator.recovery.mend import Patient, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.validation.validator import Validator
 from schemas.errors import UsageError, WorldError
 from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan

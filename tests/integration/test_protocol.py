@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from coordinator.admin import administer
+from coordinator.protocol.ask import ask_progress
+from coordinator.protocol.beacon import sight
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.ask import ask_progress
-from coordinator.wire.beacon import sight
 from schemas.errors import UsageError, WorldError
 from schemas.keys import Chunk, Verb, scene_selector
 from schemas.terms import FailReason

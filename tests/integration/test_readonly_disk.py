@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from coordinator.ledger.engine import open_writer
-from coordinator.ledger.look import look_into
 from coordinator.ledger.opening import open_run, read_info
+from coordinator.ledger.reading.look import look_into
 from schemas.errors import WorldError
 from tests.builders.ledger import room_catalog, room_plan
 

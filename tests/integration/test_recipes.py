@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from factory.eval.action import read_actions
+from factory.eval.driving.action import read_actions
+from factory.eval.driving.policy import EpisodeInfo, Observation
 from factory.eval.policies import Outside, make_policy
-from factory.eval.policy import EpisodeInfo, Observation
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import archive_drives
 from tests.builders.needs_torch import needs_torch

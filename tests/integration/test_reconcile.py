@@ -9,18 +9,18 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.archive.object_path import ObjectPath
 from coordinator.archive.opening import open_archive
-from coordinator.archive.place import Place, children
-from coordinator.check.validator import Validator
+from coordinator.expansion.draw import to_job
 from coordinator.ledger import claims
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import is_owned
 from coordinator.ledger.tables import jobs
-from coordinator.plan.draw import to_job
-from coordinator.repair.reconcile import reconcile
-from coordinator.wire.protocol import Terms
+from coordinator.protocol.protocol import Terms
+from coordinator.recovery.reconcile import reconcile
+from coordinator.validation.validator import Validator
 from schemas.errors import TransientError
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place, children
 from schemas.wire import Lease
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import TTL_S, Desk

@@ -11,11 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.check.validator import Validator
-from coordinator.dataset.card_configs import names_split_tables
-from coordinator.ledger.records import read_attempts
-from coordinator.repair.mend import repair
-from coordinator.repair.report import RepairReport
+from coordinator.ledger.reading.records import read_attempts
+from coordinator.recovery.mend import repair
+from coordinator.recovery.report import RepairReport
+from coordinator.tables.card_configs import names_split_tables
+from coordinator.validation.validator import Validator
 from schemas.errors import WorldError
 from tests.builders.archived import ArchivedRun
 

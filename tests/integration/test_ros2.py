@@ -17,8 +17,8 @@ from PIL import Image
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from factory.cli.export import command
-from factory.dataset import Dataset
+from factory.cli.publish.export import command
+from factory.dataset.reader import Dataset
 from factory.export.mcap import START_TIME_S, McapOptions
 from factory.export.registry import find_exporter
 from factory.export.ros2_cdr import encode
@@ -26,8 +26,8 @@ from factory.export.ros2_messages import LATCHED, ROS2_TOPICS
 from factory.export.run import ExportOrder, run_export
 from schemas.config import CameraConfig
 from schemas.errors import UsageError
-from schemas.extras import install_command
 from schemas.scene import decode_scene
+from schemas.support.extras import install_command
 from tests.builders.dataset import make_dataset, office_package
 
 STEPS, HZ = 12, 60

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from factory.scenes.compile import compile_stage
 from schemas.scene import CompiledScene, decode_scene, encode_scene
-from workers.grid import Grid
+from workers.geometry.grid import Grid
 
 WORLD = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "aws_small_warehouse"
 MAP_ORIGIN_M = (-7.0, -10.5)

@@ -19,17 +19,17 @@ from schemas.scene import encode_scene
 from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.scene import box_room
-from workers.order import Order, Report, ReportKind, to_line
-from workers.settings import WorkerSettings
-from workers.simulation import Death, Simulation
+from workers.client.settings import WorkerSettings
+from workers.process.messages import Order, Report, ReportKind, to_line
+from workers.process.simulation import Death, Simulation
 
 COMMAND = WorkerSettings(connect=(), renderer="tiny").simulation_command
 FAST_COMMAND = WorkerSettings(connect=(), renderer="gl").simulation_command
 PARENT = """
 import sys
 from pathlib import Path
-from workers.order import Order
-from workers.simulation import Simulation
+from workers.process.messages import Order
+from workers.process.simulation import Simulation
 order, told, *command = sys.argv[1:]
 simulation = Simulation(command, 600.0)
 simulation.start()

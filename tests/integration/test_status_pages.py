@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from coordinator.http import HttpAddress, StatusServer, parse_address
-from coordinator.http.address import is_own_name
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from coordinator.status import HttpAddress, StatusServer, parse_address
+from coordinator.status.address import is_own_name
 from schemas.errors import UsageError, WorldError
 from schemas.terms import FailReason
 from tests.builders.ledger import room_catalog, room_plan

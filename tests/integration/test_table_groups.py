@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset import metadata_table
-from coordinator.dataset.metadata_table import GROUP_ROWS, ListedEpisodes
-from coordinator.dataset.tables import write_tables
-from coordinator.summary import EpisodeSummary, summary_of
+from coordinator.tables import metadata_table
+from coordinator.tables.metadata_table import GROUP_ROWS, ListedEpisodes
+from coordinator.tables.write import write_tables
+from schemas.dataset import EpisodeSummary, summary_of
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_plan
 

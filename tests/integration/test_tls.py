@@ -15,11 +15,11 @@ import pytest
 import zenoh
 
 from coordinator.admin import administer
+from coordinator.protocol.ask import ask_progress
+from coordinator.protocol.tls import Guard
+from coordinator.protocol.zenoh_config import client_config, router_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.wire.ask import ask_progress
-from coordinator.wire.tls import Guard
-from coordinator.wire.zenoh_config import client_config, router_config
 from factory.keys import admit, revoke
 from schemas.errors import TransientError, WorldError
 from schemas.identity import Role, TlsFiles

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from factory.dataset import Dataset
-from factory.eval.action import read_actions
+from factory.dataset.reader import Dataset
+from factory.eval.driving.action import read_actions
+from factory.eval.driving.policy import EpisodeInfo, Observation
 from factory.eval.policies import Outside, find_policy, make_policy
-from factory.eval.policy import EpisodeInfo, Observation
 from factory.train.options import BcOptions
 from factory.train.run import TrainOrder, Watcher, train_bc
 from schemas.errors import UsageError, WorldError
-from schemas.extras import install_command
+from schemas.support.extras import install_command
 from tests.builders.dataset import make_dataset
 from tests.builders.needs_torch import needs_torch
 

@@ -16,13 +16,13 @@ import gymnasium
 import numpy as np
 import pytest
 
-from factory.dataset import Dataset
-from factory.eval.campaign import Campaign
-from factory.eval.from_dataset import specs_of_dataset
-from factory.eval.message import Setup
-from factory.eval.result import EvalEnd, Variant
-from factory.eval.run import run_campaign
-from factory.eval.store import Manifest, Store
+from factory.dataset.reader import Dataset
+from factory.eval.models.messages import Setup
+from factory.eval.models.result import EvalEnd, Variant
+from factory.eval.process.run import run_campaign
+from factory.eval.results.store import Manifest, Store
+from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.terms import Split
 
 pytest.importorskip("triton")

@@ -18,7 +18,7 @@ from schemas.wire import MAX_LEASES, Beat, Claim, Done, Fail, Hello, Lease
 from tests.builders.fake_coordinator import RUN, FakeCoordinator, free_endpoint, jobs_saying
 from tests.builders.fake_simulation import bundle_for
 from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
-from workers.spool import Spool, folder_of
+from workers.client.spool import Spool, folder_of
 
 
 @contextmanager

@@ -18,10 +18,10 @@ from schemas.config import RobotConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene
 from tests.builders.scene import Box, box_room, build_scene, room_walls
-from workers.bullet import BulletClient
-from workers.mesh_lists import MESH_TRIANGLES, MeshLists, mesh_lists
-from workers.slew import Twist, slew
-from workers.world import ColliderMesh, World
+from workers.geometry.slew import Twist, slew
+from workers.physics.bullet import BulletClient
+from workers.physics.mesh_lists import MESH_TRIANGLES, MeshLists, mesh_lists
+from workers.physics.world import ColliderMesh, World
 
 HZ = 60
 ROBOT = RobotConfig()

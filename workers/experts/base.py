@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 from schemas.scene import Target
-from workers.grid import Grid
-from workers.plan import Waypoint
-from workers.pose import Pose
-from workers.sight import Sighting
-from workers.slew import Twist
+from workers.experts.sight import Sighting
+from workers.geometry.grid import Grid
+from workers.geometry.pose import Pose
+from workers.geometry.slew import Twist
+from workers.planning import Waypoint
 
 __all__ = ["Expert", "Senses"]
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 from schemas.job import Job
 from schemas.scene import Target
 from workers.experts.base import Senses
-from workers.grid import Grid
-from workers.plan import Waypoint, plan_path
-from workers.plan.follow import Follower
-from workers.pose import Pose
-from workers.slew import Twist
+from workers.geometry.grid import Grid
+from workers.geometry.pose import Pose
+from workers.geometry.slew import Twist
+from workers.planning import Waypoint, plan_path
+from workers.planning.follow import Follower
 
 __all__ = ["PlannerExpert"]
 

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import ExpertConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import Target
 from workers.experts.base import Senses
-from workers.grid import Grid
-from workers.plan import Waypoint
-from workers.pose import Pose
-from workers.slew import Twist
+from workers.geometry.grid import Grid
+from workers.geometry.pose import Pose
+from workers.geometry.slew import Twist
+from workers.planning import Waypoint
 
 __all__ = ["ProportionalExpert", "centroid_speed", "depth_speed", "literal_speed"]
 

@@ -10,10 +10,10 @@ from typing import get_args
 
 import structlog
 
-from schemas.arrays import FRAME_SIZE_PX
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
-from schemas.extras import require_package
-from schemas.lap import Lap, no_lap
+from schemas.support.extras import require_package
+from schemas.support.stage_timer import Lap, no_lap
 from schemas.terms import RendererKind
 from workers.render import Renderer
 

@@ -14,14 +14,14 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
-from schemas.lap import Lap, no_lap
-from schemas.portable import product
 from schemas.scene import CompiledScene
-from workers.camera import optical_pose, projection_matrix, view_matrix
-from workers.pose import Pose
+from schemas.support.portable import product
+from schemas.support.stage_timer import Lap, no_lap
+from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.pose import Pose
 from workers.render import Frame, Relief
 from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
-from workers.camera import OpticalPose
+from workers.geometry.camera import OpticalPose
 from workers.render.cull import PartBounds, visible_parts
 from workers.render.occlude import Screens
 from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
-from workers.camera import OpticalPose
+from workers.geometry.camera import OpticalPose
 from workers.render.cull import PartBounds, reach_of_planes
 
 __all__ = ["Screens"]

@@ -10,13 +10,13 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Self
 
-from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
-from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene, encode_scene
+from schemas.support.stage_timer import Lap, no_lap
 from schemas.terms import RendererKind
-from workers.pose import Pose
+from workers.geometry.pose import Pose
 from workers.render import Frame, Relief
 from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import MAX_SIZE_PX, RequestKind

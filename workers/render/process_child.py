@@ -13,7 +13,7 @@ import traceback
 
 from schemas.errors import FactoryError, UsageError
 from schemas.scene import CompiledScene, decode_scene
-from workers.pipe import listen, take_stdout
+from workers.process.pipes import listen, take_stdout
 from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.render.process_wire import FrameMemory, Reply, ReplyKind, Request, RequestKind, to_line

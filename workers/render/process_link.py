@@ -12,12 +12,12 @@ import socket
 import subprocess
 import weakref
 
-from schemas.child import python_module
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
+from schemas.support.child import python_module
 from schemas.terms import RendererKind
-from workers.one_core import one_core
-from workers.pose import Pose
+from workers.geometry.pose import Pose
+from workers.process.one_core import one_core
 from workers.render.process_wire import FrameMemory, Reply, ReplyKind, Request, RequestKind, to_line
 
 __all__ = ["RenderingProcess"]

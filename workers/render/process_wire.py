@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.base import Model
 from schemas.config import CameraConfig
-from workers.pose import Pose
+from workers.geometry.pose import Pose
 from workers.render import Frame, Relief
 
 __all__ = ["MAX_SIZE_PX", "FrameMemory", "Reply", "ReplyKind", "Request", "RequestKind", "to_line"]

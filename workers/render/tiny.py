@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from schemas.arrays import FRAME_SIZE_PX
 from schemas.config import CameraConfig
+from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
-from schemas.lap import Lap, no_lap
 from schemas.scene import CompiledScene
-from workers.bullet import BulletClient, CameraImage, bullet_version
-from workers.camera import optical_pose, projection_matrix, view_matrix
-from workers.mesh_lists import MESH_TRIANGLES
-from workers.pose import Pose
+from schemas.support.stage_timer import Lap, no_lap
+from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
+from workers.geometry.pose import Pose
+from workers.physics.bullet import BulletClient, CameraImage, bullet_version
+from workers.physics.mesh_lists import MESH_TRIANGLES
 from workers.render import Frame, Relief
 from workers.render.shelf import SceneShelf
 

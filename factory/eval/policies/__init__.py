@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+from factory.eval.driving.policy import Policy, is_built_in
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.experts import ExpertPolicy
 from factory.eval.policies.foreign import load_class, require_module
@@ -14,10 +15,9 @@ from factory.eval.policies.outside import Outside
 from factory.eval.policies.recorded import PlaybackPolicy, ReplayPolicy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import RandomPolicy, StopPolicy
-from factory.eval.policy import Policy, is_built_in
 from schemas.errors import UsageError
-from schemas.extras import require_package
-from schemas.meant import did_you_mean
+from schemas.support.extras import require_package
+from schemas.support.suggest import did_you_mean
 from schemas.terms import ExpertName
 
 __all__ = [

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.eval.policy import EpisodeInfo, Observation
+from factory.eval.driving.policy import EpisodeInfo, Observation
 from factory.train import look
 from factory.train.checkpoint import POLICY, checkpoint_path, read_checkpoint
 from factory.train.torch_door import load_torch

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from factory.eval.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, Situation
+from factory.eval.driving.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, Situation
 from schemas.terms import ExpertName
 from workers.experts import make_expert
-from workers.slew import Twist
+from workers.geometry.slew import Twist
 
 __all__ = ["ExpertPolicy"]
 

@@ -14,9 +14,9 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 
-from factory.eval.policy import Policy
+from factory.eval.driving.policy import Policy
 from schemas.errors import UsageError
-from schemas.meant import did_you_mean
+from schemas.support.suggest import did_you_mean
 
 __all__ = ["load_class", "require_module"]
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from factory.eval.policy import EpisodeInfo, Observation, Situation
+from factory.eval.driving.policy import EpisodeInfo, Observation, Situation
 from schemas.errors import UsageError
-from workers.slew import Twist
+from workers.geometry.slew import Twist
 
 __all__ = ["PlaybackPolicy", "ReplayPolicy"]
 

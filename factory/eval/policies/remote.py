@@ -9,11 +9,11 @@ import time
 from contextlib import ExitStack, suppress
 from typing import Any
 
+from factory.eval.driving.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
 from factory.eval.policies.outside import Outside
 from factory.eval.policies.wire import MAX_ANSWER_BYTES, WireError, pack, unpack
-from factory.eval.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
 from schemas.errors import UsageError
-from schemas.extras import missing_package
+from schemas.support.extras import missing_package
 
 __all__ = ["RemotePolicy"]
 

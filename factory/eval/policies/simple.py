@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from factory.eval.policy import EpisodeInfo, Observation
-from workers.slew import Twist
+from factory.eval.driving.policy import EpisodeInfo, Observation
+from workers.geometry.slew import Twist
 
 __all__ = ["RandomPolicy", "StopPolicy"]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from schemas.extras import missing_package
+from schemas.support.extras import missing_package
 
 __all__ = ["MAX_ANSWER_BYTES", "WireError", "pack", "unpack"]
 

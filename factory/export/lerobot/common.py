@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from coordinator.dataset.card_configs import Configs
-from coordinator.dataset.meta import DatasetMeta
-from factory.episode import Episode
+from coordinator.tables.card_configs import Configs
+from factory.dataset.episode import Episode
 from factory.export.base import Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.card import card_text
@@ -19,6 +18,7 @@ from factory.export.lerobot.numbering import Numbering, number_pieces
 from factory.export.lerobot.piece import LeRobotFacts, write_piece
 from factory.export.options import Decimated, stride_of
 from factory.export.output import Output
+from schemas.dataset_meta import DatasetMeta
 
 __all__ = ["ROBOT", "LeRobotBase", "Whole", "survey"]
 

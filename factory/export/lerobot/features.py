@@ -12,7 +12,7 @@ from factory.export.lerobot.columns import ACTION_NAMES, POSE_NAMES, STATE_NAMES
 from factory.export.lerobot.depth import SHIFT_M
 from factory.export.options import Decimated
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, Codec
-from schemas.arrays import FRAME_SIZE_PX
+from schemas.encoding.arrays import FRAME_SIZE_PX
 
 __all__ = [
     "DEPTH",

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from factory.episode import Episode
+from factory.dataset.episode import Episode
 from factory.export.base import Facts
 from factory.export.lerobot.columns import FrameColumns, frame_columns, kept_frames
 from factory.export.lerobot.depth import LARGEST_CODE, DepthCode
@@ -19,7 +19,7 @@ from factory.export.lerobot.features import DEPTH, FILES, IDS, RGB, VECTORS, LeR
 from factory.export.lerobot.statistics import ImageCounts, ImageTally, image_stats, sampled_frames
 from factory.export.options import stride_of
 from factory.export.video import DEPTH_CODEC, RGB_CODEC, VideoWriter
-from schemas.arrays import FRAME_SIZE_PX
+from schemas.encoding.arrays import FRAME_SIZE_PX
 
 __all__ = ["FRAMES_FILE", "LeRobotFacts", "empty_tally", "read_columns", "stats_of_images", "write_piece"]
 

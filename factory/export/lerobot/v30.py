@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from coordinator.dataset.tables import parquet_schema
-from coordinator.summary import EpisodeSummary
+from coordinator.tables.write import parquet_schema
 from factory.export.base import Finish
 from factory.export.lerobot.common import LeRobotBase, Whole, survey
 from factory.export.lerobot.features import FILES, VECTORS, LeRobotOptions, data_schema, video_keys
@@ -22,6 +21,7 @@ from factory.export.lerobot.numbering import ABOUT, Numbered, Numbering
 from factory.export.lerobot.piece import FRAMES_FILE, LeRobotFacts, read_columns
 from factory.export.lerobot.statistics import QUANTILES
 from factory.export.video import join_videos
+from schemas.dataset import EpisodeSummary
 
 __all__ = ["FileLimits", "LeRobotExporter", "episodes_schema", "tasks_table", "write_dataset"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from coordinator.summary import EpisodeSummary
 from factory.html.palette import colour
 from factory.report.canvas import WIDTH_IN, Axes, fill_outlines, mark
 from factory.report.material import FloorMap
+from schemas.dataset import EpisodeSummary
 
 __all__ = ["draw_floor", "draw_targets", "floor_height_in", "title_floor"]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from schemas import portable
+from schemas.support import portable
 
 __all__ = [
     "Floats",

@@ -263,7 +263,9 @@ def _placed(piece: _Piece, placement: Placement, collides: bool) -> Part:
     rotation, shift = placement.to_world[:3, :3], placement.to_world[:3, 3]
     with np.errstate(all="ignore"):
         exact = piece.triangles @ rotation.T + shift
-        triangles = exact.astype(np.float32).astype(np.float64)  # the last bit is the processor's: schemas.portable
+        triangles = exact.astype(np.float32).astype(
+            np.float64
+        )  # the last bit is the processor's: schemas.support.portable
     uvs, tints = piece.uvs, piece.tints
     if not np.isfinite(triangles).all():
         raise ValueError("points or transform are not finite")

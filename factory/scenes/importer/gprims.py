@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import UsdGeom
 
-from schemas import portable
+from schemas.support import portable
 
 __all__ = ["Polygons", "solid_polygons"]
 

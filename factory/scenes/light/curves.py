@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts, number_rows
-from schemas import portable
+from schemas.support import portable
 
 __all__ = ["Bends", "corner_normals", "find_bends"]
 

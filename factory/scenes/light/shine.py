@@ -13,7 +13,7 @@ from factory.scenes.light.charts import number_rows
 from factory.scenes.light.lamps import Lamps, light_from, nearest_lamps
 from factory.scenes.light.rays import Caster
 from factory.scenes.light.texels import PATTERN_SIDE, Texels
-from schemas import portable
+from schemas.support import portable
 
 __all__ = ["Rays", "lamp_light", "sky_light"]
 

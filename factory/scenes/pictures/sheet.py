@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from factory.scenes.pictures.viewpoints import View, looking
 from schemas.scene import CompiledScene, Target
-from workers.grid import Grid
+from workers.geometry.grid import Grid
 from workers.render import Frame, Renderer
 
 __all__ = ["alone", "draw_sheet", "facing", "known_colours", "model_name", "variants"]

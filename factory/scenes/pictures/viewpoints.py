@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
-from workers.pose import Pose
+from workers.geometry.pose import Pose
 from workers.render import Frame, Renderer
 
 __all__ = ["EYE", "Height", "View", "best_views", "looking", "try_views", "worth"]

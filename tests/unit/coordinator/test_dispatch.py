@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from coordinator.wire.dispatch import Dispatch
-from coordinator.wire.protocol import Pull
+from coordinator.protocol.dispatch import Dispatch
+from coordinator.protocol.protocol import Pull
 from schemas.wire import Lease
 from tests.builders.bundle import job_for
 from tests.builders.ledger import room_catalog

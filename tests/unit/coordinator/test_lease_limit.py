@@ -11,9 +11,9 @@ from sqlalchemy.engine import Connection
 
 from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
-from coordinator.ledger.audit import find_damage
-from coordinator.ledger.progress import read_progress
-from coordinator.wire.protocol import Terms
+from coordinator.ledger.reading.audit import find_damage
+from coordinator.ledger.reading.progress import read_progress
+from coordinator.protocol.protocol import Terms
 from schemas.wire import Beat, HostStatus, Lease, LeaseProgress
 from tests.builders.ledger import TTL_S, Desk, room_plan
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import minivla
-from factory.dataset import Dataset
-from factory.torch_dataset import FrameDataset
+from factory.dataset.reader import Dataset
+from factory.dataset.torch import FrameDataset
 from minivla.packages import NAMES, require_own_packages
 
 ROOT = Path(__file__).parents[3]
@@ -98,7 +98,7 @@ def test_public_package_works_where_factory_init_was_overwritten(tmp_path: Path)
     variables = {**os.environ, "PYTHONPATH": str(tmp_path)}
     script = [sys.executable, "-P", "-S", "-c", f"import sys; sys.path += {sys.path!r}; {code}"]
     done = subprocess.run(script, env=variables, capture_output=True, text=True, check=False)
-    assert "factory.dataset.Dataset" in done.stdout, done.stderr
+    assert "factory.dataset.reader.Dataset" in done.stdout, done.stderr
 
 
 def test_no_module_of_ours_is_overwritten_by_factory_boy() -> None:

@@ -10,19 +10,19 @@ from typing import Annotated, Any
 import pytest
 from pydantic import Field, TypeAdapter, ValidationError, create_model
 
-import coordinator.wire.relay
+import coordinator.protocol.relay
 import schemas.wire
-from coordinator.check.validator import Verdict
-from coordinator.wire.protocol import Request, parse
-from coordinator.wire.relay import MAX_FILES, Duty, Inventory, Refused
-from coordinator.wire.relay_desk import RELAY_MESSAGES
+from coordinator.protocol.protocol import Request, parse
+from coordinator.protocol.relay import MAX_FILES, Duty, Inventory, Refused
+from coordinator.protocol.relay_desk import RELAY_MESSAGES
+from coordinator.validation.validator import Verdict
 from schemas.base import MAX_COUNT, MAX_ROWS, Model
 from schemas.episode import EpisodeMeta
 from schemas.scene import SceneInfo
 from schemas.terms import FailReason
 from schemas.wire import MAX_LEASES, Beat, Done, Fail, Lease, LeaseProgress, Refusal
-from workers.order import Report
-from workers.spool import Spooled
+from workers.client.spool import Spooled
+from workers.process.messages import Report
 
 WITHOUT_END = ("*", "+", ",}")
 NUMBER_BOUNDS = ("le", "lt"), ("ge", "gt")

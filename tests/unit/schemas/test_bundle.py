@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from schemas.bundle import BundleReader, BundleWriter, member_names
-from schemas.container import ContainerWriter
+from schemas.encoding.container import ContainerWriter
+from schemas.encoding.ndarray import encode_npy
 from schemas.errors import InvalidBundle
-from schemas.ndarray import encode_npy
 from tests.builders.bundle import bundle_bytes, parts_for
 
 Members = dict[str, bytes]

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from factory.export import ExportOrder, Finish, Piece, find_exporter, run_export
 from factory.export.lerobot.columns import frame_columns
 from factory.export.lerobot.depth import DepthCode

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from factory.cli.export import command
-from factory.dataset import Dataset
+from factory.cli.publish.export import command
+from factory.dataset.reader import Dataset
 from factory.export import EXPORTERS, ExportOrder, find_exporter, run_export
 from factory.export.output import WORK_FOLDER, Output
 from factory.export.paper import PaperOptions

@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow.parquet as pq
 from PIL import Image
 
-from coordinator.dataset.meta import read_dataset_meta
-from coordinator.summary import PUBLISHED_COLUMNS
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from factory.export import ExportOrder, run_export
 from factory.export.paper import PaperOptions
-from schemas.digest import content_digest, frame_digest
+from schemas.dataset import PUBLISHED_COLUMNS
+from schemas.dataset_meta import read_dataset_meta
+from schemas.encoding.digest import content_digest, frame_digest
 from schemas.episode import EpisodeMeta
 from tests.unit.factory.export.varied import STEPS
 

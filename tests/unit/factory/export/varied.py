@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from coordinator.archive.opening import open_archive
-from coordinator.dataset.tables import write_tables
+from coordinator.tables.write import write_tables
 from schemas.language import instruction
 from schemas.terms import Split
 from tests.builders.bundle import BundleParts, job_for, parts_for

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from factory.export.mcap_messages import OPTICAL_FROM_BASE, calibration, measured_twists, stamp_of
 from schemas.config import CameraConfig
-from workers.camera import intrinsics, optical_pose
-from workers.pose import Pose
+from workers.geometry.camera import intrinsics, optical_pose
+from workers.geometry.pose import Pose
 
 
 def arc(v: float, w: float, steps: int, hz: int, yaw: float = 0.0) -> np.ndarray:

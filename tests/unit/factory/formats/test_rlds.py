@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from factory.export.rlds import rlds_metadata, rlds_steps
 from schemas.errors import UsageError
 from tests.builders.dataset import make_dataset

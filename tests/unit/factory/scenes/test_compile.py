@@ -17,7 +17,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene, decode_scene, encode_scene
 from schemas.terms import Tier
 from tests.builders.stage import StageText, room_body
-from workers.grid import Grid
+from workers.geometry.grid import Grid
 
 TEXT = StageText()
 

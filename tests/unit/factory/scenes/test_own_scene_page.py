@@ -12,8 +12,8 @@ import click
 import pytest
 import yaml
 
-from coordinator.plan.file import parse_plan
-from factory.cli.groups import DefaultGroup
+from coordinator.expansion.file import parse_plan
+from factory.cli.common.groups import DefaultGroup
 from factory.cli.main import cli
 from factory.scenes.rules import load_rules
 from factory.scenes.target_list import TargetEntry

@@ -8,7 +8,7 @@ import pytest
 from factory.scenes.pictures.sheet import alone, known_colours, model_name, variants
 from factory.scenes.pictures.viewpoints import EYE, looking, try_views, worth
 from tests.builders.scene import box_room
-from workers.camera import optical_pose
+from workers.geometry.camera import optical_pose
 from workers.render import Frame
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from factory.dataset import Dataset
+from factory.dataset.reader import Dataset
 from factory.train.cache import CacheKey, FrameCache, open_cache
 from factory.train.labels import chosen_frames, label_episode, stop_frame
 from factory.train.look import shrink_depth, shrink_mask, shrink_rgb

@@ -7,7 +7,7 @@ import pytest
 
 from factory.train.look import FAR_M, SIZES, shrink_depth, shrink_mask, shrink_rgb, to_input
 from factory.train.vary import Batch, vary
-from schemas.arrays import FRAME_SIZE_PX
+from schemas.encoding.arrays import FRAME_SIZE_PX
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -1,0 +1,36 @@
+"""The exact quota of every cell of scene x split x tier. Pure; knows nothing of what the scenes hold."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import TypeVar
+
+from coordinator.expansion.apportion import apportion, webster_sequence
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import Split, Tier
+
+__all__ = ["Cells", "cells", "empty_splits"]
+
+Share = TypeVar("Share", Split, Tier)
+Cells = dict[tuple[Split, Tier], int]
+
+
+def cells(plan: Plan, scene: ScenePlan) -> Cells:
+    """Returns the quota of every cell of a scene; zero cells are left out."""
+    tiers = iter(webster_sequence(_positive(plan.tiers_of(scene)), scene.episodes))
+    quota: Counter[tuple[Split, Tier]] = Counter()
+    for split, count in apportion(_positive(plan.splits_of(scene)), scene.episodes).items():
+        quota.update((split, next(tiers)) for _ in range(count))
+    return dict(quota)
+
+
+def empty_splits(plan: Plan) -> tuple[Split, ...]:
+    """Returns the splits that the plan asks for and that get no episode, because it has too few."""
+    asked = {split for scene in plan.scenes for split in _positive(plan.splits_of(scene))}
+    filled = {split for scene in plan.scenes for split, _ in cells(plan, scene)}
+    return tuple(split for split in Split if split in asked - filled)
+
+
+def _positive(shares: Mapping[Share, float]) -> dict[Share, float]:
+    return {key: share for key, share in shares.items() if share > 0}

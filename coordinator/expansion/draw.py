@@ -1,0 +1,221 @@
+"""From a plan to jobs: exact cells of scene x tier x split, then category, target and template for each episode.
+
+Pure: the same plan and the same compiled scenes give the same jobs, on any machine and in any order of work.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence, Set
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from coordinator.expansion.apportion import least_used
+from coordinator.expansion.catalog import Catalog, SceneEntry
+from coordinator.expansion.cells import cells
+from coordinator.expansion.instances import Side, side_of, sides_of, startable_tiers
+from schemas.errors import InvalidPlan
+from schemas.job import Job
+from schemas.language import instruction, needs_colour, templates_for
+from schemas.plan import Plan, ScenePlan
+from schemas.scene import Target
+from schemas.terms import Split, Tier
+
+__all__ = ["PlannedJob", "cells", "expand", "find_impossible", "pool", "redraw", "require_possible", "to_job"]
+
+Option = TypeVar("Option")
+
+_EXPAND_STREAM, _REDRAW_STREAM = 1, 2
+_LOYAL_DRAWS = 4
+"""Draws that keep the category before the whole pool is opened."""
+
+
+@dataclass(frozen=True)
+class PlannedJob:
+    """What one draw of one episode asks for."""
+
+    index: int
+    draw: int
+    scene: str
+    tier: Tier
+    split: Split
+    category: str
+    target_id: str
+    colour: str
+    template_id: str
+    instruction: str
+
+
+def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
+    """Returns draw 0 of every episode, in the order of the plan's indices (from 1).
+
+    Cells of scene x tier x split have their exact Webster quota. Within a scene, targets (or categories first, when
+    `plan.balance` says so) and templates are drawn evenly.
+
+    Raises:
+        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+    """
+    require_possible(plan, catalog)
+    jobs: list[PlannedJob] = []
+    templates: Counter[str] = Counter()
+    for number, scene in enumerate(plan.scenes):
+        rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
+        jobs.extend(_expand_scene(plan, scene, catalog[scene.name], rng, len(jobs) + 1, templates))
+    return tuple(jobs)
+
+
+def require_possible(plan: Plan, catalog: Catalog) -> None:
+    """Makes sure that every cell of a plan has a target; `expand` does so too.
+
+    Raises:
+        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+    """
+    mistakes = find_impossible(plan, catalog)
+    if mistakes:
+        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
+
+
+def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Tier) -> tuple[Target, ...]:
+    """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
+    categories = _categories_of(scene, split)
+    sides = {} if split is Split.TEST_OOD_OBJ else sides_of(plan, scene, entry)
+    return tuple(
+        target
+        for target in entry.info.targets
+        if target.category in categories
+        and tier in startable_tiers(plan, target)
+        and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
+    )
+
+
+def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
+    """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
+    return [line for number, scene in enumerate(plan.scenes) for line in _impossible_in(plan, catalog, number, scene)]
+
+
+def _impossible_in(plan: Plan, catalog: Catalog, number: int, scene: ScenePlan) -> Iterator[str]:
+    entry, quota = catalog[scene.name], cells(plan, scene)
+    present = {target.category for target in entry.info.targets}
+    named = {split: set(_categories_of(scene, split)) for split, _ in quota}
+    if any(categories - present for categories in named.values()):
+        yield f"scenes[{number}] {scene.name}: {_say_absent(scene, entry, present)}"
+    for (split, tier), count in quota.items():
+        if named[split] & present and not pool(plan, scene, entry, split, tier):
+            yield (
+                f"scenes[{number}] {scene.name}: cell {split} / {tier} ({count} episodes) has no target that the "
+                f"{plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
+                "change the scene"
+            )
+
+
+def _categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
+    seen, held_out = scene.categories
+    return held_out if split is Split.TEST_OOD_OBJ else seen
+
+
+def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
+    absent = [[name for name in names if name not in present] for names in scene.categories]
+    missing = [
+        f"no reachable {', '.join(map(repr, names))} ({key})"
+        for key, names in zip(("seen", "held_out"), absent, strict=True)
+        if names
+    ]
+    shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
+    blocked = f"; shown but out of reach: {', '.join(sorted(filter(None, shown)))}" if shown else ""
+    remedy = "take out of seen and held_out what is not there, or change the scene"
+    if scene.usd is not None:
+        remedy += ", its rules or its list of targets"
+    return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none at all'}{blocked}; {remedy}"
+
+
+def _expand_scene(
+    plan: Plan,
+    scene: ScenePlan,
+    entry: SceneEntry,
+    rng: np.random.Generator,
+    first_index: int,
+    templates: Counter[str],
+) -> Iterator[PlannedJob]:
+    """Yields draw 0 of a scene's episodes, the cells in random order; `templates` counts over all scenes."""
+    quota = cells(plan, scene)
+    slots = [cell for cell, count in quota.items() for _ in range(count)]
+    pools = {cell: pool(plan, scene, entry, *cell) for cell in quota}
+    categories: Counter[str] = Counter()
+    targets: Counter[str] = Counter()
+    for index, slot in enumerate(rng.permutation(len(slots)), first_index):
+        split, tier = slots[int(slot)]
+        options = pools[split, tier]
+        if plan.balance == "categories":
+            category = least_used(sorted({target.category for target in options}), categories, rng)
+            options = tuple(target for target in options if target.category == category)
+        target_id = least_used([target.target_id for target in options], targets, rng)
+        target = next(option for option in options if option.target_id == target_id)
+        colour = _said_colour(plan, target)
+        template_id = least_used(templates_for(split, colour), templates, rng)
+        yield _planned(index, 0, scene.name, tier, split, target, colour, template_id)
+
+
+def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
+    """Returns the next draw of the same cell, after the former target proved hopeless.
+
+    The first few draws keep the category; later ones open the whole pool. Depends on plan, scene, index and draw
+    only, so that the redrawn dataset is the same whoever failed when.
+    """
+    draw = planned.draw + 1
+    rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
+    scene = next(scene for scene in plan.scenes if scene.name == planned.scene)
+    options = pool(plan, scene, catalog[scene.name], planned.split, planned.tier)
+    loyal = [target for target in options if target.category == planned.category] if draw <= _LOYAL_DRAWS else []
+    fresh = [target for target in loyal or options if target.target_id != planned.target_id]
+    target = _draw(fresh or options, rng)
+    colour = _said_colour(plan, target)
+    keeps = colour != "unknown" or not needs_colour(planned.template_id)
+    template_id = planned.template_id if keeps else _draw(templates_for(planned.split, colour), rng)
+    return _planned(planned.index, draw, scene.name, planned.tier, planned.split, target, colour, template_id)
+
+
+def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> Job:
+    """Returns the job of one attempt at a planned draw."""
+    entry = catalog[planned.scene]
+    return Job(
+        run=plan.run,
+        plan_digest=plan.digest,
+        root_seed=plan.seed,
+        index=planned.index,
+        draw=planned.draw,
+        attempt=attempt,
+        scene=planned.scene,
+        scene_sha256=entry.sha256,
+        scene_bytes=entry.size,
+        tier=planned.tier,
+        split=planned.split,
+        category=planned.category,
+        target_id=planned.target_id,
+        colour=planned.colour,
+        template_id=planned.template_id,
+        instruction=planned.instruction,
+        expert=plan.expert,
+        task=plan.task,
+        robot=plan.robot,
+        camera=plan.camera,
+        spawn=plan.spawn,
+        gains=plan.gains,
+        planner=plan.planner,
+    )
+
+
+def _draw(options: Sequence[Option], rng: np.random.Generator) -> Option:
+    return options[int(rng.integers(len(options)))]
+
+
+def _said_colour(plan: Plan, target: Target) -> str:
+    return target.colour if plan.colors == "on" else "unknown"
+
+
+def _planned(
+    index: int, draw: int, scene: str, tier: Tier, split: Split, target: Target, colour: str, template_id: str
+) -> PlannedJob:
+    words = instruction(template_id, target.category, colour)
+    return PlannedJob(index, draw, scene, tier, split, target.category, target.target_id, colour, template_id, words)

@@ -1,0 +1,168 @@
+"""Plans by name or by TOML file, and shrinking a plan; every mistake is named with its key.
+
+The only place that reads plan files; it does not look at scenes.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from coordinator.expansion.apportion import apportion
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from schemas.errors import InvalidPlan, UsageError
+from schemas.plan import Plan, ScenePlan
+from schemas.support.foreign import PARSER_ERRORS, path_trouble
+from schemas.support.suggest import did_you_mean
+from schemas.terms import ExpertName
+
+__all__ = ["load_plan", "parse_plan", "scene_of", "shrink"]
+
+_MOST_BYTES = 4 << 20
+
+
+def load_plan(reference: str) -> Plan:
+    """Returns a built-in plan by its name, or reads a TOML file.
+
+    Raises:
+        UsageError: no built-in plan is called that, and no such file is there.
+        InvalidPlan: the file holds mistakes; all are listed.
+    """
+    if reference in BUILTIN_PLANS:
+        return BUILTIN_PLANS[reference]
+    path = Path(reference)
+    trouble = path_trouble(reference)
+    if trouble:
+        raise UsageError(f"no plan {reference[:80]!r}: {trouble}")
+    if not path.is_file():
+        raise UsageError(_say_absent(reference, path))
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise InvalidPlan(f"{path} is not a plan", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except RecursionError as error:
+        raise InvalidPlan(f"{path} is not a plan", ["its values are nested too deeply"]) from error
+    except PARSER_ERRORS as error:
+        what = "is not valid TOML" if path.suffix == ".toml" else "is not a plan; plans are TOML files"
+        raise InvalidPlan(f"{path} {what}", [str(error)]) from error
+    data.setdefault("name", _name_from(path))
+    return parse_plan(data, str(path), base=path.parent)
+
+
+def _say_absent(reference: str, path: Path) -> str:
+    """Returns why a reference is no plan: a file that is not there, or a name that none has."""
+    known = f"the built-in plans are {', '.join(BUILTIN_PLANS)}"
+    if path.is_dir():
+        return f"no plan {reference!r}: that is a directory; give a TOML file ({known})"
+    meant = did_you_mean(path.stem, BUILTIN_PLANS)
+    if path.suffix or path.name != reference:
+        return f"no plan {reference!r}: no such file ({known}){meant}"
+    return f"no plan {reference!r}: no such file, and {known}{meant}"
+
+
+def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Plan:
+    """Checks a plan given as plain data.
+
+    Args:
+        data: as TOML gives it.
+        where: what to call it in errors.
+        base: the folder relative paths start at.
+
+    Raises:
+        InvalidPlan: with a line for every mistake, each naming its key.
+    """
+    try:
+        plan = Plan.model_validate(data)
+    except ValidationError as error:
+        raise InvalidPlan(f"{where} is no valid plan", _say_all(error)) from error
+    if base is None:
+        return plan
+    try:
+        return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
+    except (ValueError, OSError, RuntimeError) as error:  # a zero byte, or a link that leads to itself
+        raise InvalidPlan(f"{where} is no valid plan", [f"a file of its scenes cannot be found: {error}"]) from error
+
+
+def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
+    files = {"usd": scene.usd, "rules": scene.rules, "targets": scene.targets}
+    troubles = {key: path_trouble(str(base / file)) for key, file in files.items() if file}
+    if any(troubles.values()):
+        lines = [f"scenes.{key}: {trouble}" for key, trouble in troubles.items() if trouble]
+        raise InvalidPlan(f"scene {scene.name!r} names files that cannot be", lines)
+    return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
+
+
+def scene_of(plan: Plan, name: str) -> ScenePlan:
+    """Returns the plan's part of a scene.
+
+    Raises:
+        UsageError: the plan has no such scene.
+    """
+    scenes = {part.name: part for part in plan.scenes}
+    if name not in scenes:
+        names = f"{', '.join(scenes)}{did_you_mean(name, scenes)}"
+        raise UsageError(f"plan {plan.name!r} has no scene {name!r}; it has {names}")
+    return scenes[name]
+
+
+def shrink(
+    plan: Plan,
+    *,
+    scenes: Sequence[str] = (),
+    episodes: int | None = None,
+    expert: ExpertName | None = None,
+    seed: int | None = None,
+) -> Plan:
+    """Returns the plan with only some scenes or episodes, its proportions kept, or with another expert or seed.
+
+    Raises:
+        UsageError: the plan has no such scene, or more episodes are asked for than it has.
+    """
+    wanted = {scene_of(plan, name).name for name in scenes}
+    parts = tuple(part for part in plan.scenes if part.name in wanted) or plan.scenes
+    if episodes is not None:
+        if episodes < 1:
+            raise UsageError(f"--episodes {episodes}: at least 1 is needed")
+        share = apportion({part.name: float(part.episodes) for part in parts}, episodes)
+        parts = tuple(part.model_copy(update={"episodes": share[part.name]}) for part in parts if share[part.name] > 0)
+    changes: dict[str, Any] = {"scenes": parts}
+    if expert is not None:
+        changes["expert"] = expert
+    if seed is not None:
+        changes["seed"] = seed
+    return plan.model_copy(update=changes)
+
+
+def _say_all(error: ValidationError) -> list[str]:
+    items = error.errors()
+    deeper = {item["loc"][:1] for item in items if len(item["loc"]) > 1}
+    sentences = []
+    for item in items:
+        if item["type"] == "too_short" and item["loc"] in deeper:
+            continue  # the list only looks short because its items were refused
+        sentences += _say(item)
+    return sentences
+
+
+def _say(item: Any) -> list[str]:
+    key = ""
+    for part in item["loc"]:
+        if part != "[key]":
+            key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if not key:
+        return message.split("; ")
+    if item["type"] == "extra_forbidden":
+        message = "no such key"
+    given = item["input"]
+    shown = f" (found {given!r})" if isinstance(given, str | int | float | bool) else ""
+    return [f"{key}: {message}{shown}"]
+
+
+def _name_from(path: Path) -> str:
+    name = "".join(sign if sign.isalnum() else "_" for sign in path.stem.lower())
+    return name if name[:1].isalpha() else f"plan_{name}"

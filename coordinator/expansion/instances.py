@@ -1,0 +1,109 @@
+"""Which instances a scene's training names and which its evaluation, where a plan keeps them apart. Pure.
+
+Held-out categories need no such care: no split but `test_ood_obj` names them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+import numpy as np
+
+from coordinator.expansion.apportion import webster_sequence
+from coordinator.expansion.catalog import Catalog, SceneEntry
+from coordinator.expansion.cells import cells
+from schemas.plan import Plan, ScenePlan
+from schemas.scene import Target
+from schemas.terms import ExpertName, Split, Tier
+
+__all__ = ["Side", "Sides", "all_sides", "shared_categories", "side_of", "sides_of", "startable_tiers"]
+
+_SIDES_STREAM = 3
+
+
+class Side(StrEnum):
+    """Who may name an instance of a seen category."""
+
+    TRAIN = "train"  # train_id only
+    EVALUATION = "evaluation"  # val_id, test_id and test_paraphrase_ood only
+    SHARED = "shared"  # both: the scene has too few instances of the category
+
+
+Sides = Mapping[str, Side]
+"""Target id -> side, for the instances of seen categories."""
+
+
+def side_of(split: Split) -> Side:
+    """Returns the side that a split of seen categories is on."""
+    return Side.TRAIN if split is Split.TRAIN_ID else Side.EVALUATION
+
+
+def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
+    """Returns the tiers from which the plan's expert can start for a target."""
+    return target.connected_tiers if plan.expert is ExpertName.PLANNER else target.straight_tiers
+
+
+def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> Sides:
+    """Returns the side of every startable instance of a seen category; empty where nothing is to be kept apart.
+
+    Of each category as many instances go to training as its share of the episodes says, at least one to each side.
+    A category with a single instance is shared. So are all categories of a tier in which a cell would stay without
+    any target otherwise.
+    """
+    quota = cells(plan, scene)
+    wanted = dict.fromkeys((Side.TRAIN, Side.EVALUATION), 0)
+    for (split, _), count in quota.items():
+        if split is not Split.TEST_OOD_OBJ:
+            wanted[side_of(split)] += count
+    if not plan.disjoint_instances or not all(wanted.values()):
+        return {}
+    tiers = {tier for _, tier in quota}
+    options = [t for t in entry.info.targets if t.category in scene.categories.seen]
+    options = [t for t in options if tiers & set(startable_tiers(plan, t))]
+    number = [part.name for part in plan.scenes].index(scene.name)
+    rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _SIDES_STREAM, number)))
+    sides: dict[str, Side] = {}
+    for category in sorted({target.category for target in options}):
+        group = [target for target in options if target.category == category]
+        sides |= _divide(plan, [group[int(place)] for place in rng.permutation(len(group))], wanted)
+    return _with_all_cells_filled(plan, quota, options, sides)
+
+
+def all_sides(plan: Plan, catalog: Catalog) -> dict[str, Sides]:
+    """Returns the sides of every scene that has any."""
+    found = {scene.name: sides_of(plan, scene, catalog[scene.name]) for scene in plan.scenes}
+    return {name: sides for name, sides in found.items() if sides}
+
+
+def shared_categories(sides: Sides, entry: SceneEntry) -> tuple[str, ...]:
+    """Returns the categories of which training and evaluation may name one instance."""
+    return tuple(sorted({t.category for t in entry.info.targets if sides.get(t.target_id) is Side.SHARED}))
+
+
+def _divide(plan: Plan, group: list[Target], wanted: Mapping[Side, int]) -> dict[str, Side]:
+    if len(group) == 1:
+        return {group[0].target_id: Side.SHARED}
+    # those that can be started for from most tiers go first, so that both sides get some of them
+    group = sorted(group, key=lambda target: -len(startable_tiers(plan, target)))
+    order = webster_sequence({side: float(count) for side, count in wanted.items()}, len(group))
+    for side in wanted:
+        if side not in order:
+            order[-1] = side
+    for place, side in enumerate(wanted):
+        found = order.index(side)
+        order[place], order[found] = order[found], order[place]
+    return {target.target_id: side for target, side in zip(group, order, strict=True)}
+
+
+def _with_all_cells_filled(
+    plan: Plan, quota: Mapping[tuple[Split, Tier], int], options: list[Target], sides: dict[str, Side]
+) -> Sides:
+    for split, tier in quota:
+        if split is Split.TEST_OOD_OBJ:
+            continue
+        able = [target for target in options if tier in startable_tiers(plan, target)]
+        if not any(sides[target.target_id] in (side_of(split), Side.SHARED) for target in able):
+            opened = {target.category for target in able}
+            sides |= {target.target_id: Side.SHARED for target in options if target.category in opened}
+    return sides

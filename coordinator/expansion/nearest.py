@@ -1,0 +1,140 @@
+"""The possible plan nearest to an impossible one: fewest episodes in other cells, nothing else changed. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import TypeVar
+
+from coordinator.expansion.catalog import Catalog, SceneEntry
+from coordinator.expansion.cells import Cells, cells
+from coordinator.expansion.draw import pool
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import Split, Tier
+
+__all__ = ["Nearest", "find_nearest"]
+
+Share = TypeVar("Share", Split, Tier)
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """What could be made instead."""
+
+    plan: Plan | None
+    """`None` when no scene has any target that the plan names and the expert could start for."""
+    changes: tuple[str, ...]
+    """What differs, one line a scene; empty when the plan is possible as it is."""
+    moved: int
+    """Episodes that are in other cells, or in none, compared with the plan."""
+
+
+def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
+    """Returns a plan whose every cell has a target.
+
+    Categories that a scene lacks leave it. Where cells stay without a target, those tiers and splits of the scene are
+    kept that together hold most of the episodes and are all possible; their shares grow in proportion. A scene in
+    which nothing is left is given up.
+    """
+    kept: list[ScenePlan] = []
+    changes: list[str] = []
+    moved = 0
+    for scene in plan.scenes:
+        part = _possible(plan, scene, catalog[scene.name])
+        lost = _moved(cells(plan, scene), {} if part is None else cells(plan, part))
+        moved += lost
+        if part is not None:
+            kept.append(part)
+        if part != scene:
+            changes.append(_say(plan, scene, part, catalog[scene.name], lost))
+    return Nearest(plan.model_copy(update={"scenes": tuple(kept)}) if kept else None, tuple(changes), moved)
+
+
+def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | None:
+    """The scene with those categories, tiers and splits that leave no cell empty; `None` when nothing is left."""
+    part = _with_categories(plan, scene, {target.category for target in entry.info.targets})
+    if part is None or all(pool(plan, part, entry, *cell) for cell in cells(plan, part)):
+        return part
+    free = plan.model_copy(update={"disjoint_instances": False})  # instances are shared rather than cells left empty
+    tiers, splits = _positive(plan.tiers_of(part)), _positive(plan.splits_of(part))
+    able = {cell for cell in product(splits, tiers) if pool(free, part, entry, *cell)}
+    best = max(
+        (
+            (
+                sum(splits[split] for split in some_splits) * sum(tiers[tier] for tier in some_tiers),
+                some_splits,
+                some_tiers,
+            )
+            for some_splits, some_tiers in product(_subsets(list(splits)), _subsets(list(tiers)))
+            if able.issuperset(product(some_splits, some_tiers))
+        ),
+        key=lambda option: option[0],
+        default=None,
+    )
+    if best is None:
+        return None
+    _, some_splits, some_tiers = best
+    changes: dict[str, object] = {}
+    if len(some_splits) < len(splits):
+        changes["splits"] = _only(splits, some_splits)
+    if len(some_tiers) < len(tiers):
+        changes["tiers"] = _only(tiers, some_tiers)
+    return part.model_copy(update=changes)
+
+
+def _subsets(keys: list[Share]) -> list[tuple[Share, ...]]:
+    """All but the empty one, larger ones first."""
+    return [some for size in range(len(keys), 0, -1) for some in combinations(keys, size)]
+
+
+def _with_categories(plan: Plan, scene: ScenePlan, present: set[str]) -> ScenePlan | None:
+    """The scene with those of its categories that it has, and without the splits that then have none."""
+    seen, held_out = (tuple(name for name in names if name in present) for names in scene.categories)
+    part: ScenePlan | None = scene
+    if (seen, held_out) != tuple(scene.categories):
+        part = scene.model_copy(update={"seen": seen, "held_out": held_out})
+    names_seen = [split for split in Split if split is not Split.TEST_OOD_OBJ]
+    for split in [*([] if seen else names_seen), *([] if held_out else [Split.TEST_OOD_OBJ])]:
+        if part is not None and plan.splits_of(part).get(split, 0) > 0:
+            shares = _positive(plan.splits_of(part))
+            shares = _only(shares, [key for key in shares if key is not split])
+            part = part.model_copy(update={"splits": shares}) if shares else None
+    return part
+
+
+def _positive(shares: Mapping[Share, float]) -> dict[Share, float]:
+    return {key: share for key, share in shares.items() if share > 0}
+
+
+def _only(shares: Mapping[Share, float], kept: Iterable[Share]) -> dict[Share, float]:
+    """Some of the shares, in proportion; empty when none is kept."""
+    total = sum(shares[key] for key in kept)
+    return {key: shares[key] / total for key in kept}
+
+
+def _moved(wanted: Cells, found: Cells) -> int:
+    return sum(max(0, count - found.get(cell, 0)) for cell, count in wanted.items())
+
+
+def _say(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
+    present = {target.category for target in entry.info.targets}
+    if part is None:
+        is_there = any(name in present for names in scene.categories for name in names)
+        why = "nothing there can be reached" if is_there else "it has none of the categories asked for"
+        return f"{scene.name}: left out, {lost} episodes; {why}"
+    words = []
+    for key, categories in zip(("seen", "held_out"), scene.categories, strict=True):
+        gone = [name for name in categories if name not in present]
+        if gone:
+            words.append(f"{key} without {', '.join(gone)}")
+    tiers, splits = plan.tiers_of(part), plan.splits_of(part)
+    if tiers != plan.tiers_of(scene):
+        words.append("tiers " + _say_shares({str(tier): tiers.get(tier, 0.0) for tier in plan.tiers_of(scene)}))
+    if splits != plan.splits_of(scene):
+        words.append("splits " + _say_shares({str(split): splits.get(split, 0.0) for split in plan.splits_of(scene)}))
+    return f"{scene.name}: {'; '.join(words)} ({lost} of {scene.episodes} episodes in other cells)"
+
+
+def _say_shares(shares: Mapping[str, float]) -> str:
+    return ", ".join(f"{key} {share:.4g}" for key, share in shares.items())

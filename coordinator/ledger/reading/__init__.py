@@ -1,0 +1,1 @@
+"""Read-only queries of a ledger: audits, progress and records."""

@@ -1,0 +1,245 @@
+"""Checks whether a ledger can be trusted: its file, the values in each column, and what its tables say of each other.
+
+Reads only. SQLite keeps no checksums: a flipped bit or a page of an older copy can leave a file that opens. Every value
+that decides which attempt is simulated is therefore compared with a second one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+
+from sqlalchemy import Boolean, Column, Double, Integer, Table, inspect, make_url, select, text
+from sqlalchemy.engine import Connection
+from sqlalchemy.exc import DatabaseError, SQLAlchemyError
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import redraw
+from coordinator.ledger.engine import open_reader, sqlite_files
+from coordinator.ledger.opening import planned_digest, planned_of, read_info
+from coordinator.ledger.outcomes import SUCCESS
+from coordinator.ledger.states import OPEN_STATES, Event, State
+from coordinator.ledger.tables import ADDED_LATER, METADATA, PLANNED, info, jobs
+from schemas.errors import FactoryError, UsageError, WorldError
+from schemas.plan import Plan
+from schemas.terms import FailReason, Split, Tier
+
+__all__ = ["find_damage", "ledger_trouble"]
+
+_LARGEST = 2**53
+_LATEST_S = 32503680000.0
+"""The year 3000: larger times cannot be times of a run, and later ones not dates at all."""
+_OUTCOMES = (SUCCESS, "expired", "lost", "cancelled", *FailReason)
+_ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = MappingProxyType(
+    {
+        ("jobs", "state"): tuple(State),
+        ("jobs", "tier"): tuple(Tier),
+        ("jobs", "split"): tuple(Split),
+        ("events", "event"): tuple(Event),
+        ("events", "state"): tuple(State),
+        ("attempts", "outcome"): _OUTCOMES,
+    }
+)
+_WORLD = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_of_the_world)
+_OPEN = ", ".join(f"'{state}'" for state in OPEN_STATES)
+_RULES: Mapping[str, str] = MappingProxyType(
+    {
+        "draws of an episode are missing, doubled or not superseded": """
+            SELECT idx FROM jobs GROUP BY idx
+            HAVING count(*) != max(draw) + 1 OR min(draw) != 0 OR min(idx) < 1
+                OR sum(CASE WHEN superseded THEN 0 ELSE 1 END) != 1
+                OR max(CASE WHEN superseded THEN -1 ELSE draw END) != max(draw)""",
+        "a superseded draw has not failed": f"SELECT idx FROM jobs WHERE superseded AND state != '{State.FAILED}'",
+        "a job is archived and its episode is not recorded as it is": f"""
+            SELECT jobs.idx FROM jobs LEFT JOIN episodes ON episodes.idx = jobs.idx
+            WHERE jobs.state = '{State.ARCHIVED}' AND (episodes.idx IS NULL OR episodes.job_id != jobs.id
+                OR episodes.attempt != jobs.attempt)""",
+        "an episode is recorded and its job is not archived": f"""
+            SELECT episodes.idx FROM episodes LEFT JOIN jobs ON jobs.id = episodes.job_id
+            WHERE jobs.id IS NULL OR jobs.idx != episodes.idx OR jobs.superseded OR jobs.state != '{State.ARCHIVED}'""",
+        "a job does not stand where its last event left it": f"""
+            SELECT jobs.idx FROM jobs JOIN events ON events.id =
+                (SELECT max(last.id) FROM events AS last WHERE last.job_id = jobs.id)
+            WHERE NOT jobs.superseded AND jobs.state != '{State.ARCHIVED}'
+                AND (events.state != jobs.state OR events.fence != jobs.fence OR events.attempt > jobs.attempt)""",
+        "a job that nothing has happened to does not wait": f"""
+            SELECT jobs.idx FROM jobs WHERE jobs.state != '{State.PENDING}'
+                AND NOT EXISTS (SELECT 1 FROM events WHERE events.job_id = jobs.id)""",
+        "a held job has no lease": f"""
+            SELECT idx FROM jobs WHERE state IN ('{State.LEASED}', '{State.SUBMITTED}')
+                AND (token IS NULL OR lease_until IS NULL)""",
+        "an announced job has no bundle": f"""
+            SELECT idx FROM jobs WHERE state IN ('{State.SUBMITTED}', '{State.ARCHIVED}')
+                AND (sha256 IS NULL OR size IS NULL)""",
+        "an attempt belongs to another job": """
+            SELECT attempts.idx FROM attempts LEFT JOIN jobs ON jobs.id = attempts.job_id
+            WHERE jobs.id IS NULL OR jobs.idx != attempts.idx OR jobs.draw != attempts.draw""",
+        "an event belongs to no job": """
+            SELECT events.job_id FROM events LEFT JOIN jobs ON jobs.id = events.job_id WHERE jobs.id IS NULL""",
+    }
+)
+"""What is wrong -> a query for the numbers of the episodes that show it."""
+_SQLITE_RULES: Mapping[str, str] = MappingProxyType(
+    {
+        "an episode's row and its summary differ": """
+            SELECT idx FROM episodes WHERE CASE WHEN json_valid(summary) THEN
+                json_extract(summary, '$.index') IS NOT idx
+                OR json_extract(summary, '$.file_sha256') IS NOT sha256
+                OR json_extract(summary, '$.file_bytes') IS NOT size
+                OR json_extract(summary, '$.content_digest') IS NOT content_digest
+                ELSE 1 END"""
+    }
+)
+_HISTORY = f"""
+    SELECT jobs.idx, jobs.draw, jobs.attempt, jobs.misses, jobs.crashes, jobs.not_before, jobs.changed_at,
+        (SELECT max(a.attempt) FROM attempts AS a WHERE a.idx = jobs.idx AND a.settles) AS settled,
+        (SELECT count(*) FROM attempts AS a
+            WHERE a.job_id = jobs.id AND a.settles AND a.outcome IN ({_WORLD})) AS missed,
+        (SELECT e.attempt FROM events AS e WHERE e.job_id = jobs.id ORDER BY e.id DESC LIMIT 1) AS last_attempt,
+        (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.RETRIED}') AS retries,
+        (SELECT count(*) FROM events AS e WHERE e.job_id = jobs.id AND e.event = '{Event.HURT}') AS hurts,
+        (SELECT f.attempt FROM jobs AS f WHERE f.idx = jobs.idx AND f.draw = jobs.draw - 1) AS former
+    FROM jobs WHERE state IN ({_OPEN}) AND (misses > 0 OR attempt != 1 OR draw > 0 OR crashes != 0 OR not_before > 0
+        OR EXISTS (SELECT 1 FROM events AS e WHERE e.job_id = jobs.id))
+"""
+_LONGEST_PAUSE_S = 3600.0
+
+
+def ledger_trouble(url: str, catalog: Catalog | None = None) -> str:
+    """Returns why a ledger cannot be used, in words; empty when it can.
+
+    Args:
+        url: of the ledger.
+        catalog: scenes of its plan, to compare redrawn jobs with the plan; `None` leaves that comparison out.
+
+    Raises:
+        UsageError: the URL names a database this installation cannot open, or the ledger is of a newer format.
+        WorldError: a server cannot be reached.
+    """
+    if make_url(url).get_backend_name() == "sqlite" and not any(
+        path.name == (make_url(url).database or "").rpartition("/")[2] for path in sqlite_files(url)
+    ):
+        return "is not there"
+    engine = open_reader(url)
+    try:
+        with engine.connect() as connection:
+            return find_damage(connection, catalog)
+    except DatabaseError as error:
+        return f"cannot be read: {error.orig}"
+    finally:
+        engine.dispose()
+
+
+def find_damage(connection: Connection, catalog: Catalog | None = None) -> str:
+    """Returns the first sign of damage in an open ledger, in words; empty when there is none.
+
+    Args:
+        connection: for reading.
+        catalog: scenes of its plan, to compare redrawn jobs with the plan.
+
+    Raises:
+        UsageError: the ledger is of a newer format.
+    """
+    try:
+        return next(_findings(connection, catalog), "")
+    except UsageError:
+        raise
+    except DatabaseError as error:
+        return f"cannot be read: {error.orig}"
+    except (FactoryError, SQLAlchemyError, ValueError, TypeError, LookupError, OverflowError) as error:
+        return f"is damaged: {' '.join(str(error).split())}"
+
+
+def _findings(connection: Connection, catalog: Catalog | None) -> Iterator[str]:
+    is_sqlite = connection.dialect.name == "sqlite"
+    if is_sqlite:
+        said = connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar_one()
+        if said != "ok":
+            yield f"is damaged: {said}"
+    missing = sorted(METADATA.tables.keys() - set(inspect(connection).get_table_names()) - ADDED_LATER)
+    if missing:
+        yield f"lacks the tables {', '.join(missing)}"
+    present = [table for table in METADATA.sorted_tables if table.name not in missing and _is_there(connection, table)]
+    for table in present if is_sqlite else ():
+        yield from _value_findings(connection, table)
+    try:
+        plan = read_info(connection).plan
+    except WorldError as error:
+        yield str(error).removeprefix("the ledger ")
+        return
+    for what, query in {**_RULES, **(_SQLITE_RULES if is_sqlite else {})}.items():
+        row = connection.execute(text(f"{query} LIMIT 1")).first()
+        if row is not None:
+            yield f"is damaged: {what} (number {row[0]})"
+    yield from _plan_findings(connection, plan)
+    yield from _history_findings(connection, plan)
+    if catalog is not None and all(scene.name in catalog for scene in plan.scenes):
+        yield from _draw_findings(connection, plan, catalog)
+
+
+def _is_there(connection: Connection, table: Table) -> bool:
+    return table.name not in ADDED_LATER or inspect(connection).has_table(table.name)
+
+
+def _value_findings(connection: Connection, table: Table) -> Iterator[str]:
+    """Looks for a value of another type, range or vocabulary than its column's; SQLite takes any value anywhere."""
+    wrong = [(column.name, _wrong_value(table, column)) for column in table.columns]
+    cases = " ".join(f"WHEN {condition} THEN '{name}'" for name, condition in wrong)
+    anywhere = " OR ".join(condition for _, condition in wrong)
+    query = f"SELECT rowid, CASE {cases} END FROM {table.name} WHERE {anywhere} LIMIT 1"
+    row = connection.exec_driver_sql(query).first()
+    if row is not None:
+        yield f"is damaged: row {row[0]} of {table.name} has a wrong value of {row[1]}"
+
+
+def _wrong_value(table: Table, column: Column[object]) -> str:
+    """Returns the SQL condition under which a value of a column is wrong."""
+    name = f'"{column.name}"'
+    match column.type:
+        case Boolean():
+            wrong = f"typeof({name}) != 'integer' OR {name} NOT IN (0, 1)"
+        case Integer():
+            wrong = f"typeof({name}) != 'integer' OR {name} NOT BETWEEN 0 AND {_LARGEST}"
+        case Double():
+            wrong = f"typeof({name}) NOT IN ('real', 'integer') OR {name} NOT BETWEEN 0 AND {_LATEST_S}"
+        case _:
+            wrong = f"typeof({name}) != 'text' OR instr({name}, char(0))"
+    allowed = _ALLOWED.get((table.name, column.name))
+    if allowed is not None:
+        wrong += f" OR {name} NOT IN ({', '.join(repr(str(value)) for value in allowed)})"
+    return f"({name} IS NOT NULL AND ({wrong}))" if column.nullable else f"({name} IS NULL OR {wrong})"
+
+
+def _plan_findings(connection: Connection, plan: Plan) -> Iterator[str]:
+    noted = connection.execute(select(info.c.value).where(info.c.key == PLANNED)).scalar()
+    if noted is not None and noted != planned_digest(connection):
+        yield "is damaged: its jobs are not those of the plan"
+    for row in connection.execute(select(jobs.c.idx, jobs.c.draw).where(jobs.c.draw >= plan.budget.draws).limit(1)):
+        yield f"is damaged: episode {row.idx} has draw {row.draw}, and the plan allows {plan.budget.draws}"
+
+
+def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
+    """Compares the counters of jobs that will be simulated with the attempts and events recorded of them."""
+    for row in connection.execute(text(_HISTORY)):
+        attempt = row.last_attempt if row.last_attempt is not None else row.former if row.draw else 1
+        # the first attempt of a draw, and what `recall` brought back, rise without an event
+        if row.attempt <= (row.settled or 0) or (attempt is not None and row.attempt < attempt):
+            yield f"is damaged: episode {row.idx} stands at attempt {row.attempt}, which has ended"
+        expected = max(attempt or 1, (row.settled or 0) + 1)
+        if row.attempt > expected:
+            yield f"is damaged: episode {row.idx} stands at attempt {row.attempt}, its records at {expected}"
+        if row.misses > row.missed or (not row.retries and row.misses != row.missed % plan.budget.attempts_per_draw):
+            yield f"is damaged: episode {row.idx} has {row.misses} misses, its records {row.missed}"
+        if row.crashes > row.hurts + (plan.budget.crashes if row.retries else 0):
+            yield f"is damaged: episode {row.idx} has {row.crashes} crashes, its records {row.hurts}"
+        if row.not_before > row.changed_at + _LONGEST_PAUSE_S:
+            yield f"is damaged: episode {row.idx} waits until {row.not_before}, and changed at {row.changed_at}"
+
+
+def _draw_findings(connection: Connection, plan: Plan, catalog: Catalog) -> Iterator[str]:
+    """Draws again what was redrawn: a redraw depends on plan, scene and number only."""
+    later = select(jobs).where(jobs.c.draw > 0).order_by(jobs.c.idx, jobs.c.draw)
+    for row in connection.execute(later).all():
+        before = connection.execute(select(jobs).where(jobs.c.idx == row.idx, jobs.c.draw == row.draw - 1)).one()
+        if planned_of(row) != redraw(plan, catalog, planned_of(before)):
+            yield f"is damaged: draw {row.draw} of episode {row.idx} is not that of the plan"

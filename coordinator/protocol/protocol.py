@@ -1,0 +1,273 @@
+"""What the coordinator answers: each verb parsed, checked, and turned into work on the ledger. Knows no zenoh.
+
+Every verb is idempotent; what follows a commit (bundles to pull) is returned, not done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+from sqlalchemy import Row
+from sqlalchemy.engine import Connection
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import redraw, to_job
+from coordinator.expansion.evaluation import Errands
+from coordinator.ledger import claims, hosts, operator, outcomes, workers
+from coordinator.ledger.claims import lease_of
+from coordinator.ledger.opening import planned_of
+from schemas.base import Model
+from schemas.identity import is_host_name
+from schemas.job import Job
+from schemas.keys import Verb, sid_belongs_to
+from schemas.plan import Plan
+from schemas.scene import Target
+from schemas.wire import (
+    MAX_MESSAGE_BYTES,
+    Ack,
+    AdminAction,
+    AdminReply,
+    AdminRequest,
+    Beat,
+    BeatReply,
+    Claim,
+    ClaimReply,
+    Done,
+    Fail,
+    Hello,
+    HelloReply,
+    Lease,
+    Ping,
+    Refusal,
+    Trade,
+)
+
+__all__ = ["Answer", "Pull", "Request", "Terms", "fail_attempt", "parse", "serve"]
+
+M = TypeVar("M", bound=Model)
+_SMALL_MESSAGE_BYTES = 16 << 10
+_MESSAGE_BYTES: Mapping[Verb, int] = MappingProxyType(
+    {
+        Verb.BEAT: 64 << 10,
+        Verb.INVENTORY: 64 << 10,
+        Verb.ADMIN: MAX_MESSAGE_BYTES,
+        Verb.ARCHIVED: MAX_MESSAGE_BYTES,
+    }
+)
+"""Most bytes of a verb's message, where that is not `_SMALL_MESSAGE_BYTES`: no larger one is read."""
+_NAME_END, _BYTES_A_NAME = b'":', 24
+"""A full beat has a name every 27 bytes; thousands of unknown names would each become an error of their own."""
+_SHOWN_MISTAKES, _SHOWN_CHARS = 5, 80
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What the run holds its workers to; the flags change while it runs."""
+
+    plan: Plan
+    catalog: Catalog
+    version: str
+    """Of minivla-factory; workers of another version are refused."""
+    lease_ttl_s: float
+    retry_after_s: float
+    is_draining: Callable[[], bool] = lambda: False
+    """Whether workers shall leave when done."""
+    has_room: Callable[[], bool] = lambda: True
+    """Whether the archive has room for what a new job would bring."""
+    errands: Errands | None = None
+    """In a run of errands, what each of them is; `None` where jobs are collected."""
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A bundle that waits in a worker's spool."""
+
+    lease: Lease
+    sid: str
+    sha256: str
+    size: int
+    job: Job
+    target: Target
+    via: str | None = None
+    """Router that its worker is connected to, as far as that is known."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The reply to send after COMMIT, and what has become due by then."""
+
+    reply: Model
+    pulls: tuple[Pull, ...] = ()
+
+
+@dataclass(frozen=True)
+class Request:
+    """A message that has passed all checks that need no ledger."""
+
+    host: str
+    message: Model
+
+
+Handler = Callable[[Connection, Any, str, Terms, datetime], Answer]
+
+
+def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]] | None = None) -> Request | Refusal:
+    """Reads a message as it came; everything wrong with it ends in a refusal that says so.
+
+    Args:
+        verb: last part of the key.
+        host: who asks, by the key.
+        payload: JSON, at most as many bytes as the verb may have.
+        known: what each verb carries; by default the verbs of workers and operators.
+    """
+    known = known or _MESSAGES
+    if verb not in known:
+        return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(known)}")
+    if not is_host_name(host):
+        return Refusal(error=f"{verb}: {host[:_SHOWN_CHARS]!r} is no name for a host; give one such as node-07")
+    most = _MESSAGE_BYTES.get(Verb(verb), _SMALL_MESSAGE_BYTES)
+    if len(payload) > most:
+        return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")
+    if most < MAX_MESSAGE_BYTES and payload.count(_NAME_END) > most // _BYTES_A_NAME:
+        return Refusal(error=f"{verb}: more names than such a message can have; do both sides run the same version?")
+    try:
+        message = known[Verb(verb)].model_validate_json(payload)
+    except ValidationError as error:
+        return Refusal(error=f"{verb}: not understood ({_mistakes(error)}); do both sides run the same version?")
+    sid = getattr(message, "sid", None)
+    if known is _MESSAGES and sid is not None and not sid_belongs_to(sid, host):
+        return Refusal(error=f"{verb}: session {sid!r} is not of host {host!r}; session ids begin with their host")
+    return Request(host, message)
+
+
+def _mistakes(error: ValidationError) -> str:
+    """Returns the first mistakes in words; of a message that is all mistakes only their number, which costs nothing."""
+    count = error.error_count()
+    if count > 10 * _SHOWN_MISTAKES:
+        return f"{count} mistakes"
+    found = error.errors(include_url=False, include_context=False, include_input=False)[:_SHOWN_MISTAKES]
+    return "; ".join(f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
+
+
+def serve(connection: Connection, request: Request, terms: Terms, now: datetime) -> Answer:
+    """Does what a request asks, within the caller's transaction."""
+    return _HANDLERS[type(request.message)](connection, request.message, request.host, terms, now)
+
+
+def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: datetime) -> bool:
+    """Settles a failed attempt under the terms of the run; see `outcomes.fail`."""
+    return outcomes.fail(
+        connection,
+        report,
+        now,
+        terms.plan.budget,
+        lambda planned: redraw(terms.plan, terms.catalog, planned),
+        blames_hosts=terms.errands is None,  # an evaluation says at once what cannot be driven, and is run again
+    )
+
+
+def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: datetime) -> Answer:
+    if hello.host != host:
+        return Answer(Refusal(error=f"hello: says it is host {hello.host!r} under the key of {host!r}"))
+    if hello.version != terms.version:
+        return Answer(
+            Refusal(
+                error=f"hello: worker {hello.sid} runs minivla-factory {hello.version}, the coordinator "
+                f"{terms.version}; episodes of two versions may differ: install the same version on both"
+            )
+        )
+    if not workers.introduce(connection, hello, now):
+        return Answer(
+            Refusal(
+                error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} sessions that were heard of lately, or all "
+                f"hosts together have {workers.SESSIONS}: stop some, or wait some minutes"
+            )
+        )
+    trade = Trade.COLLECTION if terms.errands is None else Trade.EVALUATION
+    return Answer(HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade))
+
+
+def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> Answer:
+    may_start = terms.has_room() and not terms.is_draining()
+    pause_s = hosts.pause_of(connection, host, now)
+    may_start = may_start and pause_s == 0
+    row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
+    if row is not None:
+        job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+        if terms.errands is None:
+            return Answer(ClaimReply(job=job, lease=lease_of(row)))
+        text, attachment = terms.errands.find(row.idx)
+        return Answer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
+    workers.note_alive(connection, claim.sid, host, now)
+    finished = not claims.has_open_jobs(connection)
+    return Answer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))
+
+
+def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> Answer:
+    workers.note_alive(connection, beat.sid, host, now)
+    outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
+    waiting = tuple(lease_of(row) for row in outcome.waiting)
+    is_idle = len(outcome.lost) == len(beat.live) and len(outcome.drop) == len(beat.spool)
+    reply = BeatReply(
+        lost=outcome.lost,
+        drop=outcome.drop,
+        waiting=waiting,
+        drain=terms.is_draining(),
+        finished=is_idle and not claims.has_open_jobs(connection),
+    )
+    return Answer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
+
+
+def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    accepted, waiting = outcomes.announce(connection, done, now, terms.lease_ttl_s)
+    pulls = (_pull_of(waiting, done.sid, done.via, terms),) if waiting is not None else ()
+    return Answer(Ack(accepted=accepted), pulls)
+
+
+def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    return Answer(Ack(accepted=fail_attempt(connection, fail, terms, now)))
+
+
+def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    match request.action:
+        case AdminAction.RETRY:
+            return Answer(operator.retry(connection, request.indices, now))
+        case AdminAction.CANCEL:
+            return Answer(operator.cancel(connection, request.indices, now))
+        case AdminAction.RELEASE:
+            return Answer(hosts.release(connection, request.hosts))
+        case AdminAction.DRAIN:
+            return Answer(AdminReply(changed=()))
+
+
+def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+    return Answer(Ack(accepted=True))
+
+
+def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:
+    job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+    target = terms.catalog[job.scene].info.target(job.target_id)
+    return Pull(lease_of(row), sid, row.sha256, row.size, job, target, via)
+
+
+_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
+    {
+        Verb.HELLO: Hello,
+        Verb.CLAIM: Claim,
+        Verb.BEAT: Beat,
+        Verb.DONE: Done,
+        Verb.FAIL: Fail,
+        Verb.ADMIN: AdminRequest,
+        Verb.PING: Ping,
+    }
+)
+"""What each verb carries; `progress` carries nothing and is answered by a reader."""
+
+_HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
+    {Hello: _hello, Claim: _claim, Beat: _beat, Done: _done, Fail: _fail, AdminRequest: _admin, Ping: _ping}
+)

@@ -1,0 +1,195 @@
+"""What the core answers its gateways: each question turned into fenced work on the ledger. Knows no zenoh.
+
+Like `protocol` for workers; a gateway can do to the ledger what the core's own pullers do, and say what lies with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime
+from types import MappingProxyType
+from typing import Any
+
+from sqlalchemy import bindparam, select
+from sqlalchemy.engine import Connection
+
+from coordinator.expansion.draw import to_job
+from coordinator.ledger import claims, keepers, outcomes
+from coordinator.ledger.moves import JobRow
+from coordinator.ledger.opening import planned_of
+from coordinator.ledger.repair import current_job, record_whole
+from coordinator.ledger.states import OPEN_STATES, State
+from coordinator.ledger.tables import jobs
+from coordinator.protocol.protocol import Answer, Pull, Request, Terms, fail_attempt
+from coordinator.protocol.relay import (
+    MAX_LOST,
+    Archived,
+    Duty,
+    Hold,
+    Inventory,
+    InventoryReply,
+    Join,
+    JoinReply,
+    Order,
+    Orders,
+    Refused,
+    Stray,
+)
+from schemas.base import Model
+from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.keys import Verb
+from schemas.terms import FailReason
+from schemas.wire import Ack, Fail, Refusal, cut_detail
+
+__all__ = ["RELAY_MESSAGES", "orders_for", "serve_gateway"]
+
+Handler = Callable[[Connection, Any, str, Terms, datetime], Model]
+_OF_THE_JOB = (
+    *("split", "scene", "instruction", "target_id", "template_id", "colour", "expert"),
+    *("scene_sha256", "plan_digest", "run"),
+)
+"""What an episode's row repeats of its job under the same name."""
+_MOST_AHEAD = 10_000
+"""Attempts that a file may be ahead of a rebuilt ledger."""
+_DRAW = select(jobs).where(jobs.c.idx == bindparam("index"), jobs.c.draw == bindparam("of_draw"))
+_CURRENT = select(jobs).where(jobs.c.idx.in_(bindparam("indices", expanding=True)), jobs.c.superseded.is_(False))
+
+
+def serve_gateway(connection: Connection, request: Request, terms: Terms, now: datetime) -> Answer:
+    """Does what a gateway asks, within the caller's transaction."""
+    return Answer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
+
+
+def orders_for(pulls: tuple[Pull, ...]) -> Orders:
+    """Returns orders as they are sent."""
+    return Orders(
+        orders=tuple(
+            Order(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target) for p in pulls
+        )
+    )
+
+
+def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: datetime) -> Model:  # noqa: ARG001
+    if join.version != terms.version:
+        return Refusal(
+            error=f"gateway {gateway} runs minivla-factory {join.version}, the coordinator {terms.version}: install "
+            "the same version on both"
+        )
+    if terms.errands is not None:
+        return Refusal(error="what an evaluation brings is small and wanted in one place: connect its workers here")
+    return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)
+
+
+def _hold(connection: Connection, hold: Hold, gateway: str, terms: Terms, now: datetime) -> Model:  # noqa: ARG001
+    return Ack(accepted=claims.extend(connection, hold.lease, now, hold.seconds))
+
+
+def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms, now: datetime) -> Model:
+    summary = told.summary
+    row = connection.execute(_DRAW, {"index": summary.index, "of_draw": summary.draw}).first()
+    if row is None:
+        return Ack(accepted=False)
+    wrong = _contradictions(row, summary, terms)
+    if wrong:
+        return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
+    if keepers.is_kept(connection, summary.index, gateway, summary.file_sha256):
+        return Ack(accepted=True)  # said before, and the answer was lost
+    if told.lease is not None:
+        accepted = outcomes.archive(connection, told.lease, summary, now)
+    else:
+        accepted = _adopt(connection, summary, terms, now)
+    if accepted:
+        keepers.note_keeper(connection, summary.index, gateway)
+    return Ack(accepted=accepted)
+
+
+def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[str]:
+    """Returns the fields in which a told episode is not what its job asks for."""
+    job = to_job(terms.plan, terms.catalog, planned_of(row), summary.attempt)
+    wanted = {
+        "episode_id": job.episode_id,
+        "file_name": file_name_of(job.episode_id),
+        "target_category": job.category,
+        "spawn_tier": job.tier,
+    } | {name: getattr(job, name) for name in _OF_THE_JOB}
+    wrong = [name for name, value in wanted.items() if getattr(summary, name) != value]
+    return wrong if summary.attempt <= row.attempt + _MOST_AHEAD else [*wrong, "attempt"]
+
+
+def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: datetime) -> bool:
+    """Records a file that was published when its gateway or the core died, as long as the job is open.
+
+    A ledger that was rebuilt may stand at an earlier attempt than the file.
+    """
+    row = current_job(connection, summary.index)
+    if row is None or row.state not in OPEN_STATES or row.draw != summary.draw or row.attempt > summary.attempt:
+        return False
+    if row.state == State.SUBMITTED and row.sha256 == summary.file_sha256:
+        return outcomes.adopt(connection, row.id, summary, now)
+    at = (summary.draw, summary.attempt)
+    return record_whole(connection, terms.plan, terms.catalog, summary, now, at) == ""
+
+
+def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, now: datetime) -> Model:
+    report = Fail(
+        sid=told.sid,
+        lease=told.lease,
+        reason=FailReason.INVALID,
+        detail=cut_detail(f"at gateway {gateway}: {told.detail}"),
+    )
+    return Ack(accepted=fail_attempt(connection, report, terms, now))
+
+
+def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
+    if told.is_new and (kept := keepers.count_by_gateway(connection).get(gateway)):
+        return Refusal(
+            error=f"the ledger says that {kept} episodes lie at gateway {gateway}, and its directory is new: "
+            "give the --out it had, or another --name; what is gone for good is made again after "
+            "`factory gather CORE_DIR --requeue-missing`"
+        )
+    files = {index: size for index, size in told.files if told.first <= index <= told.last}
+    owned, wrong = set(), {}
+    for index, size in keepers.kept_by(connection, gateway, told.first, told.last):
+        owned.add(index)
+        if files.get(index) != size:
+            wrong[index] = f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is gone"
+        if len(wrong) == MAX_LOST:
+            break
+    for index, why in wrong.items():
+        outcomes.lose(connection, index, now, f"at gateway {gateway}: {why}")
+    if len(wrong) == MAX_LOST:
+        return InventoryReply(lost=tuple(wrong))
+    strays = tuple(_strays(connection, files.keys() - owned, terms))
+    strays += tuple(Stray(index=index, why=why) for index, why in wrong.items() if index in files)
+    return InventoryReply(strays=strays, lost=tuple(wrong))
+
+
+def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator[Stray]:
+    rows = {row.idx: row for row in connection.execute(_CURRENT, {"indices": sorted(indices)})} if indices else {}
+    for index in sorted(indices):
+        row = rows.get(index)
+        if row is None:
+            yield Stray(index=index, why="the plan has no such episode")
+        elif row.state not in OPEN_STATES:
+            yield Stray(index=index, why=f"the ledger expects no file of it (its job is {row.state})")
+        else:
+            job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+            target = terms.catalog[job.scene].info.target(job.target_id)
+            yield Stray(index=index, why=f"its job is {row.state}", job=job, target=target)
+
+
+RELAY_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
+    {
+        Verb.JOIN: Join,
+        Verb.ORDERS: Duty,
+        Verb.HOLD: Hold,
+        Verb.ARCHIVED: Archived,
+        Verb.REFUSED: Refused,
+        Verb.INVENTORY: Inventory,
+    }
+)
+"""What each verb of a gateway carries; `orders` is answered without the ledger."""
+
+_HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
+    {Join: _join, Hold: _hold, Archived: _archived, Refused: _refused, Inventory: _inventory}
+)

@@ -1,0 +1,195 @@
+"""The coordinator's door to zenoh: its session is the router, its callbacks only hand over, its pulls ask for chunks.
+
+Reads no message and knows no ledger; whatever came in is bytes until `protocol.parse` has seen it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import structlog
+import zenoh
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.protocol.node import Admitted, Node
+from coordinator.protocol.tls import Guard
+from coordinator.protocol.zenoh_config import router_config
+from coordinator.settings import CoordinatorSettings
+from schemas.base import Model
+from schemas.keys import (
+    Chunk,
+    Verb,
+    alive_pattern,
+    parse_chunk,
+    scene_key,
+    scene_pattern,
+    sid_of_alive_key,
+    verb_key,
+    verb_pattern,
+)
+from schemas.support.closing import Closing
+from schemas.wire import Lease
+
+__all__ = ["MAX_KEY_CHARS", "Inquiry", "Router"]
+
+MAX_KEY_CHARS = 400
+"""Of the key that something is asked under: our own have at most 300."""
+
+_MAX_PRESENT = 10_000
+_VERBS = frozenset(verb.value for verb in Verb)
+
+log = structlog.get_logger(__name__)
+
+
+class Inquiry:
+    """One question from outside; it is answered once or dropped, which the asker sees as unknown."""
+
+    def __init__(self, run: str, query: zenoh.Query) -> None:
+        *_, self.host, self.verb = str(query.key_expr).split("/")
+        self.payload = query.payload.to_bytes() if query.payload is not None else b""
+        self._run = run
+        self._query = query
+        self._is_open = True
+
+    def answer(self, reply: Model) -> None:
+        """Sends the reply, if none was sent yet; an asker that is gone is no error."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        # a client that does not know the run asks under a wildcard, but the reply needs a plain key
+        key = verb_key(self._run, self.host, Verb(self.verb)) if self.verb in _VERBS else str(self._query.key_expr)
+        try:
+            with self._query:
+                self._query.reply(key, reply.model_dump_json())
+        except zenoh.ZError as error:
+            log.debug("asker_gone", host=self.host, verb=self.verb, error=str(error))
+
+    def drop(self) -> None:
+        """Leaves the question unanswered; the asker repeats it."""
+        self._is_open = False
+        self._query.drop()
+
+
+class Router(Closing):
+    """An open router session that answers for the coordinator; a context manager.
+
+    Args:
+        run: name of the run in every key.
+        listen: endpoints; port 0 takes a free one.
+        catalog: scenes to serve.
+        settings: the coordinator's.
+        on_inquiry: takes a question and must not block.
+        on_gone: takes the session id of a worker whose link has closed, and must not block.
+        guard: certificates and who is admitted; `None` lets in whoever can connect.
+        connect: endpoints of other routers, whose workers are reached too.
+        files: served beside the scenes, by SHA-256.
+
+    Raises:
+        WorldError: an endpoint cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        run: str,
+        listen: Sequence[str],
+        catalog: Catalog,
+        settings: CoordinatorSettings,
+        on_inquiry: Callable[[Inquiry], None],
+        on_gone: Callable[[str], None],
+        guard: Guard | None = None,
+        connect: Sequence[str] = (),
+        files: Mapping[str, Path] | None = None,
+    ) -> None:
+        self._run = run
+        self._connect = tuple(connect)
+        self._on_inquiry = on_inquiry
+        self._on_gone = on_gone
+        served = {entry.sha256: entry.path for entry in catalog.values()} | dict(files or {})
+        self._scenes = _open_files(run, served)
+        self._settings = settings
+        self._guard = guard
+        self._present: set[str] = set()
+        self._node = Node(listen, self._config, guard.admitted if guard is not None else dict, self._declare)
+        self.endpoints = self._node.endpoints
+        """Endpoints in force, with their ports."""
+
+    def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
+        """Returns a part of a bundle in a worker's spool; see `Node.fetch`."""
+        return self._node.fetch(self._run, sid, lease, chunk, self._settings.pull_timeout_s)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether workers can be heard."""
+        return self._node.is_open
+
+    @property
+    def present(self) -> int:
+        """Workers that are connected."""
+        return len(self._present)
+
+    def admit(self) -> bool:
+        """Opens the session anew when who is admitted has changed; see `Node.admit`."""
+        return self._node.admit()
+
+    def close(self) -> None:
+        """Closes the session."""
+        self._node.close()
+        for descriptor in self._scenes.values():
+            os.close(descriptor)
+        self._scenes = {}
+
+    def _config(self, endpoints: Sequence[str], admitted: Admitted) -> zenoh.Config:
+        files = self._guard.files if self._guard is not None else None
+        return router_config(endpoints, self._settings.transport_lease_s, files, admitted, self._connect)
+
+    def _declare(self, session: zenoh.Session) -> None:
+        self._present.clear()  # whoever comes back to a new session says so
+        session.declare_queryable(verb_pattern(self._run), self._take)
+        session.declare_queryable(scene_pattern(self._run), self._serve_scene)
+        session.liveliness().declare_subscriber(alive_pattern(self._run), self._note_token)
+
+    def _take(self, query: zenoh.Query) -> None:
+        if self._is_key_short(query):
+            self._on_inquiry(Inquiry(self._run, query))
+
+    def _note_token(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if len(key) > MAX_KEY_CHARS:
+            return
+        sid = sid_of_alive_key(key)
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._present.discard(sid)
+            self._on_gone(sid)
+        elif len(self._present) < _MAX_PRESENT:
+            self._present.add(sid)
+
+    @staticmethod
+    def _is_key_short(query: zenoh.Query) -> bool:
+        length = len(str(query.key_expr))
+        if length <= MAX_KEY_CHARS:
+            return True
+        with query:
+            query.reply_err(f"a key of {length} characters; at most {MAX_KEY_CHARS} are read")
+        return False
+
+    def _serve_scene(self, query: zenoh.Query) -> None:
+        if not self._is_key_short(query):
+            return
+        with query:
+            key = str(query.key_expr)
+            descriptor = self._scenes.get(key)
+            if descriptor is None:
+                query.reply_err(f"no scene {key}")
+                return
+            try:
+                chunk = parse_chunk({name: query.parameters.get(name) or "" for name in ("off", "n")})
+            except ValueError as error:
+                query.reply_err(str(error))
+                return
+            query.reply(key, os.pread(descriptor, chunk.length, chunk.offset))
+
+
+def _open_files(run: str, files: Mapping[str, Path]) -> Mapping[str, int]:
+    return {scene_key(run, sha256): os.open(path, os.O_RDONLY | os.O_CLOEXEC) for sha256, path in files.items()}

@@ -1,0 +1,110 @@
+"""The settings of zenoh sessions, measured in notes/zenoh.md: router for those who listen, client for operators.
+
+Builds configurations; opens nothing. Bulk travels in chunks, so that no message needs to be large.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+
+import zenoh
+
+from coordinator.protocol.access import access_control
+from schemas.identity import Role, TlsFiles
+
+__all__ = ["client_config", "router_config"]
+
+_MAX_MESSAGE_BYTES = 4 << 20
+_MAX_SESSIONS, _MAX_ARRIVING = 5000, 4000
+"""The second counts connections without a session yet; beyond it new ones are closed at once, honest ones too."""
+_ARRIVAL_MS = 1000
+"""How long such a connection may take over its handshake. The handshake itself is two round trips. A client that is too
+slow connects again; with zenoh's 10 s, 1,500 idle connections kept everybody out for 13 s."""
+_CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
+"""The second because a close waits for a reconnect under way, and a frozen router answers none: 10 s by default."""
+
+
+def router_config(
+    listen: Sequence[str],
+    lease_s: float,
+    tls: TlsFiles | None = None,
+    admitted: Mapping[str, Role] | None = None,
+    connect: Sequence[str] = (),
+) -> zenoh.Config:
+    """Returns the configuration of a session that is a router: the coordinator's, or a gateway's.
+
+    Args:
+        listen: endpoints such as `tcp/0.0.0.0:7447`.
+        lease_s: silence after which a link is closed.
+        tls: certificate to listen or connect with, asking for one of the same authority; `None` for plain TCP.
+        admitted: with TLS, who may do what when let in; everybody else nothing.
+        connect: endpoints of the core of a gateway or an evaluation, connected to again whenever the link is lost.
+    """
+    values = _common("router", lease_s) | {
+        "listen/endpoints": json.dumps([_with_deadline(endpoint) for endpoint in listen]),
+        "connect/endpoints": json.dumps(list(connect)),
+        "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
+        "transport/unicast/max_sessions": str(_MAX_SESSIONS),
+        "transport/unicast/accept_pending": str(_MAX_ARRIVING),
+        "transport/unicast/accept_timeout": str(_ARRIVAL_MS),
+        "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
+    }
+    if tls is not None and listen:
+        values |= _tls(tls, "listen") | {"access_control": json.dumps(access_control(admitted or {}))}
+    if tls is not None and connect:
+        values |= _tls(tls, "connect")
+    return _config(values)
+
+
+def client_config(connect: Sequence[str], lease_s: float, tls: TlsFiles | None = None) -> zenoh.Config:
+    """Returns the configuration of a client that gives up connecting after two seconds."""
+    values = _common("client", lease_s) | {
+        "listen/endpoints": "[]",
+        "connect/endpoints": json.dumps(list(connect)),
+        "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
+        "connect/exit_on_failure": "true",
+        "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
+    }
+    if tls is not None:
+        values |= _tls(tls, "connect")
+    return _config(values)
+
+
+def _with_deadline(endpoint: str) -> str:
+    """Returns a TLS endpoint with a limit of its own handshake, which zenoh knows as a part of the endpoint only."""
+    if not endpoint.startswith("tls/"):
+        return endpoint
+    return f"{endpoint}{';' if '#' in endpoint else '#'}tls_handshake_timeout_ms={_ARRIVAL_MS}"
+
+
+def _config(values: dict[str, str]) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in values.items():
+        config.insert_json5(key, value)
+    return config
+
+
+def _tls(tls: TlsFiles, side: str) -> dict[str, str]:
+    return {
+        "transport/link/protocols": '["tls"]',
+        "transport/link/tls/root_ca_certificate": json.dumps(str(tls.ca)),
+        "transport/link/tls/enable_mtls": "true",
+        "transport/link/tls/verify_name_on_connect": "true",
+        "transport/link/tls/close_link_on_expiration": "true",
+        f"transport/link/tls/{side}_private_key": json.dumps(str(tls.key)),
+        f"transport/link/tls/{side}_certificate": json.dumps(str(tls.certificate)),
+    }
+
+
+def _common(mode: str, lease_s: float) -> dict[str, str]:
+    return {
+        "mode": json.dumps(mode),
+        "scouting/multicast/enabled": "false",
+        "scouting/gossip/enabled": "false",
+        # shared memory loses queries under load and leaves files behind when a process is killed
+        "transport/shared_memory/enabled": "false",
+        "transport/link/tx/lease": str(round(1000 * lease_s)),
+        "transport/link/rx/max_message_size": str(_MAX_MESSAGE_BYTES),
+        "queries_default_timeout": "5000",
+    }

@@ -1,0 +1,1 @@
+"""Rebuilds a ledger from the episodes on disk, and repairs damaged datasets."""

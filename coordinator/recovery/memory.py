@@ -1,0 +1,91 @@
+"""What a dataset's tables remember of a run whose ledger was lost or is an older copy. Writes to the ledger only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+
+from sqlalchemy import Engine
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.ledger.repair import recall
+from coordinator.recovery.judge import Draws
+from coordinator.tables.checkpoint import count_failures, read_failures
+from coordinator.tables.table_reader import read_column, read_failed_attempts
+from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
+from schemas.dataset import EpisodeSummary
+from schemas.dataset_meta import read_dataset_meta
+from schemas.errors import WorldError
+from schemas.failed_attempt import FailedAttempt
+from schemas.plan import Plan
+from schemas.storage.place import Place
+
+__all__ = ["recall_failures", "validated_files"]
+
+
+def validated_files(root: Place, plan: Plan) -> Mapping[int, str]:
+    """Returns episode -> SHA-256 of the file that was validated, as `metadata.parquet` lists them.
+
+    Args:
+        root: of the dataset.
+        plan: of the run; a table of another one says nothing.
+    """
+    columns = [read_column(root / METADATA_FILE, name) for name in ("index", "file_sha256", "plan_digest")]
+    if any(isinstance(column, str) for column in columns):
+        return {}
+    return {
+        int(index): sha256
+        for index, sha256, digest in zip(*columns, strict=True)
+        if digest == plan.digest and index.isdecimal()
+    }
+
+
+def recall_failures(
+    engine: Engine,
+    root: Place,
+    plan: Plan,
+    catalog: Catalog,
+    now: datetime,
+    whole: Mapping[int, EpisodeSummary],
+) -> None:
+    """Records the failed attempts that `attempts.parquet` lists and the ledger does not know.
+
+    Does nothing while the table is not ahead of the ledger, which is the rule: it is written from the ledger.
+
+    Args:
+        engine: writes the ledger.
+        root: of the dataset.
+        plan: of the run.
+        catalog: of its scenes.
+        now: of the repair.
+        whole: files that are about to be adopted.
+    """
+    with engine.begin() as connection:
+        if not whole and _failed_attempts(root) <= count_failures(connection):
+            return
+        known = list(read_failures(connection))
+        told = list(_of_plan(read_failed_attempts(root / ATTEMPTS_FILE), Draws(plan, catalog, connection)))
+        ends = {index: (summary.draw, summary.attempt) for index, summary in whole.items()}
+        recall(connection, plan, catalog, told, known, now, ends)
+
+
+def _failed_attempts(root: Place) -> int:
+    try:
+        return read_dataset_meta(root).failed_attempts
+    except WorldError:
+        return 0
+
+
+def _of_plan(failures: list[FailedAttempt], draws: Draws) -> Iterator[FailedAttempt]:
+    """Yields the rows that are of the plan's draws: a table of another run must not move an episode."""
+    for one in failures:
+        number = one.episode_id.removeprefix("ep_")
+        planned = draws.planned(int(number), one.draw) if number.isdecimal() else None
+        if planned is not None and (one.scene, one.spawn_tier, one.split, one.target_category, one.target_id) == (
+            planned.scene,
+            planned.tier,
+            planned.split,
+            planned.category,
+            planned.target_id,
+        ):
+            yield one

@@ -1,0 +1,236 @@
+"""Puts a dataset directory right that no coordinator works on: adopts, quarantines, re-queues, rebuilds.
+
+Deletes nothing that could be an episode or a ledger: what it takes away lies in `quarantine/`, the reason beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from sqlalchemy import Engine
+from sqlalchemy.engine import Connection
+
+from coordinator.archive.contract import Archive
+from coordinator.archive.opening import open_archive
+from coordinator.expansion.catalog import Catalog
+from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.opening import holds_run, open_run, read_info
+from coordinator.ledger.outcomes import lose
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.reading.records import read_summaries
+from coordinator.ledger.repair import record_whole
+from coordinator.recovery.memory import recall_failures
+from coordinator.recovery.renewal import set_aside_ledger
+from coordinator.recovery.report import Action, RepairKind, RepairReport
+from coordinator.recovery.survey import Survey, Tell, survey_archive
+from coordinator.tables.card import CARD_FILE
+from coordinator.tables.checkpoint import read_failures, write_checkpoint
+from coordinator.tables.split_faults import find_faults
+from coordinator.tables.split_tables import write_split_tables
+from coordinator.tables.table_reader import read_column
+from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
+from coordinator.transfer.puller import Checker
+from schemas.dataset import EpisodeSummary
+from schemas.dataset_meta import META_FILE, read_dataset_meta
+from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.job import episode_id
+from schemas.plan import Plan
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place, relative_name
+
+__all__ = ["Patient", "repair"]
+
+_LEASE_TTL_S = 15.0
+_LISTED_CHARS = 500
+
+
+@dataclass(frozen=True)
+class Patient:
+    """A dataset directory and what is known of it beforehand."""
+
+    root: Place
+    """Where the dataset lies."""
+    home: Path
+    """Its directory, or for a dataset in object storage that of its ledger, part files and lock."""
+    url: str
+    """Of the ledger."""
+    plan: Plan
+    catalog: Catalog
+    """Of the plan's scenes; those that `scenes` names lie elsewhere than in the directory."""
+    scenes: Mapping[str, str]
+    """Scene name -> why its package in the directory cannot be used."""
+    stranger: str = ""
+    """Why the ledger, whole or not, is not this dataset's; empty when it is, or is lost."""
+
+
+def repair(
+    patient: Patient,
+    checker: Checker,
+    now: datetime,
+    *,
+    apply: bool,
+    take_over: bool = False,
+    tell: Tell = lambda _done, _all: None,
+) -> RepairReport:
+    """Finds what is wrong and, unless it is a dry run, puts it right.
+
+    Args:
+        patient: the directory.
+        checker: validates what might be adopted.
+        now: of the repair.
+        apply: whether to carry out what is found; else nothing is changed.
+        take_over: whether to take a dataset in object storage from a home whose coordinator is gone for good.
+        tell: told how many episodes of how many are looked at.
+
+    Raises:
+        WorldError: a coordinator works on the directory, or the disk refuses.
+        UsageError: the ledger belongs to another plan.
+    """
+    with ExitStack() as stack:
+        archive = stack.enter_context(_open(patient, take_over)) if apply else None
+        trouble = patient.stranger or ledger_trouble(patient.url, patient.catalog)
+        with _reading(patient.url, trouble) as ledger:
+            survey = survey_archive(patient.root, patient.plan, patient.catalog, ledger, checker, tell)
+            actions = [*_of_ledger(trouble), *_of_scenes(patient), *_of(patient.root, survey)]
+            actions += _of_tables(patient, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
+        if archive is not None and actions:
+            _carry_out(patient, archive, survey, trouble, now)
+        return RepairReport(
+            dataset=str(patient.root),
+            run=patient.plan.run,
+            applied=archive is not None,
+            actions=tuple(actions),
+            episodes=survey.whole + len(survey.adopt) + len(survey.restore),
+            planned=patient.plan.episodes,
+        )
+
+
+def _open(patient: Patient, take_over: bool) -> Archive:
+    store = patient.root if isinstance(patient.root, ObjectPath) else None
+    return open_archive(patient.home, store, take_over=take_over)
+
+
+@contextmanager
+def _reading(url: str, trouble: str) -> Iterator[Connection | None]:
+    if trouble:
+        yield None
+        return
+    engine = open_reader(url)
+    try:
+        with engine.connect() as connection:
+            yield connection
+    finally:
+        engine.dispose()
+
+
+def _of_ledger(trouble: str) -> Iterator[Action]:
+    if trouble:
+        yield Action(kind=RepairKind.REBUILD, what="ledger", why=trouble)
+
+
+def _of_scenes(patient: Patient) -> Iterator[Action]:
+    for name, why in patient.scenes.items():
+        yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
+
+
+def _of(root: Place, survey: Survey) -> Iterator[Action]:
+    for summary in survey.adopt:
+        why = f"whole, draw {summary.draw}, attempt {summary.attempt}, and the ledger does not own it"
+        yield Action(kind=RepairKind.ADOPT, what=summary.file_name, why=why)
+    for path, summary in survey.restore:
+        why = f"a whole episode in quarantine, draw {summary.draw}, attempt {summary.attempt}"
+        yield Action(kind=RepairKind.RESTORE, what=relative_name(path, root), why=why)
+    for path, why in survey.quarantine:
+        yield Action(
+            kind=RepairKind.QUARANTINE, what=relative_name(path, root), why=" ".join(why.split())[:_LISTED_CHARS]
+        )
+    for index, why in survey.requeue:
+        yield Action(kind=RepairKind.REQUEUE, what=episode_id(index), why=why)
+
+
+def _of_tables(patient: Patient, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
+    """Says which tables do not say what the ledger says, or will say once the other actions are done."""
+    for name, why in _table_findings(patient.root, ledger).items():
+        yield Action(kind=RepairKind.REWRITE, what=name, why=why)
+    if changes and ledger is not None:
+        yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="follows the actions above")
+
+
+def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
+    found: dict[str, str] = {}
+    digests = read_column(root / METADATA_FILE, "content_digest")
+    if isinstance(digests, str):
+        found[METADATA_FILE] = digests
+    elif ledger is not None:
+        owned = [row.content_digest for row in read_summaries(ledger)]
+        if owned != digests:
+            found[METADATA_FILE] = f"{len(digests)} rows that are not the ledger's {len(owned)}"
+    reasons = read_column(root / ATTEMPTS_FILE, "reason")
+    if isinstance(reasons, str):
+        found[ATTEMPTS_FILE] = reasons
+    elif ledger is not None:
+        failed = sum(1 for _ in read_failures(ledger))
+        if failed != len(reasons):
+            found[ATTEMPTS_FILE] = f"{len(reasons)} rows, the ledger has {failed}"
+    try:
+        read_dataset_meta(root)
+    except WorldError as error:
+        found[META_FILE] = str(error)
+    if not (root / CARD_FILE).is_file():
+        found[CARD_FILE] = "is not there"
+    with suppress(ArchiveCorrupt):  # named above
+        found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
+    return found
+
+
+def _carry_out(patient: Patient, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
+    """Every step may be cut off and done again: files first, then the ledger, the tables last."""
+    for name, why in patient.scenes.items():
+        path = archive.scene_path(name, patient.catalog[name].sha256)
+        if path.exists():
+            archive.quarantine(path, why)
+    for name, entry in patient.catalog.items():
+        archive.add_scene(entry.path, name, entry.sha256)
+    for path, why in survey.quarantine:
+        archive.quarantine(path, why)
+    for path, summary in survey.restore:
+        archive.restore(path, summary.index)
+    if trouble:
+        set_aside_ledger(archive, patient.url, trouble)
+    engine = open_writer(patient.url)
+    try:
+        open_run(engine, patient.plan, patient.catalog, _lease_ttl_of(engine), now)
+        with engine.begin() as connection:
+            for index, why in survey.requeue:
+                lose(connection, index, now, why)
+        whole = [*survey.adopt, *(summary for _, summary in survey.restore)]
+        recall_failures(
+            engine, patient.root, patient.plan, patient.catalog, now, {summary.index: summary for summary in whole}
+        )
+        for summary in whole:
+            _adopt(engine, patient, archive, summary, now)
+        with engine.connect() as connection:
+            write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+        write_split_tables(archive, deep=True)
+    finally:
+        engine.dispose()
+
+
+def _adopt(engine: Engine, patient: Patient, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
+    with engine.begin() as connection:
+        at = (summary.draw, summary.attempt)
+        refusal = record_whole(connection, patient.plan, patient.catalog, summary, now, at, replaces=True)
+        if refusal:
+            connection.rollback()
+    if refusal:
+        archive.quarantine(archive.path_of(summary.index), refusal)
+
+
+def _lease_ttl_of(engine: Engine) -> float:
+    """Returns the lease time the ledger was last run with, so that opening it changes nothing."""
+    with engine.connect() as connection:
+        return read_info(connection).lease_ttl_s if holds_run(connection) else _LEASE_TTL_S

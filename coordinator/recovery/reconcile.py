@@ -1,0 +1,177 @@
+"""Makes ledger and disk agree at start: adopts, quarantines or re-queues whatever the last stop left in between.
+
+Runs before anything else writes. A ledger that was lost, or restored from an older copy, knows less than the disk:
+every whole episode of the plan is adopted. Deletes nothing that could be an episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import cast
+
+import structlog
+from sqlalchemy import Engine, select
+from sqlalchemy.engine import Connection
+
+from coordinator.archive.contract import Archive
+from coordinator.expansion.draw import to_job
+from coordinator.ledger.claims import grant_grace
+from coordinator.ledger.keepers import all_keepers, bring_home
+from coordinator.ledger.opening import planned_of
+from coordinator.ledger.outcomes import lose
+from coordinator.ledger.repair import current_job, record_whole
+from coordinator.ledger.tables import episodes
+from coordinator.protocol.protocol import Terms
+from coordinator.recovery.judge import Draws, Foreign, StrayJudge
+from coordinator.recovery.memory import recall_failures, validated_files
+from coordinator.transfer.puller import Checker, Judge
+from schemas.dataset import EpisodeSummary, Receipt
+from schemas.errors import InvalidBundle, UsageError
+from schemas.storage.place import Place, at_hand
+
+__all__ = ["Reconciled", "reconcile"]
+
+log = structlog.get_logger(__name__)
+
+_Verdict = tuple[Receipt, tuple[int, int]] | str
+"""What the ledger keeps of a whole file with its draw and attempt, or why it is none."""
+
+
+@dataclass
+class Reconciled:
+    """What had to be put right, by episode number."""
+
+    adopted: list[int] = field(default_factory=list)
+    """On disk and whole, and unknown to the ledger."""
+    quarantined: list[Place] = field(default_factory=list)
+    """Damaged, or no episodes of the plan."""
+    requeued: list[int] = field(default_factory=list)
+    """Archived, but the file is gone or damaged."""
+    held: int = 0
+    """Leases that have got their grace."""
+
+
+def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, now: datetime) -> Reconciled:
+    """Brings ledger and archive to agree; the staging directory was emptied when the archive was opened.
+
+    Args:
+        archive: of the run, held exclusively.
+        engine: writes the ledger, which is sound and may lag behind the archive.
+        terms: of the run.
+        checker: judges bundles that are to be adopted.
+        now: leases are granted from here on.
+
+    Raises:
+        TransientError: nothing can be judged on this machine now; what was not judged is where it was.
+        UsageError: the episodes are those of another plan.
+    """
+    result = Reconciled()
+    present = archive.present()
+    with engine.begin() as connection:
+        owned = {row.idx: row.size for row in connection.execute(select(episodes.c.idx, episodes.c.size))}
+        away = all_keepers(connection)
+    unsure = {index: path for index, path in present.items() if path.stat().st_size != owned.get(index)}
+    verdicts = _judge_all(archive, engine, terms, checker, unsure, owned.keys())
+    _require_own_plan(archive, terms, verdicts, len(owned))
+    result.quarantined += [archive.quarantine(path, "no episode by its name") for path in archive.foreign()]
+    with engine.begin() as connection:
+        for index in sorted(owned.keys() - present.keys() - away.keys()):
+            _requeue(connection, index, now, "its file is gone", result)
+        for index in sorted((owned.keys() & present.keys() & away.keys()) - unsure.keys()):
+            bring_home(connection, index)  # `factory gather` was cut off between file and ledger
+        result.held = grant_grace(connection, now, terms.lease_ttl_s)
+    _settle(archive, engine, terms, now, unsure, verdicts, {i: owned[i] for i in owned if i not in away}, result)
+    log.info(
+        "reconciled",
+        archived=len(owned) - len(result.requeued),
+        adopted=len(result.adopted),
+        quarantined=len(result.quarantined),
+        requeued=len(result.requeued),
+        leases=result.held,
+    )
+    return result
+
+
+def _requeue(connection: Connection, index: int, now: datetime, reason: str, result: Reconciled) -> None:
+    if lose(connection, index, now, reason):
+        log.warning("episode_lost", index=index, reason=reason, remedy="it is made anew, with the same content")
+        result.requeued.append(index)
+
+
+def _judge_all(
+    archive: Archive, engine: Engine, terms: Terms, checker: Judge, unsure: Mapping[int, Place], owned: Set[int]
+) -> Mapping[int, _Verdict]:
+    if not unsure:
+        return {}
+    with engine.connect() as ledger:
+        if terms.errands is not None:
+            return {index: _judge_errand(ledger, index, path, terms, checker) for index, path in unsure.items()}
+        validated = validated_files(archive.root, terms.plan)
+        judge = StrayJudge(Draws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated)
+        found = {index: judge.judge(path, index, replaces=index in owned) for index, path in unsure.items()}
+    return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
+
+
+def _judge_errand(ledger: Connection, index: int, path: Place, terms: Terms, checker: Judge) -> _Verdict:
+    """Judges a result of an evaluation, which does not say which attempt it is of: the one in force."""
+    row = current_job(ledger, index)
+    if row is None:
+        return "nothing of that number was asked for"
+    try:
+        job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+        target = terms.catalog[row.scene].info.target(row.target_id)
+        with at_hand(path) as file:
+            return checker.check(file, job, target), (row.draw, row.attempt)
+    except InvalidBundle as error:
+        return str(error)
+
+
+def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Verdict], owned: int) -> None:
+    """Stops before anything is moved when all that is there is of another run: the plan given is wrong, not the files.
+
+    Raises:
+        UsageError: says which run it is.
+    """
+    strange = [found for found in verdicts.values() if isinstance(found, Foreign)]
+    if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
+        raise UsageError(
+            f"{archive.root} holds {len(strange)} episodes, and none of run {terms.plan.run}; the first is "
+            f"{strange[0]}: give the plan that it was begun with, or choose another --out"
+        )
+
+
+def _settle(
+    archive: Archive,
+    engine: Engine,
+    terms: Terms,
+    now: datetime,
+    unsure: Mapping[int, Place],
+    verdicts: Mapping[int, _Verdict],
+    owned: Mapping[int, int],
+    result: Reconciled,
+) -> None:
+    whole = {index: found[0] for index, found in verdicts.items() if not isinstance(found, str)}
+    episodes_found = {index: found for index, found in whole.items() if isinstance(found, EpisodeSummary)}
+    if terms.errands is None:
+        recall_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
+    for index, found in verdicts.items():
+        refusal = found if isinstance(found, str) else _adopt(engine, terms, *found, now)
+        if not refusal:
+            result.adopted.append(index)
+            continue
+        if index in owned:
+            refusal = f"{unsure[index].stat().st_size} bytes, the ledger says {owned[index]}; {refusal}"
+        result.quarantined.append(archive.quarantine(unsure[index], refusal))
+        if index in owned:
+            with engine.begin() as connection:
+                _requeue(connection, index, now, refusal, result)
+
+
+def _adopt(engine: Engine, terms: Terms, receipt: Receipt, at: tuple[int, int], now: datetime) -> str:
+    with engine.begin() as connection:
+        refusal = record_whole(connection, terms.plan, terms.catalog, receipt, now, at, replaces=True)
+        if refusal:
+            connection.rollback()
+    return refusal

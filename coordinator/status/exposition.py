@@ -1,0 +1,119 @@
+"""The door to prometheus-client: a snapshot of a coordinator as Prometheus reads it. Computes nothing of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from coordinator.meters import Meter
+from coordinator.status.vitals import Snapshot
+from schemas.support.extras import missing_package
+from schemas.wire import Progress
+
+if TYPE_CHECKING:
+    from prometheus_client.core import Metric
+
+__all__ = ["Exposition"]
+
+_COUNTERS = (
+    (Meter.CLAIMS, "minivla_claims", "Jobs given out by this process."),
+    (Meter.ARCHIVED, "minivla_archived", "Episodes archived by this process."),
+    (Meter.PULLED_BYTES, "minivla_pull_bytes", "Bytes of bundles fetched by this process."),
+    (Meter.PULLS_FAILED, "minivla_pulls_failed", "Fetches that broke off; they are repeated."),
+    (Meter.REFUSED, "minivla_bundles_refused", "Bundles that validation refused."),
+    (Meter.EXPIRED, "minivla_lease_expiries", "Leases that ran out while this process watched."),
+)
+
+
+class Exposition:
+    """Renders figures when asked.
+
+    Args:
+        snapshot: takes the figures.
+
+    Raises:
+        UsageError: prometheus-client is not installed.
+    """
+
+    def __init__(self, snapshot: Callable[[], Snapshot]) -> None:
+        try:
+            import prometheus_client
+            from prometheus_client import core
+        except ImportError as error:
+            raise missing_package("prometheus_client", "--http") from error
+        self._snapshot = snapshot
+        self._core: Any = core
+        self._generate = prometheus_client.generate_latest
+        self.content_type: str = prometheus_client.CONTENT_TYPE_LATEST
+        """Of `page`."""
+        self._registry = prometheus_client.CollectorRegistry()
+        prometheus_client.ProcessCollector(registry=self._registry)
+        self._registry.register(self)
+
+    def page(self) -> bytes:
+        """Returns the figures of now in Prometheus' text format."""
+        return bytes(self._generate(self._registry))
+
+    def describe(self) -> list[Metric]:
+        """Tells the registry no names beforehand, so that registering takes no figures."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """Yields every metric; called by the registry."""
+        snapshot = self._snapshot()
+        if snapshot.progress is not None:
+            yield from self._of_ledger(snapshot, snapshot.progress)
+        yield from self._of_process(snapshot)
+
+    def _of_ledger(self, snapshot: Snapshot, progress: Progress) -> Iterator[Metric]:
+        yield self._gauges("minivla_jobs", "Episodes by the state of their current draw.", "state", progress.jobs)
+        cells = {
+            (scene, state): count for scene, states in progress.by_scene.items() for state, count in states.items()
+        }
+        by_scene = self._core.GaugeMetricFamily("minivla_scene_jobs", "The same by scene.", labels=("scene", "state"))
+        for labels, count in cells.items():
+            by_scene.add_metric(labels, count)
+        yield by_scene
+        yield self._gauge("minivla_episodes_planned", "Episodes of the plan.", progress.planned)
+        yield self._gauge("minivla_episodes", "Episodes archived.", progress.jobs.get("archived", 0))
+        kept = progress.by_gateway
+        yield self._gauges("minivla_gateway_episodes", "Of these, those that a gateway keeps.", "gateway", kept)
+        yield self._gauge("minivla_frames", "Frames archived.", snapshot.frames)
+        yield self._gauges("minivla_attempts", "Attempts by outcome.", "outcome", progress.attempts)
+        yield self._gauge("minivla_draws_given_up", "Draws replaced as hopeless.", progress.redrawn)
+        alive = [worker for worker in progress.workers if worker.alive]
+        yield self._gauge("minivla_workers_alive", "Workers heard of within a lease.", len(alive))
+        yield self._gauge("minivla_slots_alive", "Simulations those workers run.", sum(w.slots for w in alive))
+        if progress.episodes_per_hour is not None:
+            yield self._gauge("minivla_episodes_per_hour", "Over ten minutes.", progress.episodes_per_hour)
+        if progress.eta_s is not None:
+            yield self._gauge("minivla_eta_seconds", "To the end at that rate.", progress.eta_s)
+        yield self._gauge("minivla_finished", "1 when no job can change any more.", float(progress.finished))
+
+    def _of_process(self, snapshot: Snapshot) -> Iterator[Metric]:
+        requests = self._core.CounterMetricFamily("minivla_requests", "Questions of workers.", labels=("verb",))
+        for verb, count in sorted(snapshot.requests.items()):
+            requests.add_metric((verb,), count)
+        yield requests
+        for meter, name, text in _COUNTERS:
+            yield self._core.CounterMetricFamily(name, text, value=snapshot.sums[meter])
+        yield self._core.SummaryMetricFamily(
+            "minivla_validation_seconds",
+            "Wall time of validations.",
+            count_value=snapshot.sums[Meter.VALIDATIONS],
+            sum_value=snapshot.sums[Meter.VALIDATION_S],
+        )
+        yield self._gauge("minivla_disk_free_bytes", "Free on the archive's disk.", snapshot.free_bytes)
+        yield self._gauge("minivla_disk_reserve_bytes", "Below this nothing is given out.", snapshot.reserve_bytes)
+        yield self._gauge("minivla_ledger_backlog", "Requests that wait for the ledger.", snapshot.backlog)
+
+    def _gauge(self, name: str, text: str, value: float) -> Metric:
+        family: Metric = self._core.GaugeMetricFamily(name, text, value=value)
+        return family
+
+    def _gauges(self, name: str, text: str, label: str, values: dict[str, int]) -> Metric:
+        family: Any = self._core.GaugeMetricFamily(name, text, labels=(label,))
+        for key, value in sorted(values.items()):
+            family.add_metric((key,), value)
+        found: Metric = family
+        return found

@@ -1,0 +1,151 @@
+"""The door to tornado: serves the status pages from one thread, to a bounded number of clients for a bounded time.
+
+GET and HEAD only, and only under the names of this machine, so that no web page can have a browser read them (DNS
+rebinding). Tornado was chosen for its deadline over a whole request; other servers limit the pause between two bytes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from http import HTTPStatus
+from socket import AF_INET, AF_INET6, create_server, socket
+
+import structlog
+from tornado.httpserver import HTTPServer
+from tornado.iostream import IOStream
+from tornado.web import Application, RequestHandler
+
+from coordinator.status.address import HttpAddress, is_own_name
+from coordinator.status.pages import Pages, say
+from coordinator.status.vitals import Watched
+from schemas.errors import WorldError
+from schemas.support.closing import Closing
+
+__all__ = ["StatusServer"]
+
+_REQUEST_S = 5.0
+"""Until a request must be here as a whole."""
+_CONNECTION_S = 15.0
+"""Until an answer must have been taken; a look at a slow ledger takes up to 5 s."""
+_MOST_CONNECTIONS = 256
+"""When there are more the oldest is closed: an honest client has its answer within milliseconds."""
+_MOST_HEADER_BYTES = 16 << 10
+_THREADS = 8
+
+log = structlog.get_logger(__name__)
+
+
+class StatusServer(Closing):
+    """An open server; a context manager whose exit closes it.
+
+    Args:
+        address: where to listen.
+        vitals: of the coordinator, or of a gateway.
+        token: that `/metrics` asks for as `Authorization: Bearer TOKEN`; `None` asks for none.
+
+    Raises:
+        WorldError: the address is taken.
+        UsageError: the extra `metrics` is not installed.
+    """
+
+    def __init__(self, address: HttpAddress, vitals: Watched, token: str | None = None) -> None:
+        pages = Pages(vitals, token)
+        try:
+            listening = create_server((address.host, address.port), family=AF_INET6 if ":" in address.host else AF_INET)
+        except OSError as error:
+            raise WorldError(
+                f"cannot serve status pages on {address.host}:{address.port}: {error.strerror or error}; give another "
+                "address with --http"
+            ) from error
+        listening.setblocking(False)
+        host, port = listening.getsockname()[:2]
+        self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
+        """Where it listens."""
+        self._loop = asyncio.new_event_loop()
+        self._closing = asyncio.Event()
+        serve = self._serve(listening, address, pages)
+        self._thread = threading.Thread(target=self._loop.run_until_complete, args=(serve,), name="http")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stops listening and closes all connections."""
+        self._loop.call_soon_threadsafe(self._closing.set)
+        self._thread.join()
+        self._loop.close()
+
+    async def _serve(self, listening: socket, address: HttpAddress, pages: Pages) -> None:
+        threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="http-page")
+        settings = {"pages": pages, "threads": threads, "address": address}
+        server = _Server(
+            Application([(".*", _Handler, settings)], log_function=_note),
+            no_keep_alive=True,
+            idle_connection_timeout=_REQUEST_S,
+            body_timeout=_REQUEST_S,
+            max_header_size=_MOST_HEADER_BYTES,
+            max_body_size=_MOST_HEADER_BYTES,
+        )
+        server.add_socket(listening)
+        await self._closing.wait()
+        server.stop()
+        await server.close_all_connections()
+        threads.shutdown(wait=False, cancel_futures=True)
+
+
+class _Server(HTTPServer):
+    """Closes a connection that lasts too long, and the oldest where there are too many."""
+
+    def initialize(self, *args: object, **kwargs: object) -> None:
+        super().initialize(*args, **kwargs)  # type: ignore[arg-type]
+        self._streams: list[IOStream] = []
+
+    def handle_stream(self, stream: IOStream, address: tuple[str, int]) -> None:
+        self._streams = [other for other in self._streams if not other.closed()]
+        if len(self._streams) >= _MOST_CONNECTIONS:
+            self._streams.pop(0).close()
+        self._streams.append(stream)
+        asyncio.get_running_loop().call_later(_CONNECTION_S, stream.close)
+        super().handle_stream(stream, address)
+
+
+class _Handler(RequestHandler):
+    """Answers one request."""
+
+    def initialize(self, pages: Pages, threads: ThreadPoolExecutor, address: HttpAddress) -> None:
+        self._pages, self._threads, self._address = pages, threads, address
+
+    def set_default_headers(self) -> None:
+        self.set_header("Server", "minivla-factory")
+
+    async def get(self) -> None:
+        host = self.request.headers.get("Host")
+        if host is not None and not is_own_name(host, self._address):
+            status, kind, body = say(HTTPStatus.MISDIRECTED_REQUEST, f"not served as {host[:80]}: ask by the address")
+        else:
+            status, kind, body = await self._answer()
+        self.set_status(status)
+        self.set_header("Content-Type", kind)
+        if status is HTTPStatus.UNAUTHORIZED:
+            self.set_header("WWW-Authenticate", "Bearer")
+        self.finish(body)
+
+    head = get
+
+    async def _answer(self) -> tuple[HTTPStatus, str, bytes]:
+        asked = (self.request.path, self.request.headers.get("Authorization", ""))
+        if self.request.path == "/healthz":
+            return self._pages.answer(*asked)  # at once, whatever the threads wait for
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._threads, self._pages.answer, *asked)
+        except Exception:
+            log.exception("status_page_failed", path=self.request.path[:80])
+            return say(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; the coordinator's log says more")
+
+    def compute_etag(self) -> None:
+        """Gives none: figures change with every answer."""
+
+
+def _note(handler: RequestHandler) -> None:
+    request = handler.request
+    log.debug("http", status=handler.get_status(), method=request.method, uri=request.uri, client=request.remote_ip)

@@ -1,0 +1,1 @@
+"""Writes the Parquet tables, the metadata and the card of a dataset."""

@@ -1,0 +1,209 @@
+"""The dataset card (`README.md` of a dataset): what it holds, how to read it, in the form of the hubs. Text only."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable
+
+from coordinator.tables.card_configs import spell_configs, split_configs
+from coordinator.tables.tally import Sums, Tally
+from schemas.dataset_meta import DatasetMeta
+from schemas.language import TEMPLATES
+from schemas.terms import Split, Tier
+
+__all__ = ["CARD_FILE", "dataset_card"]
+
+CARD_FILE = "README.md"
+
+_SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+_SPLITS = {
+    Split.TRAIN_ID: "seen categories, training phrases",
+    Split.VAL_ID: "the same, for validation",
+    Split.TEST_ID: "the same, held out for testing",
+    Split.TEST_PARAPHRASE_OOD: "seen categories, phrases that training lacks",
+    Split.TEST_OOD_OBJ: "categories that training lacks, training phrases",
+}
+
+_CARD = """\
+---
+license: cc-by-4.0
+language:
+- en
+pretty_name: {pretty}
+task_categories:
+- robotics
+tags:
+- robotics
+- navigation
+- imitation-learning
+- vision-language-action
+- simulation
+- pybullet
+- nova-carter
+- differential-drive
+- language-conditioned
+- depth
+- segmentation
+size_categories:
+- {size}
+{configs}---
+# {run}
+
+{episodes} of {planned} planned episodes{state} of language-conditioned robot navigation. A Nova Carter is told in
+English which object to drive to, sees colour, depth and instance ids at {hz} Hz, and stops within {radius:g} m of it.
+
+## How it was made
+With minivla-factory {version}, simulated in PyBullet and drawn by
+{renderers}. Plan `{plan}`, seed {seed}; the `{expert}` expert drove, with the true pose of its target; nothing was
+recorded from people. Every planned cell of scene, split and tier is filled exactly; an attempt that fails is repeated
+and recorded in `attempts.parquet`. Plan, versions and digests are in `dataset_meta.json`: with the same software,
+`factory replay` makes any episode again, to the bit.
+
+## What it holds
+{scenes}
+
+{tiers}
+
+Categories: {categories}.
+
+{splits}
+
+## Files
+- `metadata.parquet`: one row an episode. `episode_id`, `split`, `scene`, `instruction`, `target_category`, `target_id`,
+  `spawn_tier`, `spawn_dist_m`, `num_steps`, `trajectory_length_m`, `final_ne_m`, `collision_count`, `template_id`, then
+  colour, expert, draw, attempt, start and goal, digests, file name and size, software and renderer, `geodesic_m`
+  (the shortest way along the floor to the success circle, the l of SPL), and `instance_side` (see Splits).
+- `episodes/ep_000001.zip`: an episode of T frames at {hz} Hz, members stored: `rgb_front/*.png` (640 x 640, 8 bit),
+  `depth_front/*.npy.zst` (float32 metres along the optical axis, 0 is nothing), `seg_front/*.png` (16-bit instance ids,
+  table in `meta.json`), `actions_continuous.npy` (v in m/s, w in rad/s), `actions_tokens.npy` (7 x 7 grid), `poses.npy`
+  (x, y, z, qw, qx, qy, qz of base_link in the world), `meta.json`. Frame t is what the robot saw before action t.
+- `data/<split>-*.parquet`: the same rows by split, with a `thumbnail` (frame 0, JPEG, 160 x 160), written when
+  the run ends.
+- `attempts.parquet`: every failed attempt ({failed}) with its reason.
+- `scenes/`: the compiled scenes. `dataset_meta.json`: plan, seed, versions, digest.
+
+## How to load it
+Rows and thumbnails by split, with no software of ours:
+
+```python
+from datasets import load_dataset
+
+splits = load_dataset("PATH_OR_REPOSITORY")  # train_id, val_id, test_id, ...: each split that has episodes
+splits["train_id"][0]["instruction"], splits["train_id"][0]["thumbnail"]  # a PIL image
+```
+
+Until the run has ended once, `datasets` finds one table, calls it `train`, and the column `split` tells the split.
+`load_dataset(PATH, "metadata")` is that table of all splits at any time, `"attempts"` the failed attempts. All frames
+are in `episodes/`; `factory export --to webdataset` writes them for `datasets`. With frames and actions, where
+minivla-factory is installed:
+
+```python
+from minivla import Dataset
+
+for episode in Dataset(".").filter(split="train_id"):
+    print(episode.instruction, episode.rgb(0).shape, episode.actions.shape)
+```
+
+`factory verify . --deep` checks every byte; `factory stats .` prints all tables.
+
+## Limitations
+- Simulated: no noise of sensors or wheels, no people, light that does not change; expect a gap to real robots.
+- Every episode kept is a success. What failed is in `attempts.parquet`, so that selection by the expert can be
+  corrected for; there are no recoveries from errors in the data.
+- {expert_limit}
+- Instructions come from {templates} English templates; `phrase_is_unique` says whether the words fit one object only.
+- Distances follow the tiers' ranges as far as rooms allow: objects without a long free line have short starts only.
+
+## Licence
+The data are under [CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/).
+"""
+_STRAIGHT = (
+    "The expert knows where its target is and drives straight: near and mid starts have a free straight line to it, "
+    "so nothing teaches to go around things."
+)
+_PLANNED = "The expert knows the floor plan; what it does around corners cannot always be told from its camera alone."
+
+
+def dataset_card(meta: DatasetMeta, tally: Tally, with_tables: Collection[str] = ()) -> str:
+    """Returns the card.
+
+    Args:
+        meta: of the dataset.
+        tally: of all its rows.
+        with_tables: splits that have split tables.
+    """
+    return _CARD.format(
+        configs=spell_configs(split_configs(with_tables, meta.episodes, meta.failed_attempts)),
+        size=next((name for limit, name in _SIZES if meta.episodes < limit), "n>1M"),
+        pretty=f"MiniVLA-Nav, {meta.plan.name}",
+        run=meta.run,
+        plan=meta.plan.name,
+        episodes=meta.episodes,
+        planned=meta.planned,
+        state="" if meta.complete else " so far",
+        seed=meta.seed,
+        expert=meta.plan.expert,
+        version=meta.software.get("minivla-factory", "(not installed)"),
+        renderers=" and ".join(meta.renderers) or "no renderer yet",
+        radius=meta.plan.task.success_radius_m,
+        hz=meta.plan.task.control_hz,
+        failed=meta.failed_attempts,
+        scenes=_scene_table(tally),
+        tiers=_tier_table(tally),
+        splits=_split_part(meta, tally),
+        categories=", ".join(f"{name} {n}" for name, n in sorted(tally.categories.items())) or "none yet",
+        expert_limit=_PLANNED if meta.plan.expert == "planner" else _STRAIGHT,
+        templates=len(TEMPLATES),
+    )
+
+
+def _scene_table(tally: Tally) -> str:
+    rows = []
+    for scene in sorted(tally.scenes.keys() | tally.refused.keys()):
+        found, refused = tally.scenes[scene], tally.refused[scene]
+        share = f"{100 * found.episodes / (found.episodes + refused):.0f} %" if found.episodes + refused else "-"
+        rows.append((scene, *_means(found), str(found.episodes + refused), share))
+    head = ("scene", "episodes", "steps", "start m", "TL m", "NE m", "attempts", "succeeded")
+    return "Means of the episodes; attempts are those that the world decided.\n\n" + _table(head, rows)
+
+
+def _tier_table(tally: Tally) -> str:
+    rows = [(str(tier), *_means(tally.tiers[str(tier)])) for tier in Tier if str(tier) in tally.tiers]
+    return _table(("spawn tier", "episodes", "steps", "start m", "TL m", "NE m"), rows)
+
+
+def _split_part(meta: DatasetMeta, tally: Tally) -> str:
+    scenes = sorted({scene for scene, _, _ in tally.counts})
+    count: Counter[tuple[str, str]] = Counter()
+    for (scene, split, _), number in tally.counts.items():
+        count[scene, split] += number
+    rows = []
+    for split, meaning in _SPLITS.items():
+        numbers = [count[scene, str(split)] for scene in scenes]
+        if sum(numbers):
+            rows.append((str(split), meaning, *map(str, [*numbers, sum(numbers)])))
+    return "## Splits\n" + _table(("split", "what", *scenes, "all"), rows) + "\n\n" + _say_sides(meta)
+
+
+def _say_sides(meta: DatasetMeta) -> str:
+    if meta.shared_instances is None:
+        return "Training and evaluation may name the same instances; `factory stats` counts how many they share."
+    kept = "No instance that `train_id` names is named by `val_id`, `test_id` or `test_paraphrase_ood`"
+    shared = [f"{scene}: {', '.join(names)}" for scene, names in meta.shared_instances.items() if names]
+    if not shared:
+        return f"{kept}."
+    places = "; ".join(shared)
+    return f"{kept}, but where a scene has too few of a category ({places}): there `instance_side` is `shared`."
+
+
+def _means(sums: Sums) -> tuple[str, ...]:
+    n = sums.episodes
+    if n == 0:
+        return ("0", "-", "-", "-", "-")
+    lengths = f"{sums.spawn_dist_m / n:.2f}", f"{sums.trajectory_length_m / n:.2f}", f"{sums.final_ne_m / n:.3f}"
+    return (str(n), f"{sums.steps / n:.1f}", *lengths)
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])

@@ -1,0 +1,70 @@
+"""The `configs` of a dataset card: which files are which configuration and split. Text, and a look at file names.
+
+`datasets` and the Hub's viewer read them: a split that is listed must have files, a split without files is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from schemas.storage.place import Place, children
+from schemas.terms import Split
+
+__all__ = [
+    "SPLITS_FOLDER",
+    "Configs",
+    "names_split_tables",
+    "spell_configs",
+    "split_configs",
+    "splits_at",
+    "with_configs",
+]
+
+SPLITS_FOLDER = "data"
+"""Folder of the split tables, below the dataset's directory."""
+_BEGIN, _END = "configs:", "---\n"
+
+Configs = Mapping[str, Mapping[str, str]]
+"""Name of a configuration -> split -> path or pattern of its files; the first configuration is the default."""
+
+
+def split_configs(splits: Collection[str], episodes: int, failed_attempts: int) -> Configs:
+    """Returns the configurations of a dataset; those without rows, which `datasets` cannot load, are left out.
+
+    Args:
+        splits: that have split tables; without any the default is `metadata.parquet`, whose rows are all `train`.
+        episodes: rows of `metadata.parquet`.
+        failed_attempts: rows of `attempts.parquet`.
+    """
+    everything = {"train": "metadata.parquet"}
+    files = {split: f"{SPLITS_FOLDER}/{split}-*.parquet" for split in splits} or everything
+    configs = {"default": files, "metadata": everything} if episodes else {}
+    return configs | ({"attempts": {"train": "attempts.parquet"}} if failed_attempts else {})
+
+
+def splits_at(root: Place) -> tuple[str, ...]:
+    """Returns the splits that have split tables in a dataset, in the order of `Split`."""
+    names = [place.name for place in children(root / SPLITS_FOLDER)]
+    return tuple(str(split) for split in Split if any(name.startswith(f"{split}-") for name in names))
+
+
+def spell_configs(configs: Configs) -> str:
+    """Returns the lines of a card's front matter."""
+    lines = ["configs:" if configs else "configs: []"]
+    for number, (name, files) in enumerate(configs.items()):
+        lines += [f"- config_name: {name}", *(["  default: true"] if number == 0 else []), "  data_files:"]
+        lines += [line for split, path in files.items() for line in (f"  - split: {split}", f"    path: {path}")]
+    return "\n".join(lines) + "\n"
+
+
+def with_configs(card: str, configs: Configs) -> str:
+    """Returns a card with other configurations; a card without any is returned as it is."""
+    before, begin, rest = card.partition(_BEGIN)
+    _, end, after = rest.partition(_END)
+    return before + spell_configs(configs) + end + after if begin and end else card
+
+
+def names_split_tables(card: str) -> bool:
+    """Returns whether a card's configurations name split tables."""
+    configs = card.partition(_BEGIN)[2].partition(_END)[0]
+    return f"path: {SPLITS_FOLDER}/" in configs

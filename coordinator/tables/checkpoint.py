@@ -1,0 +1,105 @@
+"""Writes the dataset's tables as the ledger stands: every archived episode, every attempt that brought none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+
+from sqlalchemy import func, select
+from sqlalchemy.engine import Connection
+
+from coordinator.archive.contract import Archive
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.instances import all_sides, shared_categories
+from coordinator.ledger.outcomes import SUCCESS
+from coordinator.ledger.reading.records import LedgerEpisodes
+from coordinator.ledger.tables import attempts, episodes, jobs
+from coordinator.tables.write import write_tables
+from schemas.dataset_meta import DatasetMeta, GateOutcome, read_dataset_meta
+from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.failed_attempt import FailedAttempt
+from schemas.job import episode_id
+from schemas.plan import Plan
+from schemas.terms import Split, Tier
+
+__all__ = ["count_failures", "is_checkpoint_owed", "read_failures", "write_checkpoint"]
+
+_YIELD_ROWS = 1000
+
+
+def write_checkpoint(
+    archive: Archive,
+    connection: Connection,
+    plan: Plan,
+    catalog: Catalog,
+    now: datetime,
+    gate: Sequence[GateOutcome] = (),
+    *,
+    anew: bool = True,
+) -> DatasetMeta:
+    """Writes the tables, each replaced as a whole; arguments as of `write_tables`.
+
+    Raises:
+        WorldError: the disk is full or gone; the tables are as they were.
+    """
+    scenes = {name: entry.sha256 for name, entry in catalog.items()}
+    sides = all_sides(plan, catalog)
+    shared = {name: shared_categories(found, catalog[name]) for name, found in sides.items()}
+    return write_tables(
+        archive,
+        plan,
+        scenes,
+        LedgerEpisodes(connection),
+        read_failures(connection),
+        now,
+        sides,
+        shared if plan.disjoint_instances else None,
+        gate,
+        anew=anew,
+    )
+
+
+def is_checkpoint_owed(archive: Archive, connection: Connection) -> bool:
+    """Whether the tables lag behind the ledger: the last coordinator was killed, or its store away, at the end."""
+    archived = connection.execute(select(func.count()).select_from(episodes)).scalar_one()
+    counts = (archived, count_failures(connection))
+    try:
+        meta = read_dataset_meta(archive.root)
+    except ArchiveCorrupt:
+        return True
+    except WorldError:
+        return any(counts)
+    return (meta.episodes, meta.failed_attempts) != counts
+
+
+def count_failures(connection: Connection) -> int:
+    """Returns how many attempts brought no episode."""
+    failed = select(func.count()).select_from(attempts).where(attempts.c.outcome != SUCCESS)
+    return int(connection.execute(failed).scalar_one())
+
+
+def read_failures(connection: Connection) -> Iterator[FailedAttempt]:
+    """Yields the attempts that brought no episode, in the order of episode, attempt and time."""
+    query = (
+        select(attempts, jobs.c.scene, jobs.c.tier, jobs.c.split, jobs.c.category, jobs.c.target_id)
+        .join(jobs, jobs.c.id == attempts.c.job_id)
+        .where(attempts.c.outcome != SUCCESS)
+        .order_by(attempts.c.idx, attempts.c.attempt, attempts.c.id)
+    )
+    for row in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
+        yield FailedAttempt(
+            episode_id=episode_id(row.idx),
+            draw=row.draw,
+            attempt=row.attempt,
+            scene=row.scene,
+            spawn_tier=Tier(row.tier),
+            split=Split(row.split),
+            target_category=row.category,
+            target_id=row.target_id,
+            reason=row.outcome,
+            detail=row.detail,
+            steps=row.steps,
+            seconds=row.seconds,
+            worker=row.sid,
+            at=datetime.fromtimestamp(row.at, UTC),
+        )

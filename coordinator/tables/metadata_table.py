@@ -1,0 +1,171 @@
+"""`metadata.parquet`: written in row groups of the plan's numbers; a group whose files are unchanged is taken as it is.
+
+What decides is the SHA-256 of each episode's file, which all of its row follows from. So the same ledger gives the same
+bytes, whatever was written before, and nothing has to be remembered between two writings.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import Any, Protocol
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from coordinator.archive.contract import Archive
+from coordinator.expansion.instances import Sides
+from coordinator.tables.tally import Tally
+from schemas.base import Model
+from schemas.dataset import EpisodeSummary
+from schemas.storage.place import Place, table_of
+from schemas.support.foreign import PARSER_ERRORS
+
+__all__ = ["GROUP_ROWS", "Episodes", "ListedEpisodes", "plain_row", "write_metadata"]
+
+GROUP_ROWS = 2000
+"""Numbers of the plan that share a row group."""
+_SUMS = ("num_steps", "spawn_dist_m", "trajectory_length_m", "final_ne_m")
+_CELL = ["scene", "split", "spawn_tier"]
+
+
+class Episodes(Protocol):
+    """The archived episodes of a run, in the order of the plan."""
+
+    def digests(self) -> Iterator[tuple[int, str]]:
+        """Yields number and SHA-256 of the file of each, in ascending order."""
+
+    def rows(self, first: int, last: int) -> Iterable[EpisodeSummary]:
+        """Returns the rows of those between two numbers, both included, in ascending order."""
+
+
+class ListedEpisodes:
+    """Episodes that are at hand.
+
+    Args:
+        rows: in ascending order.
+    """
+
+    def __init__(self, rows: Iterable[EpisodeSummary]) -> None:
+        self._rows = list(rows)
+
+    def digests(self) -> Iterator[tuple[int, str]]:
+        """See `Episodes`."""
+        return ((row.index, row.file_sha256) for row in self._rows)
+
+    def rows(self, first: int, last: int) -> Iterable[EpisodeSummary]:
+        """See `Episodes`."""
+        return [row for row in self._rows if first <= row.index <= last]
+
+
+def write_metadata(
+    archive: Archive,
+    name: str,
+    schema: pa.Schema,
+    side_column: str,
+    episodes: Episodes,
+    sides: Mapping[str, Sides],
+    tally: Tally,
+    *,
+    anew: bool,
+) -> int:
+    """Writes the table, group by group, and counts what it says.
+
+    Args:
+        archive: open, and thereby ours.
+        name: of the file.
+        schema: of its columns.
+        side_column: column that says who may name the target.
+        episodes: of the ledger.
+        sides: scene name -> side of each instance.
+        tally: adds up what the rows say.
+        anew: whether to take nothing from the table that is there.
+
+    Returns:
+        How many rows it has.
+
+    Raises:
+        WorldError: the disk is full or gone; the former table is as it was.
+    """
+    former, count = None if anew else _Former(archive.root / name, schema), 0
+    with archive.replacing(name) as path, pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for number, found in groupby(episodes.digests(), lambda one: (one[0] - 1) // GROUP_ROWS):
+            digests = list(found)
+            table = former.group(digests) if former is not None else None
+            if table is None:
+                rows = episodes.rows(number * GROUP_ROWS + 1, (number + 1) * GROUP_ROWS)
+                plain = [{**plain_row(row), side_column: _side(sides, row)} for row in rows]
+                table = pa.Table.from_pylist(plain, schema=schema)
+            writer.write_table(table, row_group_size=GROUP_ROWS)
+            _add(tally, table)
+            count += len(digests)
+    return count
+
+
+def plain_row(row: Model) -> dict[str, Any]:
+    """Returns a model of flat fields as a row of a table."""
+    values = {name: getattr(row, name) for name in type(row).model_fields}
+    return {name: str(value) if isinstance(value, enum.StrEnum) else value for name, value in values.items()}
+
+
+class _Former:
+    """The groups of the table that is there; none when it cannot be read or has other columns."""
+
+    def __init__(self, path: Place, schema: pa.Schema) -> None:
+        self._schema = schema
+        self._places: dict[int, int] = {}
+        try:
+            self._file = pq.ParquetFile(table_of(path))
+            if self._file.schema_arrow.equals(schema):
+                self._places = {first: group for group, first in self._firsts()}
+        except (pa.ArrowException, *PARSER_ERRORS):
+            self._places = {}
+
+    def group(self, digests: Sequence[tuple[int, str]]) -> pa.Table | None:
+        """Returns the rows of those episodes, if a group holds them and no others."""
+        place = self._places.get(digests[0][0])
+        if place is None:
+            return None
+        try:
+            known = self._file.read_row_group(place, columns=["index", "file_sha256"])
+            if list(zip(known["index"].to_pylist(), known["file_sha256"].to_pylist(), strict=True)) != digests:
+                return None
+            return self._file.read_row_group(place).cast(self._schema)
+        except (pa.ArrowException, *PARSER_ERRORS):
+            return None
+
+    def _firsts(self) -> Iterator[tuple[int, int]]:
+        """Yields each group with its first number, as the statistics of the file say."""
+        column = self._schema.get_field_index("index")
+        for group in range(self._file.metadata.num_row_groups):
+            known = self._file.metadata.row_group(group).column(column).statistics
+            if known is not None and known.has_min_max:
+                yield group, int(known.min)
+
+
+def _side(sides: Mapping[str, Sides], row: EpisodeSummary) -> str | None:
+    side = sides.get(row.scene, {}).get(row.target_id)
+    return None if side is None else str(side)
+
+
+def _add(tally: Tally, table: pa.Table) -> None:
+    names, digests = table["episode_id"].to_pylist(), table["content_digest"].to_pylist()
+    tally.digests.extend(zip(names, digests, strict=True))
+    tally.renderers.update(table["renderer"].unique().to_pylist())
+    for row in _sums(table, ["target_category"], ()):
+        tally.categories[row["target_category"]] += row["count_all"]
+    for row in _sums(table, _CELL, ()):
+        tally.counts[row["scene"], row["split"], row["spawn_tier"]] += row["count_all"]
+    for key, sums in (("scene", tally.scenes), ("spawn_tier", tally.tiers)):
+        for row in _sums(table, [key], _SUMS):
+            sums[row[key]].add(row["count_all"], *(row[f"{name}_sum"] for name in _SUMS))
+
+
+def _sums(table: pa.Table, keys: list[str], columns: Sequence[str]) -> list[dict[str, Any]]:
+    """Returns the rows counted and columns added up by key; one thread, so that sums of floats repeat."""
+    grouped = table.group_by(keys, use_threads=False)
+    found: list[dict[str, Any]] = grouped.aggregate(
+        [*((name, "sum") for name in columns), ([], "count_all")]
+    ).to_pylist()
+    return found

@@ -1,0 +1,126 @@
+"""What is wrong with the split tables of a dataset. Reads only."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from typing import NamedTuple
+
+import pyarrow.parquet as pq
+from PIL import Image
+
+from coordinator.tables.card_configs import SPLITS_FOLDER
+from coordinator.tables.split_layout import (
+    DIGEST_KEY,
+    PICTURES_KEY,
+    THUMBNAIL,
+    UNREADABLE,
+    SplitTable,
+    read_pictures,
+    split_tables_of,
+)
+from coordinator.tables.write import METADATA_FILE
+from schemas.storage.place import Place, children, table_of
+
+__all__ = ["SURPLUS", "Fault", "FaultKind", "fault_of", "find_faults", "surplus_tables"]
+
+SURPLUS = f"{METADATA_FILE} has no rows for it"
+_OTHER_ROWS = f"its rows are not those of {METADATA_FILE}"
+
+
+class FaultKind(StrEnum):
+    """What is wrong with a split table."""
+
+    ABSENT = "absent"  # rows ask for it, and there is no such file
+    SURPLUS = "surplus"  # no row asks for it
+    DAMAGED = "damaged"  # it or one of its thumbnails cannot be read
+    OUTDATED = "outdated"  # other rows than `metadata.parquet`, or a thumbnail is missing that can be made
+
+
+class Fault(NamedTuple):
+    """One thing that is wrong."""
+
+    name: str
+    """Of the file, below the dataset's directory."""
+    kind: FaultKind
+    text: str
+    """What was found."""
+
+
+def find_faults(root: Place, deep: bool = False) -> Iterator[Fault]:
+    """Yields what is wrong with the split tables.
+
+    Args:
+        root: of the dataset.
+        deep: whether to read every row and decode every thumbnail, rather than what each file says of itself.
+
+    Raises:
+        ArchiveCorrupt: `metadata.parquet` cannot be read.
+    """
+    wanted = set()
+    for table in split_tables_of(root):
+        wanted.add(table.name)
+        fault = fault_of(root, table, deep)
+        if fault:
+            yield fault
+    for place in surplus_tables(root, wanted):
+        yield Fault(f"{SPLITS_FOLDER}/{place.name}", FaultKind.SURPLUS, SURPLUS)
+
+
+def surplus_tables(root: Place, wanted: set[str]) -> list[Place]:
+    """Returns what is in the folder of split tables and has none of the wanted names."""
+    return [place for place in children(root / SPLITS_FOLDER) if f"{SPLITS_FOLDER}/{place.name}" not in wanted]
+
+
+def fault_of(root: Place, table: SplitTable, deep: bool = False) -> Fault | None:
+    """Returns what is wrong with one of them, if anything is; arguments as `find_faults`."""
+    try:
+        text = _see_rows(root, table) if deep else _see_footer(root, table)
+        damage = _see_thumbnails(root, table) if deep and not text else ""
+    except FileNotFoundError:
+        return Fault(table.name, FaultKind.ABSENT, "is not there")
+    except UNREADABLE as error:
+        return Fault(table.name, FaultKind.DAMAGED, f"cannot be read: {' '.join(str(error).split())}")
+    if damage:
+        return Fault(table.name, FaultKind.DAMAGED, damage)
+    return Fault(table.name, FaultKind.OUTDATED, text) if text else None
+
+
+def _see_footer(root: Place, table: SplitTable) -> str:
+    said = pq.read_metadata(table_of(root / table.name)).metadata or {}
+    if said.get(DIGEST_KEY, b"").decode() != table.digest:
+        return _OTHER_ROWS
+    if int(said.get(PICTURES_KEY, b"0")) == table.rows.num_rows:
+        return ""
+    return _say_missing(root, table, read_pictures(root / table.name))
+
+
+def _see_rows(root: Place, table: SplitTable) -> str:
+    found = pq.read_table(table_of(root / table.name), page_checksum_verification=True)
+    if not found.drop_columns([THUMBNAIL]).replace_schema_metadata().equals(table.rows.replace_schema_metadata()):
+        return _OTHER_ROWS
+    return _say_missing(root, table, read_pictures(root / table.name))
+
+
+def _see_thumbnails(root: Place, table: SplitTable) -> str:
+    pictures = read_pictures(root / table.name)
+    names = {row["content_digest"]: row["episode_id"] for row in table.sources()}
+    broken = [names[digest] for digest, picture in pictures.items() if not _is_image(picture)]
+    return f"the thumbnail of {broken[0]} is not an image" if broken else ""
+
+
+def _say_missing(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
+    """A thumbnail may be missing as long as a gateway keeps the episode."""
+    lacking = [row for row in table.sources() if row["content_digest"] not in pictures]
+    names = [row["episode_id"] for row in lacking if (root / row["file_name"]).is_file()]
+    return f"no thumbnail of {names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}" if names else ""
+
+
+def _is_image(data: bytes) -> bool:
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            image.load()
+    except (OSError, SyntaxError):
+        return False
+    return True

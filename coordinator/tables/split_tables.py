@@ -1,0 +1,105 @@
+"""Writes the split tables, `data/<split>-<number>.parquet`: rows of `metadata.parquet`, each with a thumbnail.
+
+`datasets.load_dataset` takes the splits from these files. They are made from `metadata.parquet` and the episodes alone,
+when a run ends and by `factory repair` and `factory gather`; a file that is up to date is not touched.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import structlog
+
+from coordinator.archive.contract import Archive
+from coordinator.tables.card import CARD_FILE
+from coordinator.tables.card_configs import split_configs, splits_at, with_configs
+from coordinator.tables.split_faults import SURPLUS, FaultKind, fault_of, surplus_tables
+from coordinator.tables.split_layout import (
+    DIGEST_KEY,
+    PICTURES_KEY,
+    THUMBNAIL,
+    SplitTable,
+    read_pictures,
+    split_tables_of,
+)
+from coordinator.tables.thumbnail import read_thumbnail
+from schemas.dataset_meta import read_dataset_meta
+from schemas.errors import WorldError
+
+__all__ = ["write_split_tables"]
+
+_READERS = 8
+_IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+_FEATURES = json.dumps({"info": {"features": {THUMBNAIL: {"_type": "Image"}}}}).encode()
+
+log = structlog.get_logger(__name__)
+
+
+def write_split_tables(archive: Archive, seconds: float | None = None, deep: bool = False) -> None:
+    """Writes the split tables that are absent, damaged or out of date, then names them in the card.
+
+    Args:
+        archive: open, with a `metadata.parquet` that is up to date.
+        seconds: after which no more thumbnails are made; they are null until the next call makes them.
+        deep: whether to look for damage in every row and thumbnail, rather than in what each file says of itself.
+
+    Raises:
+        WorldError: the disk is full or gone; each file is whole, as it was or new.
+        ArchiveCorrupt: `metadata.parquet` cannot be read.
+    """
+    deadline = float("inf") if seconds is None else time.monotonic() + seconds
+    wanted, written = set(), 0
+    for table in split_tables_of(archive.root):
+        wanted.add(table.name)
+        fault = fault_of(archive.root, table, deep)
+        if fault:
+            is_damaged = fault.kind is FaultKind.DAMAGED
+            _write(archive, table, {} if is_damaged else read_pictures(archive.root / table.name), deadline)
+            written += 1
+    for place in surplus_tables(archive.root, wanted):
+        archive.quarantine(place, SURPLUS)
+    _name_in_card(archive)
+    log.info("split_tables_written", files=written, of=len(wanted))
+
+
+def _write(archive: Archive, table: SplitTable, former: Mapping[str, bytes], deadline: float) -> None:
+    rows = table.sources()
+
+    def picture_of(row: Mapping[str, Any]) -> bytes | None:
+        kept = former.get(row["content_digest"])
+        if kept is not None or time.monotonic() > deadline:
+            return kept
+        return read_thumbnail(archive.root / row["file_name"], row["num_steps"])
+
+    with ThreadPoolExecutor(_READERS) as readers:
+        made = list(readers.map(picture_of, rows))
+    pictures = [
+        None if picture is None else {"bytes": picture, "path": f"{row['episode_id']}.jpg"}
+        for row, picture in zip(rows, made, strict=True)
+    ]
+    said = {
+        b"huggingface": _FEATURES,
+        DIGEST_KEY: table.digest.encode(),
+        PICTURES_KEY: str(sum(picture is not None for picture in pictures)).encode(),
+    }
+    full = table.rows.append_column(pa.field(THUMBNAIL, _IMAGE), pa.array(pictures, _IMAGE))
+    with archive.replacing(table.name) as part:
+        pq.write_table(full.replace_schema_metadata(said), part, compression="zstd", write_page_checksum=True)
+
+
+def _name_in_card(archive: Archive) -> None:
+    try:
+        card = (archive.root / CARD_FILE).read_text(encoding="utf-8")
+        meta = read_dataset_meta(archive.root)
+    except (FileNotFoundError, WorldError):
+        return  # whoever writes the card lists the tables that are there
+    named = with_configs(card, split_configs(splits_at(archive.root), meta.episodes, meta.failed_attempts))
+    if named != card:
+        with archive.replacing(CARD_FILE) as part:
+            part.write_text(named, encoding="utf-8")

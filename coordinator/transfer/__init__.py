@@ -1,0 +1,1 @@
+"""Fetches announced bundles from workers, and has them validated, archived and recorded."""

@@ -1,0 +1,348 @@
+"""Fetches announced bundles chunk by chunk, has them validated, publishes them and has the ledger own them.
+
+Fails fast and forgets: whatever goes wrong on the way, the worker's next beat announces the bundle again.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import structlog
+
+from coordinator.archive.contract import Archive, Staged
+from coordinator.meters import Meter, Meters
+from coordinator.protocol.protocol import Pull
+from coordinator.settings import CoordinatorSettings
+from coordinator.transfer.fair_queue import FairQueue
+from schemas.bundle import MAX_BUNDLE_BYTES
+from schemas.dataset import EpisodeSummary, Receipt
+from schemas.errors import FactoryError, InvalidBundle, TransientError
+from schemas.job import Job, episode_id
+from schemas.keys import Chunk, host_of
+from schemas.scene import Target
+from schemas.support.closing import Closing
+from schemas.support.repeated import Repeated
+from schemas.wire import Lease
+
+__all__ = ["Book", "Checker", "Judge", "Nearby", "Pullers", "nothing_nearby"]
+
+_VALIDATION_S = 120.0
+"""Lease granted once a bundle is here whole: its worker may die now."""
+_TURN_S = 0.25
+"""How long a bundle is fetched while others wait."""
+_FAILURES = 5
+"""Failed transfers after which a bundle may be refused as not served."""
+_QUEUED = 2
+"""Bundles of one host that may wait for each puller of a gateway, the one under way included."""
+
+log = structlog.get_logger(__name__)
+
+Fetch = Callable[[str, Lease, Chunk], bytes]
+Nearby = Callable[[Lease], Path | None]
+"""Tells where the bundle made under a lease lies on this machine, if it is known to."""
+
+
+def nothing_nearby(_lease: Lease) -> None:
+    """Knows of no bundle on this machine."""
+
+
+class Judge(Protocol):
+    """What judges bundles, from several threads at a time."""
+
+    def check(self, path: Path, job: Job, target: Target | None = None) -> Receipt:
+        """Returns what the ledger keeps of it, or raises `InvalidBundle` or `TransientError`."""
+
+    def close(self) -> None:
+        """Ends what runs for it; a check under way raises `TransientError`."""
+
+
+class Checker(Judge, Protocol):
+    """A judge of collected episodes."""
+
+    def check(self, path: Path, job: Job, target: Target | None = None) -> EpisodeSummary:
+        """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
+
+
+class Book(Protocol):
+    """The ledger as pullers need it: at hand in a coordinator, asked from afar in a gateway.
+
+    All but `refuse` may be said twice; all of it raises `TransientError` when the ledger cannot be had.
+    """
+
+    def keep(self, pull: Pull, seconds: float) -> bool:
+        """Lets the lease last at least so long from now; returns whether it is in force."""
+
+    def is_owned(self, index: int) -> bool:
+        """Returns whether the episode that lies here is the ledger's, so that nobody may delete it."""
+
+    def own(self, pull: Pull, receipt: Receipt) -> bool:
+        """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
+
+    def refuse(self, pull: Pull, detail: str) -> None:
+        """Reports a bundle that is not what was asked for."""
+
+
+@dataclass
+class _Failures:
+    """Failed transfers of a bundle that its worker goes on announcing."""
+
+    lease: Lease
+    since: float
+    """Monotonic time of the first one, seconds."""
+    count: int = 0
+    most_bytes: int = 0
+    """Most that one of them has brought."""
+
+
+@dataclass
+class _Transfer:
+    """A bundle on its way; it may take several turns."""
+
+    pull: Pull
+    staged: Staged | None = None
+    """Its part file, once that is open."""
+    seconds: float = 0.0
+    """Spent on fetching."""
+
+    @property
+    def open_file(self) -> Staged:
+        assert self.staged is not None
+        return self.staged
+
+    def abandon(self) -> None:
+        """Deletes the part file, unless it was published."""
+        if self.staged is not None:
+            self.staged.abandon()
+
+
+class Pullers(Closing):
+    """A few threads that fetch bundles, one of an episode at a time; a context manager.
+
+    Hosts take turns, so that those which serve slowly do not delay the others.
+    """
+
+    def __init__(
+        self,
+        archive: Archive,
+        book: Book,
+        fetch: Fetch,
+        checker: Judge,
+        settings: CoordinatorSettings,
+        on_archived: Callable[[], None],
+        meters: Meters | None = None,
+        nearby: Nearby = nothing_nearby,
+    ) -> None:
+        self._archive = archive
+        self._book = book
+        self._fetch = fetch
+        self._nearby = nearby
+        self._checker = checker
+        self._settings = settings
+        self._on_archived = on_archived
+        self._meters = meters or Meters()
+        self._queue: FairQueue[_Transfer] = FairQueue()
+        self._failing = Repeated(log, "pull_failed")
+        self._busy: dict[int, int] = {}
+        """Episode -> bytes of its bundle that are still to come."""
+        self._failed: dict[int, _Failures] = {}
+        """Episode -> the failed transfers of its bundle."""
+        self._guard = threading.Lock()
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._run, name=f"puller-{number}") for number in range(settings.pullers)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def offer(self, pull: Pull) -> None:
+        """Queues a bundle; one of an episode that is queued or under way already is left to the next beat."""
+        with self._guard:
+            if pull.job.index in self._busy or self._stop.is_set():
+                return
+            self._busy[pull.job.index] = 0
+        self._queue.put(host_of(pull.sid), _Transfer(pull))
+
+    @property
+    def waiting(self) -> int:
+        """Bundles that are queued or under way."""
+        with self._guard:
+            return len(self._busy)
+
+    @property
+    def busy_hosts(self) -> tuple[str, ...]:
+        """Hosts of which so many bundles are queued that more would only wait."""
+        return tuple(host for host, count in self._queue.sizes().items() if count >= _QUEUED * self._settings.pullers)
+
+    def close(self) -> None:
+        """Stops at the next chunk; part files are removed."""
+        self._stop.set()
+        for transfer in self._queue.close():
+            transfer.abandon()
+        for thread in self._threads:
+            thread.join()
+
+    def _run(self) -> None:
+        while (taken := self._queue.take()) is not None:
+            host, transfer = taken
+            begun = time.monotonic()
+            is_over = self._serve(host, transfer) or self._stop.is_set()
+            if is_over:
+                transfer.abandon()
+                with self._guard:
+                    self._busy.pop(transfer.pull.job.index, None)
+            self._queue.give(host, time.monotonic() - begun, None if is_over else transfer)
+
+    def _serve(self, host: str, transfer: _Transfer) -> bool:
+        """Goes on with a bundle for a turn; returns whether it is over, one way or another."""
+        pull = transfer.pull
+        try:
+            return self._stop.is_set() or self._bring(host, transfer)
+        except Exception as error:  # noqa: BLE001 - the loop of a puller: logged, and announced again by the next beat
+            if isinstance(error, FactoryError):
+                self._meters.add(Meter.PULLS_FAILED)
+            self._failing.fail(error, episode=episode_id(pull.job.index), worker=pull.sid)
+        return True
+
+    def _bring(self, host: str, transfer: _Transfer) -> bool:
+        pull = transfer.pull
+        if transfer.staged is None and not self._begin(transfer):
+            return True
+        if not self._transfer(host, transfer):
+            return False
+        staged = transfer.open_file
+        if staged.size < pull.size:
+            self._refuse(
+                pull,
+                f"too slow: {staged.size} of {pull.size} bytes in {transfer.seconds:.0f} s; a worker has to serve "
+                f"{self._settings.min_bytes_per_s:.0f} bytes a second",
+            )
+        elif staged.sha256 != pull.sha256:
+            self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
+        else:
+            self._book.keep(pull, _VALIDATION_S)
+            summary = self._judge(pull, staged.path)
+            if summary is not None:
+                self._publish(pull, staged, summary)
+        return True
+
+    def _begin(self, transfer: _Transfer) -> bool:
+        """Opens the part file of a bundle that is wanted; returns whether it is."""
+        pull = transfer.pull
+        if not self._book.keep(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
+            return False
+        if pull.size > MAX_BUNDLE_BYTES:
+            self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
+            return False
+        self._demand_room(pull)
+        transfer.staged = self._archive.stage(pull.job.index)
+        self._take_nearby(pull, transfer.staged)
+        return True
+
+    def _is_way_clear(self, index: int) -> bool:
+        """Whether the episode's place is free; what an unfinished commit left there is removed."""
+        if not self._archive.path_of(index).exists():
+            return True
+        if self._book.is_owned(index):
+            return False
+        self._archive.unpublish(index)
+        return True
+
+    def _demand_room(self, pull: Pull) -> None:
+        with self._guard:
+            to_come = sum(self._busy.values())
+            free, wanted = self._archive.free_bytes(), pull.size + to_come + self._settings.reserve_bytes
+            if free < wanted:
+                raise TransientError(
+                    f"{free} bytes free, {wanted} wanted for the bundle, {to_come} bytes under way and the reserve: "
+                    "free some space"
+                )
+            self._busy[pull.job.index] = pull.size
+
+    def _transfer(self, host: str, transfer: _Transfer) -> bool:
+        """Fetches for one turn; returns whether no more is to be fetched: all is here, or it comes too slowly."""
+        pull, staged, begun = transfer.pull, transfer.open_file, time.monotonic()
+        earlier_s = transfer.seconds
+        while staged.size < pull.size:
+            if self._stop.is_set():
+                raise TransientError("the coordinator is closing; the bundle waits in its spool")
+            length = min(self._settings.chunk_bytes, pull.size - staged.size)
+            try:
+                data = self._fetch(pull.sid, pull.lease, Chunk(staged.size, length))
+            except TransientError:
+                self._note_failure(pull, staged.size)
+                raise
+            self._meters.add(Meter.PULLED_BYTES, len(data))
+            staged.write(data)
+            with self._guard:
+                self._busy[pull.job.index] = pull.size - staged.size
+            turn_s = time.monotonic() - begun
+            transfer.seconds = earlier_s + turn_s
+            if transfer.seconds > self._settings.slow_start_s + staged.size / self._settings.min_bytes_per_s:
+                return True
+            if turn_s > _TURN_S and staged.size < pull.size and self._queue.has_others(host):
+                return False
+        return True
+
+    def _note_failure(self, pull: Pull, size: int) -> None:
+        """Refuses a bundle of which, however often it is asked for, less comes than a slow worker has to serve."""
+        now = time.monotonic()
+        with self._guard:
+            failures = self._failed.get(pull.job.index)
+            if failures is None or failures.lease != pull.lease:
+                failures = self._failed[pull.job.index] = _Failures(pull.lease, now)
+            failures.count += 1
+            failures.most_bytes = max(failures.most_bytes, size)
+        limit_s = self._settings.slow_start_s + failures.most_bytes / self._settings.min_bytes_per_s
+        if failures.count >= _FAILURES and now - failures.since > limit_s:
+            self._refuse(
+                pull,
+                f"not served: {failures.most_bytes} of {pull.size} bytes in {failures.count} transfers over "
+                f"{now - failures.since:.0f} s, while its worker was alive",
+            )
+
+    def _take_nearby(self, pull: Pull, staged: Staged) -> None:
+        """Spares a bundle on the archive's own disk the way over the network and the second copy."""
+        try:
+            source = self._nearby(pull.lease)
+            if source is not None and source.stat().st_size == pull.size:
+                staged.take(source)
+        except OSError as error:
+            log.debug("fetched_instead", episode=episode_id(pull.job.index), error=str(error))
+
+    def _judge(self, pull: Pull, path: Path) -> Receipt | None:
+        begun = time.monotonic()
+        try:
+            return self._checker.check(path, pull.job, pull.target)
+        except InvalidBundle as error:
+            self._refuse(pull, str(error))
+            return None
+        finally:
+            self._meters.add(Meter.VALIDATIONS)
+            self._meters.add(Meter.VALIDATION_S, time.monotonic() - begun)
+
+    def _refuse(self, pull: Pull, detail: str) -> None:
+        self._forget_failures(pull)
+        self._meters.add(Meter.REFUSED)
+        log.warning("bundle_refused", episode=episode_id(pull.job.index), worker=pull.sid, detail=detail)
+        self._book.refuse(pull, detail)
+
+    def _forget_failures(self, pull: Pull) -> None:
+        with self._guard:
+            self._failed.pop(pull.job.index, None)
+
+    def _publish(self, pull: Pull, staged: Staged, receipt: Receipt) -> None:
+        index = pull.job.index
+        self._forget_failures(pull)
+        self._archive.publish(staged, index)
+        if self._book.own(pull, receipt):
+            self._meters.add(Meter.ARCHIVED)
+            self._failing.succeed()
+            log.info("archived", episode=episode_id(index), worker=pull.sid, steps=receipt.num_steps)
+            self._on_archived()
+        else:
+            self._archive.unpublish(index)  # the lease was lost meanwhile, and nobody else has brought it

@@ -1,0 +1,1 @@
+"""Validates bundles in a sandboxed child process. Never archives one."""

@@ -1,0 +1,51 @@
+"""Validation: all that a bundle must be before it may enter the dataset, every violation at once. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from coordinator.validation.frames import survey_frames
+from coordinator.validation.job import job_findings, table_findings, target_findings
+from coordinator.validation.motion import motion_findings
+from coordinator.validation.rollout import rollout_findings, visibility_findings
+from coordinator.validation.route import route_findings
+from schemas.bundle import BundleReader
+from schemas.job import Job
+from schemas.scene import Target
+
+__all__ = ["validate"]
+
+
+def validate(
+    bundle: BundleReader,
+    job: Job | None = None,
+    target: Target | None = None,
+    on_frame: Callable[[int], None] = lambda _t: None,
+) -> list[str]:
+    """Decodes a whole bundle and returns every violation, in words that name values and units.
+
+    Args:
+        bundle: an open bundle; opening it has checked members, shapes, dtypes and bounds of the arrays.
+        job: what was asked for; `None` judges the bundle against the job it carries.
+        target: the target as the compiled scene has it; `None` where the scene is not at hand.
+        on_frame: called with the number of each frame done.
+
+    Returns:
+        Nothing when the bundle may enter the dataset.
+    """
+    meta, arrays, task = bundle.meta, bundle.arrays, bundle.meta.job.task
+    findings = job_findings(meta, job) if job is not None else []
+    findings += table_findings(meta)
+    findings += target_findings(meta, target) if target is not None else []
+    findings += rollout_findings(meta, arrays)
+    findings += route_findings(meta, arrays)
+    findings += motion_findings(arrays, meta.job.robot, task.control_hz, meta.rollout.collision_count)
+    survey = survey_frames(bundle, on_frame)
+    findings += survey.findings
+    if len(survey.digests) < bundle.length:
+        return findings  # what follows needs every frame
+    findings += visibility_findings(meta, survey.target_pixels)
+    digest = bundle.content_digest(survey.digests)
+    if digest != meta.content_digest:
+        findings.append(f"content digest {digest}, meta.json says {meta.content_digest}")
+    return findings

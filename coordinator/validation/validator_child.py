@@ -1,0 +1,90 @@
+"""The sandboxed side of validation: takes tasks and open files from a socket, writes verdicts as JSON lines.
+
+Writes no file, opens no socket, and is expected to be killed at any moment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import resource
+import socket
+import sys
+from typing import BinaryIO
+
+import numpy.ma  # noqa: F401 - like the encodings: once the process is confined nothing can be imported
+
+from coordinator.validation.sandbox import confine
+from coordinator.validation.validate import validate
+from coordinator.validation.validator import HEADER, MAX_FINDING_CHARS, MAX_FINDINGS, Limits, Task, Verdict
+from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
+from schemas.dataset import summary_of
+from schemas.errors import InvalidBundle
+
+__all__ = ["judge", "main"]
+
+
+def judge(task: Task, file: BinaryIO) -> Verdict:
+    """Validates one open bundle in this very process."""
+    try:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+        size = file.seek(0, os.SEEK_END)
+        if size > MAX_BUNDLE_BYTES:
+            return Verdict(findings=(f"{size} bytes, more than {MAX_BUNDLE_BYTES}",))
+        with BundleReader(file) as bundle:
+            findings = validate(bundle, task.job, task.target)
+            if not findings:
+                return Verdict(summary=summary_of(bundle.meta, sha256, size))
+    except InvalidBundle as error:
+        findings = list(error.findings)
+    except OSError as error:
+        findings = [f"cannot be read: {error}"]
+    return Verdict(findings=tuple(finding[:MAX_FINDING_CHARS] for finding in findings[:MAX_FINDINGS]))
+
+
+def _allow_cpu(limits: Limits) -> None:
+    """Grants the CPU time of one more task; the limit counts over the whole life of the process."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(used.ru_utime + used.ru_stime) + 1 + limits.cpu_s, hard))
+
+
+def _receive(orders: socket.socket) -> tuple[Task, BinaryIO] | None:
+    """Returns the next task and its file, or `None` when there are no more."""
+    header, descriptors, _, _ = socket.recv_fds(orders, HEADER.size, 1)
+    if len(header) < HEADER.size or not descriptors:
+        return None
+    (length,) = HEADER.unpack(header)
+    text = bytearray()
+    while len(text) < length:
+        part = orders.recv(length - len(text))
+        if not part:
+            return None
+        text += part
+    return Task.model_validate_json(bytes(text)), _open(descriptors[0])
+
+
+def _open(descriptor: int) -> BinaryIO:
+    return io.BufferedReader(io.FileIO(descriptor, "rb"), os.fstat(descriptor).st_blksize)
+
+
+def main(arguments: list[str]) -> int:
+    """Serves tasks from standard input, a socket, until it ends."""
+    limits = Limits.model_validate_json(arguments[0])
+    orders = socket.socket(fileno=0)
+    layers = confine(limits.memory_bytes)
+    sys.stdout.write(f"ready {' '.join(layers)}\n")
+    sys.stdout.flush()
+    while (received := _receive(orders)) is not None:
+        task, file = received
+        _allow_cpu(limits)
+        with file:
+            verdict = judge(task, file)
+        sys.stdout.write(f"{verdict.model_dump_json()}\n")
+        sys.stdout.flush()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

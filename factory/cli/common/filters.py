@@ -1,0 +1,96 @@
+"""Filters of the command line: `--split --scene --tier --state`, each repeatable or with commas between its values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
+
+import click
+from click.shell_completion import CompletionItem
+
+from schemas.support.suggest import did_you_mean
+from schemas.terms import BUILTIN_CATEGORIES, Split, Tier
+
+__all__ = ["ALL", "filter_option", "scene_filter", "split_filter", "tier_filter"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+ALL = "all"
+"""The value of a filter that lets everything pass."""
+
+
+class _Names(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
+    """`A[,B...]` as a tuple, checked where the names are known beforehand; `all` is an empty tuple."""
+
+    def __init__(self, name: str, known: Sequence[str] = ()) -> None:
+        self.name = name
+        self._known = known
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Returns the names; an unknown one is wrong usage."""
+        if isinstance(value, tuple):
+            return value
+        names = tuple(name.strip() for name in str(value).split(",") if name.strip())
+        if ALL in names:
+            return ()
+        unknown = [name for name in names if self._known and name not in self._known]
+        if unknown or not names:
+            valid = f"valid: {', '.join(self._known)}, {ALL}" if self._known else f"give a name, or {ALL}"
+            near = did_you_mean("".join(unknown[:1]), (*self._known, ALL))
+            self.fail(f"no {self.name} {', '.join(map(repr, unknown)) or 'is named'}; {valid}{near}", param, ctx)
+        return names
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        """Completes the last name of the list."""
+        before, comma, last = incomplete.rpartition(",")
+        return [CompletionItem(f"{before}{comma}{name}") for name in self._known if name.startswith(last)]
+
+
+def filter_option(
+    flag: str,
+    name: str,
+    known: Iterable[str] = (),
+    text: str | None = None,
+) -> Callable[[Command], Command]:
+    """An option whose values are collected in one tuple; `None` where it is not given, empty for `all`.
+
+    Args:
+        flag: the option, e.g. `--split`.
+        name: of the parameter.
+        known: valid values; empty where they are not known beforehand.
+        text: of the help; by default that of a filter.
+    """
+    word, names = flag.lstrip("-"), tuple(map(str, known))
+    return click.option(
+        flag,
+        name,
+        multiple=True,
+        type=_Names(word, names),
+        metavar=word.upper(),
+        callback=_flatten,
+        help=text or f"Only this {word}, repeatable: {', '.join(names)}.",
+    )
+
+
+def split_filter(text: str | None = None) -> Callable[[Command], Command]:
+    """`--split SPLIT` as `splits`."""
+    return filter_option("--split", "splits", Split, text)
+
+
+def tier_filter() -> Callable[[Command], Command]:
+    """`--tier TIER` as `tiers`."""
+    return filter_option("--tier", "tiers", Tier)
+
+
+def scene_filter() -> Callable[[Command], Command]:
+    """`--scene SCENE` as `scenes`; an own scene has any name."""
+    known = ", ".join(BUILTIN_CATEGORIES)
+    return filter_option("--scene", "scenes", (), f"Only this scene, repeatable. Built in: {known}.")
+
+
+def _flatten(context: click.Context, param: click.Parameter, given: Any) -> tuple[str, ...] | None:  # noqa: ARG001
+    if not given:
+        return None
+    if () in given:
+        return ()
+    return tuple(dict.fromkeys(name for names in given for name in names))

@@ -1,0 +1,125 @@
+"""`--gate`: a pilot of first attempts in each scene of a plan, before the plan is handed out. Archives nothing.
+
+Run by the face and not by the coordinator, which never simulates: it is told what was found, and writes it down.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, Literal, TypeVar
+
+import click
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.file import shrink
+from factory.cli.common.bars import Bars
+from factory.cli.common.output import print_table, stderr
+from factory.runs.gate import GateReport, Pilot, judge, run_pilot
+from factory.stats.model import Share
+from schemas.dataset_meta import GateOutcome
+from schemas.errors import WorldError
+from schemas.plan import Plan
+from schemas.terms import RendererKind
+from workers.client.settings import WorkerSettings
+
+__all__ = ["GateMode", "gate_option", "hold_gate", "try_scene"]
+
+GateMode = Literal["auto", "enforce", "report", "skip"]
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_PILOT = 50
+"""First attempts a scene, as in the paper."""
+_MIN_SUCCESS = 0.8
+_WORTH_A_PILOT = 4 * _PILOT
+"""Episodes from which on `auto` tries a scene first: below, the pilot costs more than a quarter of the run."""
+_MEANINGS = (
+    f"Pilot of {_PILOT} first attempts in each scene before a new run. enforce: exit with 1 when less than "
+    f"{100 * _MIN_SUCCESS:.0f} % succeed; report: continue and record the result; skip: no pilot"
+)
+
+
+def gate_option(default: GateMode) -> Callable[[Command], Command]:
+    """`--gate MODE`."""
+    modes = ["enforce", "report", "skip"]
+    if default == "auto":
+        modes.insert(0, default)
+    auto = f"; auto: report, for scenes of {_WORTH_A_PILOT} episodes and more" if default == "auto" else ""
+    return click.option(
+        "--gate", "gate_mode", type=click.Choice(modes), default=default, show_default=True, help=f"{_MEANINGS}{auto}."
+    )
+
+
+def hold_gate(
+    plan: Plan, catalog: Catalog, mode: GateMode, renderer: RendererKind, processes: int, stop: threading.Event
+) -> tuple[GateOutcome, ...] | None:
+    """Tries the scenes of a plan as the mode says; returns what was found, or `None` when `stop` was set.
+
+    Raises:
+        WorldError: the mode is `enforce` and a scene stays under the share; or simulations do not start.
+    """
+    reports: list[GateReport] = []
+    for scene in plan.scenes:
+        if mode == "skip" or (mode == "auto" and scene.episodes < _WORTH_A_PILOT):
+            continue
+        pilot = shrink(plan, scenes=(scene.name,), episodes=min(_PILOT, scene.episodes))
+        report = try_scene(pilot, catalog, _MIN_SUCCESS, renderer, processes, stop)
+        if report is None:
+            return None
+        reports.append(report)
+    if reports:
+        _print(reports)
+    failed = [report.scene for report in reports if not report.passed]
+    if failed and mode == "enforce":
+        raise WorldError(
+            f"the gate is closed: under {100 * _MIN_SUCCESS:.0f} % of first attempts succeed in {', '.join(failed)}; "
+            f"nothing was archived; see what fails with `factory gate --scene {failed[0]}`, or go on with --gate report"
+        )
+    return tuple(map(_outcome, reports))
+
+
+def try_scene(
+    plan: Plan, catalog: Catalog, min_success: float, renderer: RendererKind, processes: int, stop: threading.Event
+) -> GateReport | None:
+    """Tries every episode of a plan of one scene once, under a bar; returns the verdict, or `None` when `stop` was set.
+
+    Raises:
+        WorldError: simulations do not start.
+    """
+    pilot = Pilot.of(plan, catalog, WorkerSettings(connect=(), renderer=renderer).simulation_command, processes)
+    name = plan.scenes[0].name
+    with Bars() as bar:
+        task = bar.add_task(f"gate {name}", total=len(pilot.jobs))
+        trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
+    return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)
+
+
+def _outcome(report: GateReport) -> GateOutcome:
+    return GateOutcome(
+        scene=report.scene,
+        expert=report.expert,
+        attempts=report.success.of,
+        succeeded=report.success.count,
+        min_success=report.min_success,
+        passed=report.passed,
+        reasons={str(reason): count for reason, count in report.reasons.items()},
+    )
+
+
+def _print(reports: list[GateReport]) -> None:
+    rows = [
+        (
+            report.scene,
+            report.success.of,
+            report.success.count,
+            _percent(report.success),
+            ", ".join(f"{count} {reason}" for reason, count in report.reasons.items()) or "-",
+            "passed" if report.passed else "failed",
+        )
+        for report in reports
+    ]
+    print_table("", ("gate", "first attempts", "succeeded", "share", "failed by", "verdict"), rows, stderr)
+
+
+def _percent(share: Share) -> str:
+    return "-" if share.share is None else f"{100 * share.share:.0f} %"

@@ -1,0 +1,78 @@
+"""`--http` and `--http-token`: status pages beside a verb that serves for long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from coordinator.status.vitals import Watched
+from schemas.errors import UsageError
+from schemas.support.extras import require_package
+
+__all__ = ["http_options", "status_pages"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def http_options(command: Command) -> Command:
+    """`--http HOST:PORT --http-token FILE`."""
+    for option in (
+        click.option(
+            "--http-token",
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE",
+            help="File whose first line is the bearer token of /metrics; needed where --http is not on loopback.",
+        ),
+        click.option(
+            "--http",
+            metavar="HOST:PORT",
+            callback=_require_pages,
+            help="Address of the status pages /healthz, /readyz and /metrics; default: none.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def _require_pages(context: click.Context, param: click.Parameter, http: str | None) -> str | None:  # noqa: ARG001
+    if http is not None:
+        require_package("prometheus_client", "--http")
+        require_package("tornado", "--http")
+    return http
+
+
+@contextmanager
+def status_pages(vitals: Watched, http: str | None, token_file: Path | None) -> Iterator[None]:
+    """Serves status pages during the block, if wanted.
+
+    Args:
+        vitals: of what is served.
+        http: `--http`.
+        token_file: `--http-token`.
+
+    Raises:
+        UsageError: the address is malformed or unprotected, or the extra is missing.
+        WorldError: the address is taken.
+    """
+    if http is None:
+        if token_file is not None:
+            raise UsageError("--http-token without --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
+        yield
+        return
+    from coordinator.status import StatusServer, parse_address  # its packages are an extra
+
+    token = _read_token(token_file) if token_file is not None else None
+    with StatusServer(parse_address(http, token), vitals, token) as server:
+        click.echo(f"status pages on {server.url}/metrics", err=True)
+        yield
+
+
+def _read_token(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii").partition("\n")[0].strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"no token in {path}: {error}; make one with: openssl rand -hex 16 > {path}") from error

@@ -1,0 +1,226 @@
+"""Options that several verbs share, each defined once."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar, cast, get_args
+
+import click
+from click.shell_completion import CompletionItem
+
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.cells import empty_splits
+from coordinator.expansion.file import shrink
+from factory.cli.common.filters import scene_filter
+from factory.cli.common.places import DIRECTORY, PLACE, SITE
+from schemas.plan import Plan
+from schemas.terms import ExpertName, RendererKind
+
+__all__ = [
+    "compare_option",
+    "connect_option",
+    "count_option",
+    "dataset_argument",
+    "expert_option",
+    "former_option",
+    "ledger_option",
+    "listen_option",
+    "out_option",
+    "place_argument",
+    "plan_argument",
+    "renderer_option",
+    "shrink_options",
+    "shrunk_plan",
+    "site_argument",
+    "tls_option",
+    "verbose_option",
+    "warn_of_empty_splits",
+    "workers_option",
+]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+compare_option = click.option(
+    "--compare-paper/--no-compare-paper",
+    default=None,
+    help="Show the paper's published values beside the dataset's. Default: only for the plan paper.",
+)
+"""`--compare-paper`: on, off, or by the dataset's plan."""
+
+
+def plan_argument(default: str | None) -> Callable[[Command], Command]:
+    """PLAN: a built-in name or a TOML file."""
+    return click.argument("plan_name", metavar="[PLAN]", required=False, default=default, shell_complete=_complete_plan)
+
+
+def _complete_plan(context: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:  # noqa: ARG001
+    names = [CompletionItem(name) for name in BUILTIN_PLANS if name.startswith(word)]
+    return names or [CompletionItem(word, type="file")]
+
+
+def shrink_options(command: Command) -> Command:
+    """`--scene --episodes --expert --seed`: a plan with fewer scenes or episodes, or with another expert or seed."""
+    for option in (
+        click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root seed; default: the plan's."),
+        expert_option,
+        click.option(
+            "--episodes",
+            type=click.IntRange(min=1),
+            metavar="N",
+            help="Number of episodes, in the plan's proportions; default: all of the plan.",
+        ),
+        scene_filter(),
+    ):
+        command = option(command)
+    return command
+
+
+def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
+    """Applies the shrink options to a plan."""
+    expert = changes.get("expert")
+    return shrink(
+        plan,
+        scenes=changes.get("scenes") or (),
+        episodes=changes.get("episodes"),
+        expert=ExpertName(expert) if expert else None,
+        seed=changes.get("seed"),
+    )
+
+
+def warn_of_empty_splits(plan: Plan) -> None:
+    """Prints on stderr which splits get no episode because the plan has too few."""
+    empty = empty_splits(plan)
+    if empty:
+        click.echo(f"note: {plan.episodes} episodes are too few for a share of {', '.join(empty)}", err=True)
+
+
+dataset_argument = click.argument("root", metavar="DIR", type=DIRECTORY)
+"""DIR: a dataset directory."""
+
+place_argument = click.argument("root", metavar="DIR|URL", type=PLACE)
+"""DIR|URL: a dataset to read, in a directory or in object storage."""
+
+site_argument = click.argument("site", metavar="DIR|URL", type=SITE)
+"""DIR|URL: a run, by where its dataset lies."""
+
+out_option = click.option(
+    "-o",
+    "--out",
+    "site",
+    required=True,
+    metavar="DIR|URL",
+    type=SITE,
+    help="Dataset directory, or s3://BUCKET/NAME (gs://, az://); its ledger and part files are then in MINIVLA_STATE. "
+    "A dataset that is there is continued.",
+)
+"""`--out`: where the dataset is made."""
+
+ledger_option = click.option(
+    "--ledger",
+    metavar="URL",
+    envvar="MINIVLA_LEDGER",
+    help="URL of the ledger's database; default: ledger.db in the dataset directory, or MINIVLA_LEDGER.",
+)
+"""`--ledger URL`, or the environment's MINIVLA_LEDGER: a URL may hold a password, which a command line shows to all."""
+
+tls_option = click.option(
+    "--tls",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    envvar="MINIVLA_TLS",
+    help="TLS folder of this host, made by `factory keys host`; default: MINIVLA_TLS.",
+)
+"""`--tls DIR`, or the environment's MINIVLA_TLS."""
+
+renderer_option = click.option(
+    "--renderer",
+    type=click.Choice(get_args(RendererKind)),
+    default="auto",
+    show_default=True,
+    help="gl: OpenGL; tiny: PyBullet's TinyRenderer; auto: the first of them that works on this machine.",
+)
+"""`--renderer auto|gl|tiny`."""
+
+expert_option = click.option(
+    "--expert", type=click.Choice([str(name) for name in ExpertName]), help="Expert controller; default: the plan's."
+)
+"""`--expert NAME`: another expert than the plan's."""
+
+verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log every event, not only warnings.")
+"""`--verbose`."""
+
+
+def workers_option(text: str, default: int | None = None, least: int = 1) -> Callable[[Command], Command]:
+    """`--workers N`: how many processes work at a time; `None` is one a core."""
+    return click.option(
+        "--workers",
+        type=click.IntRange(least, 1024),
+        default=default,
+        show_default=default is not None,
+        metavar="N",
+        help=text if default is not None else f"{text}; default: one a core.",
+    )
+
+
+def count_option(
+    flag: str,
+    default: int,
+    text: str,
+    *,
+    least: int = 1,
+    most: int | None = None,
+) -> Callable[[Command], Command]:
+    """An option that takes a whole number and shows its default."""
+    return click.option(
+        flag, type=click.IntRange(least, most), default=default, show_default=True, metavar="N", help=text
+    )
+
+
+def connect_option(text: str, required: bool = False) -> Callable[[Command], Command]:
+    """`--connect ENDPOINT`, repeatable or with commas between."""
+    return click.option(
+        "--connect", multiple=True, required=required, metavar="ENDPOINT", callback=_split_commas, help=text
+    )
+
+
+def listen_option(text: str) -> Callable[[Command], Command]:
+    """`--listen ENDPOINT`, repeatable or with commas between."""
+    return click.option("--listen", multiple=True, metavar="ENDPOINT", callback=_split_commas, help=text)
+
+
+def _split_commas(context: click.Context, param: click.Parameter, given: tuple[str, ...]) -> tuple[str, ...]:  # noqa: ARG001
+    return tuple(part.strip() for one in given for part in one.split(",") if part.strip())
+
+
+def former_option(old: str, name: str, new: str, **like: Any) -> Callable[[Command], Command]:
+    """A hidden option: the former spelling of another option or of an argument.
+
+    Args:
+        old: the former spelling, e.g. `--data`.
+        name: of the parameter that it sets.
+        new: what to write instead, for the error when both are given and for the help.
+        like: further arguments of `click.option`.
+    """
+    own = f"former_{old.lstrip('-').replace('-', '_')}"
+
+    def set_it(context: click.Context, param: click.Parameter, value: Any) -> None:  # noqa: ARG001
+        if context.get_parameter_source(own) is click.core.ParameterSource.COMMANDLINE:
+            context.default_map = {**(context.default_map or {}), name: value}
+
+    def decorate(verb: Command) -> Command:
+        @functools.wraps(verb)
+        def checked(*args: Any, **kwargs: Any) -> Any:
+            context = click.get_current_context()
+            if all(context.get_parameter_source(key) is click.core.ParameterSource.COMMANDLINE for key in (own, name)):
+                context.fail(f"{old} is the former spelling of {new}: give only {new}")
+            return verb(*args, **kwargs)
+
+        option = click.option(
+            old, own, hidden=True, is_eager=True, expose_value=False, callback=set_it, help=f"Former {new}.", **like
+        )
+        return cast("Command", option(checked))
+
+    return decorate

@@ -1,0 +1,65 @@
+"""Naming a dataset on the command line: a directory, or a URL where a verb can work on one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from factory.dataset.site import Site, site_of
+from schemas.errors import UsageError
+from schemas.storage.place import Place, place_of
+
+__all__ = ["DIRECTORY", "PLACE", "SITE"]
+
+
+def _folders(word: str) -> list[CompletionItem]:
+    """Has the shell complete the names of folders; a URL is left to who types it."""
+    return [CompletionItem(word, type="dir")]
+
+
+class _SiteType(click.ParamType[Site]):
+    name = "directory or URL"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        return _folders(incomplete)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Site:  # noqa: ARG002
+        return value if isinstance(value, Site) else site_of(value)
+
+
+class _PlaceType(click.ParamType[Place]):
+    name = "directory or URL"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        return _folders(incomplete)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Place:  # noqa: ARG002
+        return place_of(value)
+
+
+class _DirectoryType(click.ParamType[Path]):
+    name = "directory"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
+        return _folders(incomplete)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:  # noqa: ARG002
+        place = place_of(value)
+        if isinstance(place, Path):
+            return place
+        verb = f"`{ctx.command_path}`" if ctx is not None else "this"
+        raise UsageError(
+            f"{verb} works on a dataset directory, not on {place}: copy the dataset to a disk first, for example with "
+            "`aws s3 sync` or `rclone copy`"
+        )
+
+
+SITE = _SiteType()
+"""A run: where its dataset lies, and where its ledger."""
+PLACE = _PlaceType()
+"""A dataset to read."""
+DIRECTORY = _DirectoryType()
+"""A dataset that must lie on a disk."""

@@ -1,0 +1,68 @@
+"""The closing words of a run: what was made, where it lies, what to type next."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from factory.cli.common.output import print_table, print_text
+from factory.dataset.reader import Dataset
+from schemas.storage.place import Place
+from schemas.terms import FailReason
+from schemas.wire import Progress
+
+__all__ = ["print_summary", "say_missing", "summarise"]
+
+_WORDS = {str(FailReason.RELEASED): "given back"}
+"""What an outcome is called where its own name says little."""
+
+
+def summarise(root: Place, progress: Progress) -> dict[str, Any]:
+    """Returns the facts of a finished run as plain data."""
+    dataset = Dataset(root)
+    sizes = [path.stat().st_size for path in (root / "episodes").glob("ep_*.zip")]
+    return {
+        "dataset": str(root),
+        "run": progress.run,
+        "episodes": len(dataset),
+        "planned": progress.planned,
+        "bytes": sum(sizes),
+        "digest": dataset.digest,
+        "by_scene": {name: counts.get("archived", 0) for name, counts in progress.by_scene.items()},
+        "attempts": progress.attempts,
+        "redrawn": progress.redrawn,
+        "failed": progress.jobs.get("failed", 0),
+        "missing": progress.missing,
+        "next": f"factory verify {root} --deep",
+    }
+
+
+def say_missing(site: object, progress: Progress) -> None:
+    """Prints why a finished run lacks episodes and what to do, on stderr; nothing when it is whole.
+
+    Args:
+        site: the dataset's directory or URL.
+        progress: of the run.
+    """
+    if not progress.missing:
+        return
+    ends = {state: progress.jobs.get(state, 0) for state in ("failed", "cancelled")}
+    counts = ", ".join(f"{count} {state}" for state, count in ends.items() if count)
+    state = next((state for state, count in ends.items() if count), "failed")
+    click.echo(
+        f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): "
+        f"`factory jobs list {site} --state {state}` says why, `factory jobs retry {site} EPISODE` queues one again",
+        err=True,
+    )
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """Prints the facts for people."""
+    size = f"{summary['bytes'] / 1e6:.0f} MB"
+    print_text(f"dataset {summary['dataset']}: {summary['episodes']} of {summary['planned']} episodes, {size}")
+    print_text(f"digest  {summary['digest']}")
+    print_table("", ("scene", "episodes"), summary["by_scene"].items())
+    tries = ", ".join(f"{count} {_WORDS.get(outcome, outcome)}" for outcome, count in summary["attempts"].items())
+    print_text(f"attempts: {tries}; targets redrawn: {summary['redrawn']}")
+    print_text(f"next:    {summary['next']}")

@@ -1,0 +1,1 @@
+"""Commands `eval`, `eval compare`, `eval specs`."""

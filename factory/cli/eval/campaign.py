@@ -1,0 +1,133 @@
+"""What `factory eval` was told, as a campaign and its store, with a progress bar for each part of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.progress import MofNCompleteColumn, ProgressColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from factory.cli.common.bars import Bars
+from factory.cli.eval.options import splits_of
+from factory.dataset.reader import Dataset
+from factory.eval.models.messages import Setup
+from factory.eval.models.result import Variant
+from factory.eval.models.spec import SpecSet
+from factory.eval.models.spec_file import read_specs
+from factory.eval.policies import check_name, require_at_hand
+from factory.eval.process.run import Pace
+from factory.eval.results.publish import publish
+from factory.eval.results.score import Evaluation
+from factory.eval.results.store import Manifest, Store
+from factory.eval.specs.ablation import ABLATIONS
+from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.from_dataset import specs_of_dataset
+from schemas.errors import UsageError
+from schemas.terms import RendererKind, Split
+
+__all__ = ["Asked", "draw_up", "open_store", "pace_bars", "published"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The options of an evaluation, as given; their help stands with the command."""
+
+    root: Path
+    splits: tuple[str, ...] | None
+    policies: tuple[str, ...]
+    specs_path: Path | None
+    ablate_language: bool
+    episodes: int | None
+    workers: int | None
+    act_timeout: float
+    load_timeout: float
+    with_pose: bool
+    renderer: RendererKind
+
+
+def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
+    """Returns the campaign that was asked for.
+
+    Args:
+        asked: the options.
+        drives_here: whether this machine drives, which then has to hold what the policies are made of.
+
+    Raises:
+        UsageError: a policy, a split or the file of specs does not exist, or what a policy needs is not installed.
+    """
+    if not asked.policies:
+        raise UsageError("give the dataset and a policy: factory eval DIR --policy expert")
+    for name in asked.policies:
+        check_name(name)
+        if drives_here:
+            require_at_hand(name)
+    specs = _specs(Dataset(asked.root), asked)
+    setup = Setup(
+        settings=specs.settings,
+        renderer=asked.renderer,
+        act_timeout_s=asked.act_timeout,
+        load_timeout_s=asked.load_timeout,
+    )
+    return Campaign(
+        specs=specs,
+        root=asked.root,
+        policies=tuple(dict.fromkeys(asked.policies)),
+        variants=(Variant.ORIGINAL, *ABLATIONS) if asked.ablate_language else (Variant.ORIGINAL,),
+        setup=setup,
+        processes=min(asked.workers or os.cpu_count() or 1, len(specs.specs)),
+        with_pose=asked.with_pose,
+    )
+
+
+def open_store(campaign: Campaign, folder: Path) -> Store:
+    """Opens the directory of the results, or goes on with it."""
+    manifest = Manifest(
+        run=Dataset(campaign.root).meta.run,
+        specs_digest=campaign.specs.digest,
+        with_pose=campaign.with_pose,
+        act_timeout_s=campaign.setup.act_timeout_s,
+    )
+    return Store(folder, campaign.specs, manifest)
+
+
+@contextmanager
+def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
+    """Shows a bar a policy; yields what is told their progress."""
+    with Bars(*_counts()) as bar:
+        tasks = {name: bar.add_task(name, total=None) for name in campaign.policies}
+
+        def tell(pace: Pace) -> None:
+            note = f"{pace.successes} succeeded"
+            bar.update(tasks[pace.policy], completed=pace.done, total=pace.total, note=note)
+
+        yield tell
+
+
+def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
+    """Writes all results and returns them."""
+    with _one_bar("drawing failures") as tell:
+        return publish(campaign, store, videos, tell)
+
+
+def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
+    """The specs of a file, or made of the dataset."""
+    if asked.specs_path is not None:
+        splits = frozenset(map(Split, asked.splits)) if asked.splits else None
+        return read_specs(asked.specs_path).only(splits, asked.episodes)
+    chosen = splits_of(dataset, asked.splits)
+    with _one_bar("reading starts") as tell:
+        return specs_of_dataset(dataset, chosen, tell, asked.episodes)
+
+
+@contextmanager
+def _one_bar(title: str) -> Iterator[Callable[[int, int], None]]:
+    with Bars(*_counts(), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, of: bar.update(task, completed=done, total=of)
+
+
+def _counts() -> tuple[ProgressColumn, ...]:
+    return MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()

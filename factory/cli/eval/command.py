@@ -1,0 +1,201 @@
+"""`factory eval`: drive policies closed-loop over a dataset's splits; prints every measure with its interval."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coordinator.protocol.tls import Guard
+from factory.cli.common.admission import open_door
+from factory.cli.common.groups import DefaultCommand, DefaultGroup
+from factory.cli.common.options import (
+    connect_option,
+    former_option,
+    listen_option,
+    renderer_option,
+    tls_option,
+    workers_option,
+)
+from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import DIRECTORY
+from factory.cli.eval.campaign import Asked, draw_up, open_store, pace_bars, published
+from factory.cli.eval.compare import command as compare_command
+from factory.cli.eval.options import eval_split_filter
+from factory.cli.eval.specs import command as specs_command
+from factory.cli.eval.tables import print_evaluation
+from factory.dataset.reader import Dataset
+from factory.eval.process.run import run_campaign
+from factory.eval.remote.fleet import Door, run_fleet
+from factory.eval.results.publish import evaluation_of
+from factory.eval.results.score import Evaluation
+from factory.eval.results.store import Store
+from factory.eval.specs.campaign import Campaign
+from factory.support.listen import require_loopback, require_tls_endpoints
+from factory.support.logs import configure_logs
+from schemas.errors import UsageError
+from workers.client.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+
+@click.group("eval", cls=DefaultGroup)
+def command() -> None:
+    """Evaluate policies in closed loop on episodes of a dataset."""
+
+
+@click.command("run", cls=DefaultCommand, hidden=True)
+@click.argument("root", metavar="DIR", type=DIRECTORY)
+@former_option("--data", "root", "DIR", type=DIRECTORY)
+@eval_split_filter
+@click.option(
+    "--policy", "policies", multiple=True, metavar="POLICY", help="Policy to evaluate, repeatable; see above."
+)
+@click.option(
+    "--specs",
+    "specs_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Episodes to drive, written by `factory eval specs`; default: episodes of the dataset.",
+)
+@click.option(
+    "--ablate-language", is_flag=True, help="Also drive with shuffled, wrong-category and empty instructions."
+)
+@click.option(
+    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes, spread evenly; default: all."
+)
+@workers_option("Number of processes, one episode each")
+@listen_option("Endpoint where `factory worker`s connect that drive the episodes, repeatable.")
+@connect_option("Endpoint of a running coordinator whose workers drive the episodes, repeatable.")
+@tls_option
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Directory of the results. An interrupted evaluation of the same options is continued.",
+)
+@click.option(
+    "--act-timeout",
+    type=click.FloatRange(0.01),
+    default=10.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Timeout of each action.",
+)
+@click.option(
+    "--load-timeout",
+    type=click.FloatRange(0.1),
+    default=300.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Timeout of loading the policy, and of each reset.",
+)
+@click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose of the robot in the start frame.")
+@click.option(
+    "--videos",
+    type=click.IntRange(0),
+    default=12,
+    show_default=True,
+    metavar="N",
+    help="Largest number of films of failures, for each policy.",
+)
+@click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
+@renderer_option
+@json_option
+def run(
+    listen: tuple[str, ...],
+    connect: tuple[str, ...],
+    tls: Path | None,
+    out: Path | None,
+    videos: int,
+    all_tables: bool,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Evaluate policies in closed loop on episodes of a dataset.
+
+    \b
+    POLICY is built in:   expert, planner, random, stop, replay, playback, bc:DIR
+    or a class:           package.module:Class (see docs/evaluation/README.md)
+    or a server:          ws://HOST:PORT (openpi's websocket and msgpack)
+
+    --out receives episodes.parquet, results.json and index.html; the same command continues an interrupted evaluation.
+    """
+    configure_logs()
+    door = _door(listen, connect, tls, out, options["workers"])
+    campaign = draw_up(Asked(**options), drives_here=door is None)
+    with ExitStack() as stack:
+        folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
+        store = stack.enter_context(open_store(campaign, folder))
+        if not _drive(campaign, store, door):
+            kept = f"run the same command to go on; {out} holds what is done" if out else "give -o to keep what is done"
+            click.echo(f"interrupted: {kept}", err=True)
+            return 130
+        evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)
+        if as_json:
+            print_json(evaluation.model_dump(mode="json"))
+        else:
+            print_evaluation(evaluation, all_tables)
+        if out:
+            click.echo(f"kept in {out}: results.json, episodes.parquet, index.html", err=True)
+            _tell_how_to_drive_again(evaluation, store)
+    return _judged(evaluation)
+
+
+def _tell_how_to_drive_again(evaluation: Evaluation, store: Store) -> None:
+    folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
+    if folders:
+        again = f"`rm -r {' '.join(folders)}` and the same command drive it anew"
+        click.echo(f"episodes that a policy failed stay as they are; once it is mended, {again}", err=True)
+
+
+def _judged(evaluation: Evaluation) -> int:
+    """Returns the exit code; a policy that failed as a program in every episode has not been evaluated."""
+    lost = [policy.policy for policy in evaluation.policies if policy.only_failed]
+    for name in lost:
+        click.echo(f"error: {name} failed as a program in every episode: nothing is known of how it drives", err=True)
+    return 1 if lost else 0
+
+
+def _door(
+    listen: tuple[str, ...], connect: tuple[str, ...], tls: Path | None, out: Path | None, workers: int | None
+) -> Door | None:
+    """Returns how workers are reached; `None` where this machine drives."""
+    if not (listen or connect):
+        if tls is not None:
+            raise UsageError("--tls is for --listen and --connect; leave it out, or give one of them")
+        return None
+    if out is None:
+        raise UsageError("give -o OUT with --listen and --connect: what workers bring is archived there")
+    if workers is not None:
+        raise UsageError("--workers drives on this machine; else start `factory worker`s, here too if wanted")
+    if tls is not None and connect:
+        if listen:
+            raise UsageError("with --tls give --listen or --connect: a certificate is for one of them")
+        require_tls_endpoints(connect)
+        return Door((), connect, Guard(tls, listens=False), _invite)
+    require_loopback(connect)
+    guard, endpoints = open_door(tls, listen) if listen else (None, ())
+    return Door(endpoints, connect, guard, _invite)
+
+
+def _invite(endpoints: tuple[str, ...]) -> None:
+    for endpoint in endpoints:
+        click.echo(f"factory worker --cores 2 --connect {endpoint}", err=True)
+
+
+def _drive(campaign: Campaign, store: Store, door: Door | None) -> bool:
+    with stop_on_signals() as (stop, _), pace_bars(campaign) as tell:
+        if door is None:
+            return run_campaign(campaign, store, stop, tell)
+        return run_fleet(campaign, Dataset(campaign.root).meta.plan, store, door, stop, tell)
+
+
+command.set_default(run)
+command.add_command(specs_command)
+command.add_command(compare_command)

@@ -1,0 +1,42 @@
+"""`factory eval compare`: two policies over the same episodes, pair by pair."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from factory.cli.common.output import json_option, print_json
+from factory.cli.eval.tables import print_comparison
+from factory.eval.models.result import Variant
+from factory.eval.results.compare import compare
+from factory.eval.results.store import read_policy_folder
+
+__all__ = ["command"]
+
+_RESULTS = click.Path(path_type=Path)
+
+
+@click.command("compare")
+@click.argument("first", metavar="A", type=_RESULTS)
+@click.argument("second", metavar="B", type=_RESULTS)
+@click.option(
+    "--variant",
+    type=click.Choice([str(v) for v in Variant]),
+    default="original",
+    show_default=True,
+    help="Variant of the instruction.",
+)
+@json_option
+def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
+    """Compare two policies over the episodes that both drove.
+
+    A and B are OUT/policies/NAME of `factory eval -o OUT`, or OUT where it holds one policy.
+    """
+    (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
+    found = compare(ones, others, Variant(variant))
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_comparison(found)
+    return 0

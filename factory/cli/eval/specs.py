@@ -1,0 +1,103 @@
+"""`factory eval specs`: write the evaluation episodes of a dataset to a file, or freshly drawn ones."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import click
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.options import place_argument
+from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.eval.options import eval_split_filter, splits_of
+from factory.dataset.reader import Dataset
+from factory.eval.models.spec import SpecSet
+from factory.eval.models.spec_file import write_specs
+from factory.eval.specs.from_dataset import specs_of_dataset
+from factory.eval.specs.unfiltered import unfiltered_specs
+from factory.support.logs import configure_logs
+from schemas.storage.place import Place
+from schemas.terms import Split
+from workers.sim.scene_renderer import Stage
+
+__all__ = ["command"]
+
+
+@click.command("specs")
+@place_argument
+@eval_split_filter
+@click.option("--unfiltered", is_flag=True, help="Draw new start states, also those where an expert would fail.")
+@click.option(
+    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes; default: all, with --unfiltered 100."
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N", help="Seed of --unfiltered."
+)
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="JSON file to write.")
+@json_option
+def command(
+    root: Place,
+    splits: tuple[str, ...] | None,
+    unfiltered: bool,
+    episodes: int | None,
+    seed: int,
+    out: Path,
+    as_json: bool,
+) -> int:
+    """Write the evaluation episodes of a dataset to a file.
+
+    Evaluations with the same file drive the same episodes.
+    """
+    configure_logs()
+    dataset = Dataset(root)
+    chosen = splits_of(dataset, splits)
+    with Bars(transient=True) as bar:
+        task = bar.add_task("reading starts", total=None)
+
+        def tell(done: int, of: int) -> None:
+            bar.update(task, completed=done, total=of)
+
+        if unfiltered:
+            with Stage() as stage:
+                found = unfiltered_specs(dataset, chosen, episodes or 100, seed, stage, tell)
+        else:
+            found = specs_of_dataset(dataset, chosen, tell, episodes)
+    write_specs(found, out)
+    if as_json:
+        print_json(_summary(found, out))
+    else:
+        _print(found, out)
+    return 0
+
+
+def _summary(found: SpecSet, out: Path) -> dict[str, object]:
+    return {
+        "file": str(out),
+        "digest": found.digest,
+        "source": found.source,
+        "episodes": len(found.specs),
+        "splits": dict(Counter(str(spec.split) for spec in found.specs)),
+        "tiers": dict(Counter(str(spec.tier) for spec in found.specs)),
+        "scenes": dict(Counter(spec.scene for spec in found.specs)),
+        "starts": dict(Counter(spec.spawn_source for spec in found.specs)),
+        "target_in_view": sum(spec.is_target_in_view for spec in found.specs),
+        "two_or_more_categories_in_view": sum(len(spec.categories_in_view) > 1 for spec in found.specs),
+        "without_way": sum(spec.geodesic_m is None for spec in found.specs),
+    }
+
+
+def _print(found: SpecSet, out: Path) -> None:
+    summary = _summary(found, out)
+    rows = [
+        (split, sum(spec.split == split for spec in found.specs))
+        for split in Split
+        if any(spec.split == split for spec in found.specs)
+    ]
+    print_table("", ("split", "episodes"), rows)
+    click.echo(f"{len(found.specs)} episodes: {found.source}")
+    click.echo(
+        f"target in view at the start: {summary['target_in_view']}; two or more categories in view: "
+        f"{summary['two_or_more_categories_in_view']}; no way along the floor: {summary['without_way']}"
+    )
+    click.echo(f"written to {out}, digest {found.digest[:16]}")

@@ -1,0 +1,1 @@
+"""Commands for many hosts: `coordinator`, `worker`, `gateway`, `gather`, `keys`."""

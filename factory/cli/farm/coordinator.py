@@ -1,0 +1,119 @@
+"""`factory coordinator start`: the truth of a run, for workers anywhere."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from factory.cli.common.admission import open_door
+from factory.cli.common.begin import begin
+from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.http import http_options, status_pages
+from factory.cli.common.options import (
+    ledger_option,
+    listen_option,
+    out_option,
+    plan_argument,
+    shrink_options,
+    tls_option,
+    verbose_option,
+)
+from factory.cli.common.summary import say_missing
+from factory.dataset.site import Site
+from factory.runs.catalog import open_catalog, write_target_lists
+from factory.support.logs import configure_logs
+from factory.support.settings import scene_cache
+from schemas.storage.disk import require_room
+from workers.client.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+
+@click.group("coordinator", cls=CommandGroup)
+def command() -> None:
+    """Run the coordinator of a run with workers on other hosts."""
+
+
+@command.command("start")
+@plan_argument(default=None)
+@out_option
+@listen_option(
+    "Endpoint where workers connect, repeatable; port 0 takes a free port. Default: tcp/127.0.0.1:7447, with --tls "
+    "tls/0.0.0.0:7447."
+)
+@ledger_option
+@click.option(
+    "--lease",
+    "lease_ttl_s",
+    type=click.FloatRange(1.0),
+    default=CoordinatorSettings().lease_ttl_s,
+    show_default=True,
+    metavar="SECONDS",
+    help="Time after which the job of a silent worker is given to another one.",
+)
+@click.option("--stay", is_flag=True, help="Keep running and answering after the run is finished.")
+@tls_option
+@http_options
+@gate_option("skip")
+@shrink_options
+@verbose_option
+def start(
+    plan_name: str | None,
+    site: Site,
+    listen: tuple[str, ...],
+    ledger: str | None,
+    lease_ttl_s: float,
+    stay: bool,
+    tls: Path | None,
+    http: str | None,
+    http_token: Path | None,
+    gate_mode: GateMode,
+    verbose: bool,
+    **changes: Any,
+) -> int:
+    """Give the jobs of a plan to workers and archive their episodes.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
+    The command ends when the run is finished, with 1 when episodes are missing; stopped before that, it ends with 0.
+    With --gate the pilot is simulated on this host before the first job is given out.
+    """
+    configure_logs(verbose)
+    guard, listen = open_door(tls, listen)
+    plan, is_new = begin(plan_name, site, changes)
+    settings = CoordinatorSettings(lease_ttl_s=lease_ttl_s)
+    require_room(site.home, settings.reserve_bytes)
+    with stop_on_signals() as (stop, _):
+        catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
+        if gate is None:
+            click.echo("interrupted at the gate; nothing was kept", err=True)
+            return 130
+        with (
+            Coordinator(
+                site.home, plan, catalog, listen, ledger, settings, guard=guard, gate=gate, store=site.store
+            ) as coordinator,
+            status_pages(coordinator.vitals, http, http_token),
+        ):
+            write_target_lists(catalog, site.place)
+            where = "on loopback only" if guard is None else f"for {len(guard.admitted())} hosts"
+            click.echo(f"run {coordinator.run} in {site}: {plan.episodes} episodes, listening {where}", err=True)
+            for endpoint in coordinator.endpoints:
+                click.echo(f"factory worker --cores 2 --connect {endpoint}")
+            finished = coordinator.wait(stop=stop)
+            if stay:
+                stop.wait()
+            elif finished:
+                coordinator.see_off(stop)
+            progress = coordinator.progress()
+    if not progress.finished:
+        click.echo(f"stopped; go on with: factory coordinator start --out {site}", err=True)
+        return 0
+    click.echo("finished", err=True)
+    say_missing(site, progress)
+    return 1 if progress.missing else 0

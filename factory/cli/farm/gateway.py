@@ -1,0 +1,107 @@
+"""`factory gateway`: a router with a directory of its own, between workers and a coordinator far away."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import click
+
+from coordinator.gateway.service import Gateway
+from coordinator.protocol.tls import Guard, read_credentials
+from coordinator.settings import CoordinatorSettings
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.http import http_options, status_pages
+from factory.cli.common.options import connect_option, listen_option, tls_option, verbose_option
+from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
+from factory.support.logs import configure_logs
+from schemas.errors import TransientError, UsageError
+from schemas.identity import require_host_name
+from schemas.storage.disk import require_room
+from workers.client.host import tidy_host
+from workers.client.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+_LISTEN, _TLS_LISTEN = ("tcp/127.0.0.1:7448",), ("tls/0.0.0.0:7447",)
+_POLL_S = 0.5
+
+
+@click.group("gateway", cls=CommandGroup)
+def command() -> None:
+    """Run a gateway between workers and a coordinator."""
+
+
+@command.command("start")
+@connect_option("Endpoint of the coordinator, repeatable.", required=True)
+@click.option(
+    "-o",
+    "--out",
+    "root",
+    required=True,
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Directory of this gateway's episodes. One that is there is continued.",
+)
+@listen_option(
+    "Endpoint where workers connect, repeatable; port 0 takes a free port. Default: tcp/127.0.0.1:7448, with --tls "
+    "tls/0.0.0.0:7447."
+)
+@click.option(
+    "--name", metavar="NAME", help="Name of this gateway; default: the host's name, with --tls that of the certificate."
+)
+@tls_option
+@http_options
+@verbose_option
+def start(
+    connect: tuple[str, ...],
+    root: Path,
+    listen: tuple[str, ...],
+    name: str | None,
+    tls: Path | None,
+    http: str | None,
+    http_token: Path | None,
+    verbose: bool,
+) -> int:
+    """Validate and keep the episodes of workers for a coordinator.
+
+    The coordinator keeps the ledger and gives out the jobs; no episode passes through it. The gateway runs until it is
+    stopped. When the run is finished, `factory gather` copies the episodes of all gateways into one dataset.
+    """
+    configure_logs(verbose)
+    guard, name, listen = _door(tls, name, connect, listen)
+    settings = CoordinatorSettings()
+    require_room(root, settings.reserve_bytes)
+    with stop_on_signals() as (stop, _):
+        try:
+            with (
+                Gateway(root, name, connect, listen, settings, guard=guard, stop=stop) as gateway,
+                status_pages(gateway, http, http_token),
+            ):
+                click.echo(f"gateway {name} of run {gateway.run}, keeping episodes in {root}", err=True)
+                for endpoint in gateway.endpoints:
+                    click.echo(f"factory worker --cores 2 --connect {endpoint}")
+                while not stop.wait(_POLL_S):
+                    pass
+        except TransientError:
+            if not stop.is_set():
+                raise
+            click.echo(f"stopped before the coordinator at {', '.join(connect)} had answered", err=True)
+            return 130
+    click.echo(f"stopped; its episodes lie in {root}", err=True)
+    return 0
+
+
+def _door(
+    tls: Path | None, name: str | None, connect: tuple[str, ...], listen: tuple[str, ...]
+) -> tuple[Guard | None, str, tuple[str, ...]]:
+    """Returns who is let in, under which name the core knows this gateway, and where it listens."""
+    require_endpoints(connect, with_tls=tls is not None)
+    if tls is None:
+        require_loopback(listen)
+        return None, require_host_name(name or tidy_host(socket.gethostname())), listen or _LISTEN
+    require_tls_endpoints(listen)
+    certified = read_credentials(tls)[1]
+    if name not in (None, certified):
+        raise UsageError(f"the certificate in {tls} is of {certified!r}, not of {name!r}: leave out --name")
+    return Guard(tls, of_gateway=True), certified, listen or _TLS_LISTEN

@@ -1,0 +1,73 @@
+"""`factory gather`: one dataset out of what several gateways keep."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import click
+
+from coordinator.gateway.gather import GatherReport, gather
+from factory.cli.common.bars import Bars
+from factory.cli.common.options import ledger_option
+from factory.cli.common.output import json_option, print_json, print_table
+from factory.support.logs import configure_logs
+from factory.support.settings import scene_cache
+from factory.verify.repair_input import examine
+
+__all__ = ["command"]
+
+_LISTED = 20
+
+
+@click.command("gather")
+@click.argument("root", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("sources", metavar="[GATEWAY_DIR]...", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "--requeue-missing",
+    is_flag=True,
+    help="Put episodes that are found nowhere back into the queue; they are made again with the same content.",
+)
+@ledger_option
+@json_option
+def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger: str | None, as_json: bool) -> int:
+    """Copy the episodes that gateways keep into one dataset.
+
+    DIR is the coordinator's dataset directory; no coordinator may run on it. GATEWAY_DIR is the --out of a gateway, or
+    a copy of it, and is not changed. Each episode is compared with the ledger. With the directories of all gateways DIR
+    is the whole dataset; with some of them, run the command again for the others. Exits with 1 when episodes are
+    missing.
+    """
+    configure_logs()
+    with Bars(transient=True) as bar:
+        task = bar.add_task("gathering", total=None)
+        patient = examine(
+            root, root, None, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+        )
+        report = gather(
+            patient,
+            sources,
+            datetime.now(UTC),
+            requeue_missing=requeue_missing,
+            tell=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        _print(report)
+    return 1 if report.missing and not report.requeued else 0
+
+
+def _print(report: GatherReport) -> None:
+    if report.missing:
+        rows = [(one.episode, one.gateway, one.why) for one in report.missing[:_LISTED]]
+        print_table("", ("missing", "gateway", "why"), rows)
+    more = f" (the first {_LISTED} are listed)" if len(report.missing) > _LISTED else ""
+    click.echo(
+        f"{report.dataset}: {report.gathered} episodes gathered, {len(report.missing)} missing{more}; "
+        f"{report.episodes} of {report.planned} lie there"
+    )
+    if report.requeued:
+        click.echo(f"make the missing ones with: factory run --out {report.dataset}", err=True)
+    elif report.missing:
+        click.echo("give the directories of those gateways too, or --requeue-missing when they are lost", err=True)

@@ -1,0 +1,130 @@
+"""`factory keys`: an authority of one's own, one certificate a host, and who is admitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.output import json_option, print_json, print_table
+from factory.keys import HostKeys, admit, found, list_hosts, revoke
+from schemas.identity import Role
+
+__all__ = ["command"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+_folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
+
+
+def _days_option(default: int) -> Callable[[Command], Command]:
+    return click.option(
+        "--days",
+        type=click.IntRange(1, 36500),
+        default=default,
+        show_default=True,
+        metavar="N",
+        help="Validity of the certificate, days.",
+    )
+
+
+@click.group("keys", cls=CommandGroup)
+def command() -> None:
+    """Create and list the TLS certificates of hosts.
+
+    \b
+    factory keys ca pki
+    factory keys host pki hub --role coordinator --address hub.example.org
+    factory keys host pki gw1 --role gateway --address 10.0.1.1
+    factory keys host pki node-07
+    factory keys host pki desk --role evaluator
+
+    Then copy pki/hub, pki/gw1, pki/node-07 and pki/desk to these hosts and give them as --tls.
+    """
+
+
+@command.command("ca")
+@_folder_argument
+@click.option("--name", default="minivla-factory", show_default=True, metavar="NAME", help="Name of the authority.")
+@_days_option(3650)
+@json_option
+def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
+    """Create a certificate authority.
+
+    DIR is the new directory of the authority. Keep DIR/ca.key secret.
+    """
+    found(folder, name, days, datetime.now(UTC))
+    if as_json:
+        print_json({"authority": str(folder), "key": str(folder / "ca.key"), "certificate": str(folder / "ca.pem")})
+    else:
+        click.echo(f"authority in {folder}; next: factory keys host {folder} NAME --role coordinator --address ADDRESS")
+
+
+@command.command("host")
+@_folder_argument
+@click.argument("name")
+@click.option(
+    "--role",
+    type=click.Choice([str(role) for role in Role]),
+    default=str(Role.WORKER),
+    show_default=True,
+    help="Role of the host, which decides what it may do.",
+)
+@click.option(
+    "--address",
+    multiple=True,
+    metavar="ADDRESS",
+    help="Host name or IP address where others connect to it; repeatable. Needed for coordinators and gateways.",
+)
+@_days_option(365)
+@click.option("--renew", is_flag=True, help="Replace an existing certificate of this host.")
+@json_option
+def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int, renew: bool, as_json: bool) -> None:
+    """Create the TLS folder of a host, and admit the host.
+
+    DIR is the directory of the authority. The folder is DIR/NAME.
+    """
+    place = admit(folder, name, Role(role), address, days, datetime.now(UTC), renew=renew)
+    if as_json:
+        print_json({"host": name, "role": role, "folder": str(place)})
+    else:
+        click.echo(f"{role} {name}: copy {place} to it and give it as --tls")
+
+
+@command.command("revoke")
+@_folder_argument
+@click.argument("name")
+@json_option
+def revoke_(folder: Path, name: str, as_json: bool) -> None:
+    """Revoke the admission of a host.
+
+    DIR is the directory of the authority. Coordinators and gateways notice it within seconds.
+    """
+    lists = [str(path) for path in revoke(folder, name)]
+    if as_json:
+        print_json({"revoked": name, "lists": lists})
+    else:
+        click.echo(f"{name} is out; where those who listen are other machines copy there: {', '.join(lists) or '-'}")
+
+
+@command.command("list")
+@_folder_argument
+@json_option
+def list_(folder: Path, as_json: bool) -> None:
+    """List the hosts that have certificates.
+
+    DIR is the directory of the authority.
+    """
+    hosts = list_hosts(folder)
+    if as_json:
+        print_json([_plain(keys) for keys in hosts])
+        return
+    rows = [(k.name, k.role, "yes" if k.admitted else "no", f"{k.expires:%Y-%m-%d}", k.folder) for k in hosts]
+    print_table("", ("host", "role", "admitted", "expires", "folder"), rows)
+
+
+def _plain(keys: HostKeys) -> dict[str, Any]:
+    return keys._asdict() | {"expires": keys.expires.isoformat(), "folder": str(keys.folder)}

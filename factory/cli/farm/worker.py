@@ -1,0 +1,98 @@
+"""`factory worker`: simulations of this host for a coordinator anywhere."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+import click
+
+from coordinator.protocol.tls import read_credentials
+from factory.cli.common.options import (
+    connect_option,
+    count_option,
+    former_option,
+    renderer_option,
+    tls_option,
+    verbose_option,
+)
+from factory.support.listen import require_endpoints
+from factory.support.logs import configure_logs
+from schemas.support.child import python_module
+from schemas.support.extras import require_package
+from schemas.terms import RendererKind
+from workers.client.settings import WorkerSettings
+from workers.client.stopping import stop_at_eof, stop_on_signals
+from workers.client.supervisor import run_worker
+
+__all__ = ["command"]
+
+
+@click.command("worker")
+@count_option("--cores", 1, "Number of cores to use: one simulation process each.", most=1024)
+@former_option("--workers", "cores", "--cores", type=click.IntRange(1, 1024))
+@connect_option(
+    "Endpoint of a coordinator or gateway, repeatable: the worker takes one, and another one when that is gone. "
+    "Default: tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447."
+)
+@renderer_option
+@click.option(
+    "--spool",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Directory where finished bundles wait to be fetched; default: in the user's cache.",
+)
+@click.option(
+    "--connect-timeout",
+    "wait_s",
+    type=click.FloatRange(0.0),
+    default=30.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Timeout of the first connection to a coordinator.",
+)
+@former_option("--wait", "wait_s", "--connect-timeout", type=click.FloatRange(0.0))
+@click.option("--import-policies", is_flag=True, help="Import the policy classes that evaluations name.")
+@click.option("--until-eof", is_flag=True, hidden=True, help="Stop when stdin is closed.")
+@tls_option
+@verbose_option
+def command(
+    cores: int,
+    connect: tuple[str, ...],
+    renderer: str,
+    spool: Path | None,
+    wait_s: float,
+    import_policies: bool,
+    until_eof: bool,
+    tls: Path | None,
+    verbose: bool,
+) -> int:
+    """Simulate jobs of a coordinator on this host.
+
+    The worker stops when the run is finished. SIGTERM gives the jobs that are under way back to the coordinator.
+    """
+    configure_logs(verbose)
+    require_package("pybullet", "`factory worker`")
+    more: dict[str, Any] = {} if spool is None else {"spool_dir": spool}
+    require_endpoints(connect, with_tls=tls is not None)
+    if tls is not None:
+        more["tls"], more["host"] = read_credentials(tls)
+    settings = WorkerSettings(
+        connect=connect or (f"{'tcp' if tls is None else 'tls'}/127.0.0.1:7447",),
+        cores=cores,
+        renderer=cast(RendererKind, renderer),
+        wait_s=wait_s,
+        errand_command=_errand_command(renderer, import_policies),
+        **more,
+    )
+    with stop_on_signals() as (stop, at_once):
+        if until_eof:
+            stop_at_eof(sys.stdin.fileno(), stop)
+        return run_worker(settings, stop, at_once)
+
+
+def _errand_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
+    return python_module(
+        "factory.eval.remote.eval_worker", "--renderer", renderer, *["--import-policies"] * import_policies
+    )

@@ -1,0 +1,1 @@
+"""Commands that inspect datasets: `status`, `jobs`, `verify`, `repair`, `replay`, `stats`, `report`, `show`, `view`."""

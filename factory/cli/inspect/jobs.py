@@ -1,0 +1,218 @@
+"""`factory jobs`: single jobs with their attempts and reasons; retry and cancelling; release of barred hosts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coordinator.expansion.file import scene_of
+from coordinator.ledger.opening import read_info
+from coordinator.ledger.reading.records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
+from coordinator.ledger.states import State
+from coordinator.protocol.tls import read_credentials
+from factory.cli.common.episodes import episode_index
+from factory.cli.common.filters import filter_option, scene_filter, split_filter, tier_filter
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.options import ledger_option, site_argument, tls_option
+from factory.cli.common.output import json_option, print_json, print_table, print_text
+from factory.dataset.site import Site
+from factory.runs.ledger import read_ledger
+from schemas.errors import UsageError
+from schemas.identity import require_host_name
+from schemas.job import episode_id
+from schemas.terms import Split, Tier
+from schemas.wire import MAX_INDICES, AdminAction, AdminReply, AdminRequest
+
+__all__ = ["command"]
+
+
+@click.group("jobs", cls=CommandGroup)
+def command() -> None:
+    """List, show, retry and cancel jobs; release barred hosts."""
+
+
+@command.command("list")
+@site_argument
+@filter_option("--state", "states", State)
+@scene_filter()
+@tier_filter()
+@split_filter()
+@click.option(
+    "--limit", type=click.IntRange(1), default=100, show_default=True, metavar="N", help="Largest number of rows."
+)
+@ledger_option
+@json_option
+def list_(
+    site: Site,
+    states: tuple[str, ...] | None,
+    scenes: tuple[str, ...] | None,
+    tiers: tuple[str, ...] | None,
+    splits: tuple[str, ...] | None,
+    limit: int,
+    ledger: str | None,
+    as_json: bool,
+) -> None:
+    """List the current draw of each episode of a run."""
+    wanted = JobFilter(
+        states=tuple(map(State, states or ())),
+        scenes=scenes or (),
+        tiers=tuple(map(Tier, tiers or ())),
+        splits=tuple(map(Split, splits or ())),
+    )
+    with read_ledger(site, ledger) as connection:
+        for scene in wanted.scenes:
+            scene_of(read_info(connection).plan, scene)
+        jobs, total = list_jobs(connection, wanted, limit), count_jobs(connection, wanted)
+    if as_json:
+        print_json({"total": total, "jobs": [_plain(job) for job in jobs]})
+        return
+    rows = [
+        (episode_id(j.index), j.state, j.scene, j.tier, j.split, j.target_id, j.attempt, j.draw, j.reason) for j in jobs
+    ]
+    print_table("", ("episode", "state", "scene", "tier", "split", "target", "attempt", "draw", "reason"), rows)
+    if total > len(jobs):
+        click.echo(f"{len(jobs)} of {total}; more with --limit", err=True)
+
+
+@command.command("show")
+@site_argument
+@click.argument("episode")
+@ledger_option
+@json_option
+def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
+    """Show the draws, attempts and events of one episode.
+
+    EPISODE is ep_000001 or 1.
+    """
+    index = episode_index(episode)
+    with read_ledger(site, ledger) as connection:
+        draws = list_jobs(connection, JobFilter(index=index))
+        attempts, events = list(read_attempts(connection, index)), list(read_events(connection, index))
+    if not draws:
+        raise UsageError(f"the plan of {site} has no {episode_id(index)}")
+    if as_json:
+        parts: dict[str, Sequence[object]] = {"draws": draws, "attempts": attempts, "events": events}
+        print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
+        return
+    last = draws[-1]
+    print_text(f"{episode_id(index)}: {last.state}; {last.scene}, {last.split}, {last.tier}: {last.instruction}")
+    rows = [(d.draw, d.state, d.category, d.target_id, d.misses, d.crashes, d.reason) for d in draws]
+    print_table("draws", ("draw", "state", "category", "target", "misses", "crashes", "reason"), rows)
+    print_table(
+        "attempts",
+        ("attempt", "draw", "outcome", "steps", "seconds", "worker", "detail"),
+        [(a.attempt, a.draw, a.outcome, a.steps, a.seconds or None, a.worker, a.detail) for a in attempts],
+    )
+    print_table(
+        "events",
+        ("at", "draw", "attempt", "event", "state", "worker", "detail"),
+        [(f"{e.at:%H:%M:%S}", e.draw, e.attempt, e.event, e.state, e.worker, e.detail) for e in events],
+    )
+
+
+@command.command("retry")
+@site_argument
+@click.argument("episodes", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="Every failed job of the run.")
+@ledger_option
+@tls_option
+@json_option
+def retry(
+    site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+) -> int:
+    """Put failed or cancelled jobs back into the queue.
+
+    EPISODES are names or numbers: ep_000001 or 1. Each job gets a new budget of attempts.
+    """
+    return _administer(site, AdminAction.RETRY, episodes, everything, ledger, tls, as_json)
+
+
+@command.command("cancel")
+@site_argument
+@click.argument("episodes", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="Every job of the run that has not ended.")
+@ledger_option
+@tls_option
+@json_option
+def cancel(
+    site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+) -> int:
+    """Cancel jobs that have not ended.
+
+    EPISODES are names or numbers: ep_000001 or 1. A worker that holds one stops it at its next heartbeat.
+    """
+    return _administer(site, AdminAction.CANCEL, episodes, everything, ledger, tls, as_json)
+
+
+@command.command("release")
+@site_argument
+@click.argument("hosts", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="Every host that pauses or is barred.")
+@ledger_option
+@tls_option
+@json_option
+def release(
+    site: Site, hosts: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
+) -> int:
+    """Give jobs again to HOSTS that pause or are barred."""
+    if bool(hosts) == everything:
+        raise UsageError("which hosts to release? name them as `factory status` does, or give --all")
+    request = AdminRequest(action=AdminAction.RELEASE, hosts=tuple(require_host_name(name) for name in hosts))
+    reply = _ask(site, request, ledger, tls)
+    if as_json:
+        print_json(reply.model_dump(mode="json"))
+    else:
+        click.echo(f"release: {len(reply.hosts)} hosts {', '.join(reply.hosts)}")
+        for host, reason in reply.refused_hosts.items():
+            click.echo(f"  {host}: {reason}", err=True)
+    return 1 if reply.refused_hosts else 0
+
+
+def _administer(
+    site: Site,
+    action: AdminAction,
+    names: tuple[str, ...],
+    everything: bool,
+    ledger: str | None,
+    tls: Path | None,
+    as_json: bool,
+) -> int:
+    if bool(names) == everything:
+        raise UsageError(f"which jobs to {action}? name episodes, or give --all")
+    if len(names) > MAX_INDICES:
+        raise UsageError(f"{len(names)} episodes; name at most {MAX_INDICES} at a time, or give --all")
+    request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
+    reply = _ask(site, request, ledger, tls)
+    if as_json:
+        print_json(reply.model_dump(mode="json"))
+    else:
+        _print_reply(reply, action)
+    return 1 if reply.refused else 0
+
+
+def _ask(site: Site, request: AdminRequest, ledger: str | None, tls: Path | None) -> AdminReply:
+    from coordinator.admin import administer  # opens zenoh
+
+    now = datetime.now(UTC)
+    if tls is None:
+        return administer(site.home, request, now, ledger)
+    files, name = read_credentials(tls)
+    return administer(site.home, request, now, ledger, name=name, tls=files)
+
+
+def _print_reply(reply: AdminReply, action: AdminAction) -> None:
+    shown = ", ".join(episode_id(index) for index in reply.changed[:20])
+    more = f" and {len(reply.changed) - 20} more" if len(reply.changed) > 20 else ""
+    print_text(f"{action}: {len(reply.changed)} jobs {shown}{more}")
+    for index, reason in reply.refused.items():
+        click.echo(f"  {episode_id(index)}: {reason}", err=True)
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    fields = asdict(record)
+    return {key: value.isoformat() if isinstance(value, datetime) else value for key, value in fields.items()}

@@ -1,0 +1,58 @@
+"""`factory replay`: regenerate an episode and compare digests."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import cast
+
+import click
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.episodes import episode_path
+from factory.cli.common.options import place_argument, renderer_option
+from factory.cli.common.output import json_option, print_json
+from factory.runs.replay import Replay, replay_episode
+from factory.support.logs import configure_logs
+from schemas.storage.place import Place
+from schemas.terms import RendererKind
+
+__all__ = ["command"]
+
+
+@click.command("replay")
+@place_argument
+@click.argument("episode")
+@renderer_option
+@json_option
+def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
+    """Simulate one episode again and compare its content.
+
+    EPISODE is ep_000001 or 1. Exits with 1 when the content differs.
+    """
+    configure_logs()
+    path = episode_path(root, episode)
+    with Bars(transient=True) as bar:
+        task = bar.add_task(f"replaying {path.stem}", total=None)
+        outcome = replay_episode(
+            root,
+            path,
+            cast(RendererKind, renderer),
+            lambda step, steps: bar.update(task, completed=step, total=steps),
+        )
+    if as_json:
+        print_json({**asdict(outcome), "identical": outcome.is_identical})
+    else:
+        _print(outcome)
+    return 0 if outcome.is_identical else 1
+
+
+def _print(outcome: Replay) -> None:
+    if outcome.is_identical:
+        click.echo(f"{outcome.episode_id}: identical, {outcome.steps} steps, digest {outcome.archived_digest}")
+    else:
+        click.echo(f"{outcome.episode_id}: differs")
+        click.echo(f"  archived {outcome.archived_digest}\n  replayed {outcome.replayed_digest}")
+        for name, distance in outcome.differences.items():
+            click.echo(f"  {name}: largest difference {distance:g}")
+    for name, (then, now) in outcome.fingerprint_changes.items():
+        click.echo(f"  made with {name} {then}, here {now}")

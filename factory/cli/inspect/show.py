@@ -1,0 +1,101 @@
+"""`factory show`: a picture or a short film of one episode."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import click
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.episodes import episode_path
+from factory.cli.common.options import place_argument
+from factory.cli.common.output import json_option, print_json
+from factory.runs.catalog import find_package
+from factory.visualize.contact_sheet import draw_contact_sheet
+from factory.visualize.film import draw_film, film_rate, require_mp4, write_gif, write_mp4
+from schemas.bundle import BundleReader
+from schemas.errors import UsageError, WorldError
+from schemas.scene import CompiledScene, decode_scene
+from schemas.storage.place import Place
+
+__all__ = ["command"]
+
+_GIF_FPS = 15
+_KINDS = (".png", ".mp4", ".gif")
+
+
+@click.command("show")
+@place_argument
+@click.argument("episode")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="File to write, .png, .mp4 or .gif; default: EPISODE.png.",
+)
+@click.option(
+    "--columns",
+    type=click.IntRange(2, 24),
+    default=6,
+    show_default=True,
+    metavar="N",
+    help="Number of frames in a row of a contact sheet.",
+)
+@json_option
+def command(root: Place, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
+    """Write one episode as a contact sheet or as a film.
+
+    EPISODE is ep_000001 or 1. A .png is a contact sheet; a .mp4 or .gif is a film in real time: colour, depth, ids and
+    the track from above, with the instruction below.
+    """
+    path = episode_path(root, episode)
+    target = out or Path(f"{path.stem}.png")
+    kind = target.suffix.lower()
+    if kind not in _KINDS:
+        raise UsageError(
+            f"-o {target}: nothing is written as {kind or 'a file without suffix'!r}; use {', '.join(_KINDS)}"
+        )
+    if kind == ".mp4":
+        require_mp4()
+    with path.open("rb") as file, BundleReader(file) as bundle:
+        job = bundle.meta.job
+        with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
+            scene = decode_scene(package)
+        _make_room(target)
+        facts = {"file": str(target), "kind": kind[1:], "episode": job.episode_id, "frames": bundle.length}
+        if kind == ".png":
+            _save_sheet(target, bundle, scene, columns)
+        else:
+            facts |= {"fps": float(_save_film(target, bundle, scene))}
+    if as_json:
+        print_json(facts | {"bytes": target.stat().st_size})
+    else:
+        click.echo(str(target))
+
+
+def _make_room(target: Path) -> None:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WorldError(f"cannot make {target.parent} ({error.strerror}); choose another -o") from error
+
+
+def _save_sheet(target: Path, bundle: BundleReader, scene: CompiledScene, columns: int) -> None:
+    sheet = draw_contact_sheet(bundle, scene, columns)
+    try:
+        sheet.save(target)
+    except OSError as error:
+        raise WorldError(f"cannot write {target} ({error.strerror}); free space or choose another -o") from error
+
+
+def _save_film(target: Path, bundle: BundleReader, scene: CompiledScene) -> Fraction:
+    is_gif = target.suffix.lower() == ".gif"
+    hz = bundle.meta.job.task.control_hz
+    stride, rate = film_rate(hz, _GIF_FPS) if is_gif else film_rate(hz)
+    write = write_gif if is_gif else write_mp4
+    with Bars(transient=True) as bar:
+        pictures = bar.track(draw_film(bundle, scene, stride), total=-(-(bundle.length - 1) // stride) + 1)
+        write(target, pictures, rate)
+    return rate

@@ -1,0 +1,148 @@
+"""`factory status`: where a run stands, from the ledger in a directory or from a running coordinator."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+from rich.console import Group
+from rich.live import Live
+from rich.text import Text
+
+from coordinator.protocol.tls import read_credentials
+from factory.cli.common.options import connect_option, ledger_option, tls_option
+from factory.cli.common.output import FittedTable, json_option, print_json, say_duration, stdout
+from factory.cli.common.places import SITE
+from factory.dataset.site import Site
+from factory.runs.ledger import progress_of
+from factory.support.listen import require_endpoints
+from schemas.errors import TransientError, UsageError
+from schemas.terms import BUILTIN_CATEGORIES
+from schemas.wire import HostStatus, Progress, WorkerStatus
+
+__all__ = ["command", "draw_progress", "watch_progress"]
+
+_PAUSE_S = 1.0
+_PATIENCE_S = 60.0
+"""Silence of a coordinator that is watched, seconds: a restart takes a few."""
+_FIRST = max(map(len, BUILTIN_CATEGORIES))
+"""Width of the first columns, so that the numbers of all tables are below each other."""
+_REASON_CHARS = 200
+_COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
+_ALWAYS = ("pending", "leased", "archived")
+"""States whose columns are shown even where no job has them."""
+
+
+@click.command("status")
+@click.argument("site", metavar="[DIR|URL]", required=False, type=SITE)
+@connect_option("Ask the running coordinator at this endpoint, e.g. tcp/127.0.0.1:7447.")
+@ledger_option
+@click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
+@tls_option
+@json_option
+def command(
+    site: Site | None, connect: tuple[str, ...], ledger: str | None, watch: bool, tls: Path | None, as_json: bool
+) -> None:
+    """Show the progress of a run and its workers.
+
+    Prints the jobs of the dataset in DIR or URL by scene, tier and split, the rate, the time left and the workers.
+    """
+    source = _source(site, connect, ledger, tls)
+    if as_json:
+        print_json(source().model_dump(mode="json"))
+    elif watch:
+        watch_progress(source)
+    else:
+        stdout.print(draw_progress(source()), soft_wrap=False)
+
+
+def _source(
+    site: Site | None, connect: tuple[str, ...], ledger: str | None, tls: Path | None
+) -> Callable[[], Progress]:
+    if connect:
+        from coordinator.protocol.ask import ask_progress
+
+        require_endpoints(connect, with_tls=tls is not None)
+        if tls is None:
+            return lambda: ask_progress(connect)
+        files, name = read_credentials(tls)
+        return lambda: ask_progress(connect, name, files)
+    if site is None:
+        raise UsageError("whose status? give a dataset DIR or URL, or --connect ENDPOINT")
+    return lambda: progress_of(site, ledger)
+
+
+def watch_progress(source: Callable[[], Progress], pause_s: float = _PAUSE_S, patience_s: float = _PATIENCE_S) -> None:
+    """Shows where a run stands until it is finished, through a restart of its coordinator.
+
+    Args:
+        source: tells where it stands; a `TransientError` means that nobody answered.
+        pause_s: between two questions, seconds.
+        patience_s: silence after which the error is passed on, seconds.
+    """
+    progress = source()
+    heard = time.monotonic()
+    with Live(draw_progress(progress), console=stdout, auto_refresh=False) as live:
+        while not progress.finished:
+            time.sleep(pause_s)
+            try:
+                progress = source()
+            except TransientError:
+                silence_s = time.monotonic() - heard
+                if silence_s > patience_s:
+                    raise
+                remark = Text(f"no answer for {say_duration(silence_s)}; asking again", style="yellow")
+                live.update(Group(draw_progress(progress), remark), refresh=True)
+            else:
+                heard = time.monotonic()
+                live.update(draw_progress(progress), refresh=True)
+
+
+def draw_progress(progress: Progress) -> Group:
+    """Returns the status page of a run."""
+    done = progress.jobs.get("archived", 0)
+    rate = "-" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
+    head = f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {say_duration(progress.eta_s)}"
+    tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
+    back = f"; given back: {progress.given_back}" if progress.given_back else ""
+    foot = f"failed attempts: {tries}{back}; redrawn: {progress.redrawn}"
+    kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
+    away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
+    groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
+    states = [state for state in _COLUMNS if state in _ALWAYS or progress.jobs.get(state)]
+    tables = [_group_table(name, rows, states) for name, rows in groups.items()]
+    hosts = map(_describe_host, progress.hosts)
+    return Group(Text(head, style="bold"), *away, *tables, _workers(progress), *hosts, Text(foot))
+
+
+def _describe_host(host: HostStatus) -> Text:
+    """Returns why a host gets no jobs, or one at a time, and what to do."""
+    why = f"{host.strikes} failures, last: {' '.join(host.reason[:_REASON_CHARS].split())}"
+    if host.barred_at is None:
+        return Text(f"host {host.host} gets one job at a time, with pauses: {why}", style="yellow")
+    since = f"{host.barred_at:%H:%M:%S}"
+    remedy = f"repair the host, then run `factory jobs release DIR {host.host}`"
+    return Text(f"host {host.host} is barred since {since}: {why}; {remedy}", style="bold red")
+
+
+def _group_table(name: str, rows: dict[str, dict[str, int]], states: list[str]) -> FittedTable:
+    body = [(key, *(counts.get(state, 0) for state in states)) for key, counts in rows.items()]
+    return FittedTable("", (name, *states), body, _FIRST)
+
+
+def _workers(progress: Progress) -> FittedTable:
+    barred = {host.host for host in progress.hosts if host.barred_at is not None and not progress.finished}
+    body = [
+        (w.sid, w.slots, w.leased, w.archived, "barred" if w.host in barred else _state_of(w, progress.finished))
+        for w in progress.workers
+    ]
+    return FittedTable("", ("worker", "slots", "leased", "archived", "state"), body, _FIRST)
+
+
+def _state_of(worker: WorkerStatus, is_finished: bool) -> str:
+    """Returns a worker's state in words; those of a finished run are told to leave, and say nothing when they do."""
+    if is_finished:
+        return "left"
+    return "alive" if worker.alive else f"silent since {worker.last_beat:%H:%M:%S}"

@@ -1,0 +1,60 @@
+"""`factory verify`: every hash, shape, bound and kinematic check of a dataset."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import click
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.options import place_argument, workers_option
+from factory.cli.common.output import json_option, print_json
+from factory.support.logs import configure_logs
+from factory.verify.dataset import Report, verify
+from schemas.storage.place import Place
+
+__all__ = ["command"]
+
+
+@click.command("verify")
+@place_argument
+@click.option("--deep", is_flag=True, help="Decode every frame; recompute digests, statistics and motion.")
+@workers_option("Number of processes with --deep")
+@json_option
+def command(root: Place, deep: bool, workers: int | None, as_json: bool) -> int:
+    """Check the files, tables and hashes of a dataset.
+
+    Exits with 1 when something is damaged.
+    """
+    configure_logs()
+    with Bars(transient=True) as bar:
+        task = bar.add_task("verifying", total=None)
+        processes = (workers or os.cpu_count() or 1) if deep else 1
+        report = verify(root, deep, lambda done, total: bar.update(task, completed=done, total=total), processes)
+    if as_json:
+        print_json(_plain(report))
+    else:
+        _print(report)
+    return 0 if report.ok else 1
+
+
+def _plain(report: Report) -> dict[str, Any]:
+    return {
+        "dataset": str(report.root),
+        "deep": report.deep,
+        "ok": report.ok,
+        "complete": report.complete,
+        "episodes": report.episodes,
+        "digest": report.digest,
+        "findings": [{"kind": f.kind, "file": f.file, "text": f.text} for f in report.findings],
+    }
+
+
+def _print(report: Report) -> None:
+    for finding in report.findings:
+        click.echo(f"{finding.kind}: {finding.file}: {finding.text}")
+    how = "every byte" if report.deep else "files and tables; --deep looks inside"
+    verdict = "sound" if report.ok else f"{len(report.findings)} findings"
+    state = "complete" if report.complete else "not complete"
+    click.echo(f"{report.root}: {verdict} ({how}); {report.episodes} episodes, {state}, digest {report.digest}")

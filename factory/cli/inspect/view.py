@@ -1,0 +1,69 @@
+"""`factory view`: one episode in the Rerun viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.episodes import episode_index
+from factory.cli.common.options import former_option, place_argument
+from factory.cli.common.output import json_option, print_json
+from factory.dataset.reader import Dataset
+from factory.runs.catalog import find_package
+from factory.visualize.rerun import view_episode
+from schemas.errors import UsageError
+from schemas.job import episode_id
+from schemas.scene import decode_scene
+from schemas.storage.place import Place
+from schemas.support.extras import require_package
+
+__all__ = ["command"]
+
+
+@click.command("view")
+@place_argument
+@click.argument("episode")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Recording to write, .rrd; without it the viewer is opened.",
+)
+@former_option("--save", "out", "--out", type=click.Path(path_type=Path))
+@click.option(
+    "--stride",
+    type=click.IntRange(1, 1000),
+    default=2,
+    show_default=True,
+    metavar="N",
+    help="Show every N-th frame.",
+)
+@json_option
+def command(root: Place, episode: str, out: Path | None, stride: int, as_json: bool) -> None:
+    """Open one episode in the Rerun viewer.
+
+    EPISODE is ep_000001 or 1. Shows colour, depth and ids, the robot and its trajectory on the map, the actions and the
+    instruction. Needs the extra `view`.
+    """
+    require_package("rerun", "factory view")
+    dataset = Dataset(root)
+    try:
+        chosen = dataset[episode_id(episode_index(episode))]
+    except KeyError as error:
+        raise UsageError(f"{error.args[0]}; see `factory jobs list {root}`") from error
+    job = chosen.meta.job
+    with find_package(root, job.scene, job.scene_sha256).path.open("rb") as package:
+        scene = decode_scene(package)
+    frames = range(0, len(chosen), stride)
+    with chosen, Bars() as progress:
+        task = progress.add_task("frames", total=len(frames))
+        view_episode(chosen, scene, out, stride, lambda _: progress.advance(task))
+    if as_json:
+        shown = {"episode": chosen.episode_id, "file": str(out) if out else None, "steps": len(chosen)}
+        print_json(shown | {"frames": len(frames)})
+    else:
+        where = str(out) if out else "the viewer"
+        click.echo(f"{chosen.episode_id}: {len(frames)} of {len(chosen)} frames in {where}")

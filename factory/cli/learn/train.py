@@ -1,0 +1,225 @@
+"""`factory train`: fit the baselines that ship with the product to a dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import click
+from pydantic import ValidationError
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.filters import scene_filter, tier_filter
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.options import former_option, place_argument
+from factory.cli.common.output import json_option, print_json, print_table, say_duration
+from factory.cli.common.places import PLACE
+from factory.dataset.reader import Dataset
+from factory.support.logs import configure_logs
+from factory.train import BcOptions, EpochMeasures, TrainReport
+from factory.train.look import SIZES
+from factory.train.run import TrainOrder, Watcher, train_bc
+from schemas.errors import UsageError
+from schemas.storage.place import Place
+from schemas.terms import Split
+from workers.client.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+
+@click.group("train", cls=CommandGroup)
+def command() -> None:
+    """Train the baseline policies; needs the extra `train`."""
+
+
+@command.command("bc")
+@place_argument
+@former_option("--data", "root", "DIR|URL", type=PLACE)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Directory of the training. An interrupted training of the same options is continued.",
+)
+@click.option(
+    "--split",
+    type=click.Choice([str(split) for split in Split]),
+    default=str(Split.TRAIN_ID),
+    show_default=True,
+    help="Split to learn from.",
+)
+@scene_filter()
+@tier_filter()
+@click.option(
+    "--epochs",
+    type=click.IntRange(1, 10_000),
+    default=30,
+    show_default=True,
+    metavar="N",
+    help="Number of passes over all frames.",
+)
+@click.option(
+    "--minutes",
+    type=click.FloatRange(0.01),
+    metavar="MINUTES",
+    help="Start no epoch that would end later; default: no limit.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, metavar="N", help="Random seed."
+)
+@click.option(
+    "--head",
+    type=click.Choice(["continuous", "tokens"]),
+    default="continuous",
+    show_default=True,
+    help="Output head: v and w, or tokens of the action grid.",
+)
+@click.option("--ablate-language", is_flag=True, help="Replace every instruction by one constant token.")
+@click.option(
+    "--size",
+    type=click.Choice([str(size) for size in SIZES]),
+    default="128",
+    show_default=True,
+    help="Side of the input picture, pixels.",
+)
+@click.option(
+    "--batch", type=click.IntRange(1, 4096), default=32, show_default=True, metavar="N", help="Frames in a batch."
+)
+@click.option(
+    "--rate",
+    type=click.FloatRange(1e-7, 1.0),
+    default=1e-3,
+    show_default=True,
+    metavar="RATE",
+    help="Peak learning rate.",
+)
+@click.option(
+    "--mask-weight",
+    type=click.FloatRange(0, 100),
+    default=1.0,
+    show_default=True,
+    metavar="WEIGHT",
+    help="Weight of the loss on the place of the named object in the picture; 0: imitation only.",
+)
+@click.option(
+    "--device", default="auto", show_default=True, metavar="DEVICE", help="PyTorch device: auto, cpu, cuda, cuda:1, ..."
+)
+@click.option("--resume", is_flag=True, hidden=True, expose_value=False, help="Former; no longer needed.")
+@json_option
+def bc(
+    root: Place,
+    out: Path,
+    split: str,
+    scenes: tuple[str, ...] | None,
+    tiers: tuple[str, ...] | None,
+    epochs: int,
+    minutes: float | None,
+    seed: int,
+    head: str,
+    ablate_language: bool,
+    size: str,
+    batch: int,
+    rate: float,
+    mask_weight: float,
+    device: str,
+    as_json: bool,
+) -> int:
+    """Train a policy by behaviour cloning.
+
+    The policy maps a picture and an instruction to (v, w), or to tokens of the action grid.
+    After Ctrl-C or --minutes the same command continues the training, with the same result as without the interruption.
+
+    \b
+    Then:  factory eval DIR --split test_id --policy bc:OUT
+    """
+    configure_logs()
+    options = _options(
+        head=head,
+        ablate_language=ablate_language,
+        epochs=epochs,
+        seed=seed,
+        size=int(size),
+        batch=batch,
+        peak_rate=rate,
+        mask_weight=mask_weight,
+    )
+    wanted = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
+    order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes)
+    with stop_on_signals() as (stop, _), _TrainBar(epochs) as bar:
+        report = train_bc(order, Watcher(bar.caching, bar.learning, bar.measured, stop.is_set))
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        _print(report)
+    if not report.finished:
+        click.echo(f"{len(report.epochs)} of {epochs} epochs done; the same command continues", err=True)
+        return 130 if stop.is_set() else 0
+    return 0
+
+
+def _options(**chosen: Any) -> BcOptions:
+    try:
+        return BcOptions(**chosen)
+    except ValidationError as error:
+        raise UsageError(f"{error.errors()[0]['loc'][0]}: {error.errors()[0]['msg']}") from error
+
+
+class _TrainBar:
+    """The bars of a training on stderr, and a line an epoch."""
+
+    def __init__(self, epochs: int) -> None:
+        self._epochs = epochs
+        self._bar = Bars()
+        self._decoding: Any = None
+        self._task: Any = None
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def caching(self, done: int, of: int) -> None:
+        """Shows episodes being decoded."""
+        if self._decoding is None or done == 1:
+            self._decoding = self._bar.add_task("decoding", total=of)
+        self._bar.update(self._decoding, completed=done)
+
+    def learning(self, epochs: int, done: int, of: int, loss: float) -> None:
+        """Shows batches done in this epoch."""
+        if self._task is None:
+            self._task = self._bar.add_task("learning", total=of)
+        note = f"epoch {epochs + 1} of {self._epochs}, loss {loss:.3f}"
+        self._bar.update(self._task, total=of, completed=done, note=note)
+
+    def measured(self, epoch: EpochMeasures) -> None:
+        """Prints the epoch's measures."""
+        self._bar.console.print(f"epoch {epoch.epoch}: {_describe(epoch)}")
+
+
+def _describe(epoch: EpochMeasures) -> str:
+    names = {"val_v_mps": "v err", "val_w_rps": "w err", "pointing": "points right"}
+    pairs = [
+        (names.get(name, name.replace("_", " ")), value) for name, value in epoch.model_dump(exclude={"epoch"}).items()
+    ]
+    return ", ".join(f"{name} {value:.4g}" for name, value in pairs if value is not None)
+
+
+def _print(report: TrainReport) -> None:
+    if report.epochs:
+        last = report.epochs[-1]
+        print_table(
+            "", ("measure", "value"), [(name, "-" if value is None else f"{value:.4g}") for name, value in last]
+        )
+    seconds = sum(epoch.seconds for epoch in report.epochs)
+    click.echo(
+        f"{report.parameters} parameters on {report.device}: {report.train_episodes} episodes, {report.train_frames} "
+        f"frames; validated on {report.val_episodes} episodes, {report.val_frames} frames; {say_duration(seconds)}"
+    )
+    click.echo(f"policy: bc:{report.out}")

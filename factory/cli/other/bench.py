@@ -1,0 +1,233 @@
+"""`factory bench`: how fast the loop, its rendering, the coordinator and the reader are on this machine."""
+
+from __future__ import annotations
+
+import os
+
+# read when numpy and Mesa are imported: what is measured is one process on one core
+os.environ.setdefault("LP_NUM_THREADS", "0")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import click
+
+from coordinator.expansion.file import load_plan
+from factory.bench.coordinator import bench_coordinator
+from factory.bench.machine import describe_machine
+from factory.bench.memory import bench_memory
+from factory.bench.model import RenderBench, RolloutBench
+from factory.bench.read import bench_read
+from factory.bench.render import bench_render
+from factory.bench.rollout import bench_rollout
+from factory.bench.sample import make_sample
+from factory.bench.watch import Watch
+from factory.bench.work import first_attempts, narrow
+from factory.cli.common.bars import Bars
+from factory.cli.common.filters import scene_filter
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.options import count_option, former_option, plan_argument, renderer_option, workers_option
+from factory.cli.common.output import json_option, print_json
+from factory.cli.common.places import PLACE
+from factory.cli.other.bench_tables import show_coordinator, show_memory, show_read, show_render, show_rollout
+from factory.dataset.reader import Dataset
+from factory.runs.catalog import open_catalog
+from factory.support.logs import configure_logs
+from factory.support.settings import scene_cache
+from schemas.base import Model
+from schemas.config import CameraConfig
+from schemas.plan import Plan
+from schemas.storage.place import Place
+from schemas.terms import RendererKind
+from workers.client.settings import WorkerSettings
+from workers.sim.scene_renderer import Stage
+
+__all__ = ["command"]
+
+_PLAIN_FRAMES = 24
+_SAMPLE_PLAN = "demo"
+_MEMORY_JOBS = 25
+"""Different jobs of each scene; they are run in turn."""
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Report = TypeVar("Report", bound=Model)
+
+_repeats_option = count_option("--repeats", 3, "Number of timed runs.")
+
+
+@click.group("bench", cls=CommandGroup)
+def command() -> None:
+    """Measure the performance of this machine.
+
+    Every figure is a median over repeated runs of the same work.
+    """
+    configure_logs(verbose=False)
+
+
+@command.command("rollout")
+@plan_argument(default="paper")
+@former_option("--plan", "plan_name", "PLAN")
+@scene_filter()
+@count_option("--episodes", 8, "Number of episodes of each scene.")
+@_repeats_option
+@click.option("--against", type=click.Choice(["plain"]), help="Also measure the plain PyBullet pipeline.")
+@count_option("--frames", _PLAIN_FRAMES, "Number of frames of the plain pipeline.", least=2)
+@renderer_option
+@json_option
+def rollout(
+    plan_name: str,
+    scenes: tuple[str, ...] | None,
+    episodes: int,
+    repeats: int,
+    against: str | None,
+    frames: int,
+    renderer: str,
+    as_json: bool,
+) -> None:
+    """Time collection on one core, from physics to the bundle.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Physics, control, rendering,
+    encoding and writing the bundle are timed. `frames_per_s_per_core` is wall-clock time, `frames_per_cpu_s` is CPU
+    time of the process, which does not depend on the load of the machine.
+    """
+    plan = narrow(load_plan(plan_name), scenes or (), episodes)
+    machine, watch = describe_machine(), Watch()
+    with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _nowhere() as nowhere:
+        catalog = open_catalog(plan, nowhere, scene_cache())
+        results = {}
+        for name, entry in catalog.items():
+            with Stage(cast(RendererKind, renderer), watch) as stage:
+                jobs = first_attempts(plan, catalog, name)
+                plain_frames = frames if against else 0
+                results[name] = bench_rollout(jobs, entry, stage, watch, repeats, plain_frames, tell)
+                described = stage.renderer.description
+    report = RolloutBench(machine=machine, renderer=described, plan=plan.name, repeats=repeats, scenes=results)
+    _print(report, as_json, show_rollout)
+
+
+@command.command("render")
+@scene_filter()
+@count_option("--frames", 60, "Number of poses in each scene.")
+@_repeats_option
+@renderer_option
+@json_option
+def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
+    """Time rendering at the same random poses of each scene."""
+    plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
+    machine, watch = describe_machine(), Watch()
+    with _bar("render", len(plan.scenes)) as tell, _nowhere() as nowhere:
+        catalog = open_catalog(plan, nowhere, scene_cache())
+        results = {}
+        for name, entry in catalog.items():
+            with Stage(cast(RendererKind, renderer), watch) as stage:
+                scene = stage.load(entry.path, entry.sha256).scene
+                results[name] = bench_render(scene, stage.renderer, watch, CameraConfig(), frames, repeats)
+                described = stage.renderer.description
+            tell()
+    _print(RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render)
+
+
+@command.command("memory")
+@scene_filter()
+@count_option("--episodes", 200, "Number of episodes of all scenes together; most are cut short.", least=20)
+@renderer_option
+@json_option
+def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json: bool) -> None:
+    """Measure the memory of a simulation over many episodes.
+
+    The scenes take turns.
+    """
+    plan = narrow(load_plan("paper"), scenes or (), _MEMORY_JOBS)
+    with _bar("memory", episodes) as tell, _nowhere() as nowhere:
+        catalog = open_catalog(plan, nowhere, scene_cache())
+        turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
+        jobs = [job for turn in turns for job in turn]
+        command = WorkerSettings(connect=(), renderer=cast(RendererKind, renderer)).simulation_command
+        report = bench_memory(jobs, catalog, command, episodes, tell)
+    _print(report, as_json, show_memory)
+
+
+@command.command("coordinator")
+@count_option("--jobs", 100_000, "Number of jobs in the ledger.", least=1000, most=5_000_000)
+@count_option("--workers", 64, "Number of simulated workers that send requests.", most=64)
+@count_option("--sessions", 2000, "Number of sessions connected at once.", most=4000)
+@count_option("--bundle-mb", 32, "Size of each worker's bundle, MB.", most=256)
+@_repeats_option
+@json_option
+def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats: int, as_json: bool) -> None:
+    """Time a coordinator with a large ledger.
+
+    Leases and submissions are timed directly and over the network, with real bundles. The memory is that of a separate
+    coordinator process with all sessions connected, and while all workers deliver a bundle at the same time.
+    """
+    sample_plan = narrow(load_plan(_SAMPLE_PLAN), ("office",), 2)
+    part = sample_plan.scenes[0].model_copy(update={"episodes": jobs})
+    plan = load_plan("paper").model_copy(update={"scenes": (part,)})
+    with _bar("coordinator", 2) as tell, _nowhere() as nowhere:
+        catalog = open_catalog(sample_plan, nowhere, scene_cache())
+        with Stage() as stage:
+            samples = make_sample(nowhere / "sample", sample_plan, catalog, stage, tell)
+        report = bench_coordinator(
+            plan,
+            catalog,
+            samples,
+            nowhere,
+            workers=workers,
+            sessions=sessions,
+            bundle_bytes=bundle_mb * 1_000_000,
+            repeats=repeats,
+        )
+    _print(report, as_json, show_coordinator)
+
+
+@command.command("read")
+@click.argument("root", metavar="[DIR|URL]", required=False, type=PLACE)
+@scene_filter()
+@count_option("--frames", 500, "Number of random frames of a run.")
+@workers_option("Number of worker processes of the PyTorch loader.", default=2, least=0)
+@_repeats_option
+@json_option
+def read(
+    root: Place | None, scenes: tuple[str, ...] | None, frames: int, workers: int, repeats: int, as_json: bool
+) -> None:
+    """Time random access to the frames of a dataset.
+
+    Without DIR or URL a few episodes of every scene are made first.
+    """
+    with _nowhere() as nowhere:
+        if root is None:
+            root = made = nowhere / "sample"
+            _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), nowhere)
+        report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
+    _print(report, as_json, show_read)
+
+
+def _make_sample(root: Path, plan: Plan, nowhere: Path) -> None:
+    with _bar("sample", plan.episodes) as tell, Stage() as stage:
+        make_sample(root, plan, open_catalog(plan, nowhere, scene_cache()), stage, tell)
+
+
+@contextmanager
+def _nowhere() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        yield Path(folder)
+
+
+@contextmanager
+def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
+    """Shows a bar and gives the function that moves it on by one."""
+    with Bars(refresh_per_second=1) as bar:
+        task = bar.add_task(f"bench {name}", total=total)
+        yield lambda: bar.advance(task)
+
+
+def _print(report: Report, as_json: bool, show: Callable[[Report], None]) -> None:
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        show(report)

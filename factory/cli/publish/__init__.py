@@ -1,0 +1,1 @@
+"""Commands that write other formats and upload: `export`, `push`."""

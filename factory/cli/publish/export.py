@@ -1,0 +1,168 @@
+"""`factory export`: a dataset in a format that people train from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from pydantic import ValidationError
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.filters import split_filter
+from factory.cli.common.options import former_option, place_argument, workers_option
+from factory.cli.common.output import json_option, print_json, say_duration, stderr
+from factory.cli.publish.export_options import format_options
+from factory.export.base import Options
+from factory.export.estimate import Estimate, estimate_export
+from factory.export.registry import EXPORTERS, check_format, find_exporter
+from factory.export.report import ExportReport
+from factory.export.run import ExportOrder, Progress, run_export
+from factory.export.selection import parse_episodes
+from factory.support.logs import configure_logs
+from schemas.errors import UsageError
+from schemas.storage.place import Place
+from workers.client.stopping import stop_on_signals
+
+__all__ = ["command"]
+
+Command = Callable[..., Any]
+_NAMED = 5
+
+
+class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click 8.2 only
+    """A format; of one that is made elsewhere it says where."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Returns the name."""
+        check_format(str(value))
+        return super().convert(value, param, ctx)
+
+
+@click.command("export")
+@place_argument
+@click.option("--to", "format_name", required=True, type=FormatName(list(EXPORTERS)), help="Format of the export.")
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Directory of the export. An interrupted export of the same options is continued.",
+)
+@split_filter()
+@click.option("--episode", "episodes", metavar="IDS", help="Only these episodes, e.g. 1-50,60 or ep_000060.")
+@former_option("--episodes", "episodes", "--episode")
+@workers_option("Number of processes")
+@click.option("--dry-run", is_flag=True, help="Estimate size and time from one episode; write nothing.")
+@format_options
+@json_option
+def command(
+    root: Place,
+    format_name: str,
+    out: Path,
+    splits: tuple[str, ...] | None,
+    episodes: str | None,
+    workers: int | None,
+    dry_run: bool,
+    as_json: bool,
+    **chosen: Any,
+) -> int:
+    """Write a dataset in another format.
+
+    Exits with 1 when episodes are missing or were skipped. After Ctrl-C, a kill or a full disk the same command
+    continues the export. An option that ends with names of formats in brackets is valid for these formats only.
+    """
+    configure_logs()
+    order = ExportOrder(
+        root=root,
+        out=out,
+        format=format_name,
+        options=_options(format_name, chosen),
+        splits=splits or (),
+        episodes=tuple(parse_episodes(episodes)) if episodes else (),
+        workers=workers or os.cpu_count() or 1,
+    )
+    if dry_run:
+        return _estimate(order, as_json)
+    with stop_on_signals() as (stop, _), _ExportBar(format_name) as bar:
+        report = run_export(order, bar.tell, stop)
+    for skip in report.skipped:
+        click.echo(f"skipped {skip.episode_id}: {skip.reason}", err=True)
+    if report.absent:
+        named, more = ", ".join(report.absent[:_NAMED]), len(report.absent) - _NAMED
+        names = f"{named} and {more} more" if more > 0 else named
+        click.echo(f"not in the dataset: {names}; once its run has brought them, export to another --out", err=True)
+    if not report.finished:
+        click.echo(f"interrupted after {report.episodes} episodes; the same command goes on", err=True)
+        return 130
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        _print(report)
+    return 0 if report.complete and not report.absent else 1
+
+
+def _options(name: str, chosen: dict[str, Any]) -> Options:
+    given = {key: value for key, value in chosen.items() if value is not None}
+    model: type[Options] = find_exporter(name).options
+    surplus = [f"--{key.replace('_', '-')}" for key in given if key not in model.model_fields]
+    if surplus:
+        known = ", ".join(f"--{key.replace('_', '-')}" for key in model.model_fields) or "none"
+        raise UsageError(f"format {name} has no {', '.join(surplus)}; its own options: {known}")
+    try:
+        return model.model_validate(given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])).replace("_", "-")
+        raise UsageError(f"--{where}: {first['msg']}") from error
+
+
+def _estimate(order: ExportOrder, as_json: bool) -> int:
+    with stderr.status("measuring one episode"):
+        estimate = estimate_export(order)
+    if as_json:
+        print_json(estimate.model_dump(mode="json"))
+    else:
+        _print_estimate(estimate)
+    return 0 if estimate.fits else 1
+
+
+def _print_estimate(estimate: Estimate) -> None:
+    click.echo(f"{estimate.format}: {estimate.episodes} episodes, {estimate.frames} frames")
+    click.echo(f"size about {_megabytes(estimate.bytes)}, while it is made {_megabytes(estimate.peak_bytes)}")
+    click.echo(f"time about {say_duration(estimate.seconds)} with {estimate.workers} processes")
+    sample = f"{estimate.sample_frames} frames, {_megabytes(estimate.sample_bytes)}, {estimate.sample_seconds:.1f} s"
+    click.echo(f"measured on {estimate.sample}: {sample}")
+    fits = "enough" if estimate.fits else "NOT enough: free some space, or choose another --out"
+    click.echo(f"free now: {_megabytes(estimate.free_bytes)}, {fits}")
+
+
+def _print(report: ExportReport) -> None:
+    resumed = f" ({report.resumed} from before)" if report.resumed else ""
+    speed = f", {report.frames_per_second:.0f} frames/s" if report.frames_per_second else ""
+    what = f"{report.episodes} episodes{resumed}, {report.frames} frames, {_megabytes(report.bytes)}"
+    lacking = {"skipped": len(report.skipped), "not in the dataset": len(report.absent)}
+    state = ", ".join(f"{count} episodes {what}" for what, count in lacking.items() if count) or "complete"
+    click.echo(f"{report.out}: {report.format}, {what}, {say_duration(report.seconds)}{speed}; {state}")
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e9:.2f} GB" if size >= 1e9 else f"{size / 1e6:.1f} MB"
+
+
+class _ExportBar(Bars):
+    """One line: episodes done, frames a second of this call, what it does now."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(transient=True)
+        self._task = self.add_task(name, total=None)
+
+    def tell(self, progress: Progress) -> None:
+        """Shows where the export stands."""
+        elapsed = self.tasks[0].elapsed or 0.0
+        rate = f"{progress.frames / elapsed:.0f} frames/s" if progress.frames and elapsed else ""
+        note = rate if progress.stage == "episodes" else progress.stage
+        self.update(self._task, completed=progress.done, total=progress.total, note=note)

@@ -1,0 +1,81 @@
+"""`factory push`: a dataset or an export to the Hugging Face Hub."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from rich.progress import DownloadColumn, TimeRemainingColumn
+
+from factory.cli.common.bars import Bars
+from factory.cli.common.options import dataset_argument
+from factory.cli.common.output import json_option, print_json, print_table
+from factory.export.manifest import MANIFEST_FILE
+from factory.push import PushPlan, plan_push, push
+from factory.push.files import batches_of, require_repository
+
+__all__ = ["command"]
+
+
+@click.command("push")
+@dataset_argument
+@click.argument("repository", metavar="OWNER/NAME")
+@click.option("--private", is_flag=True, help="Make the repository private if it is created.")
+@click.option("--endpoint", metavar="URL", help="URL of the Hub; default: HF_ENDPOINT, or huggingface.co.")
+@click.option("--dry-run", is_flag=True, help="Print what would be uploaded; use no network.")
+@json_option
+def command(root: Path, repository: str, private: bool, endpoint: str | None, dry_run: bool, as_json: bool) -> None:
+    """Upload a dataset or an export to the Hugging Face Hub.
+
+    DIR is a dataset or the output of `factory export`; OWNER/NAME is a dataset repository.
+    The token is the Hub's: `hf auth login`, or HF_TOKEN in the environment.
+    The same command continues an interrupted upload.
+    """
+    require_repository(repository)
+    plan = plan_push(root, MANIFEST_FILE)
+    for remark in plan.remarks:
+        click.echo(f"note: {remark}", err=True)
+    if dry_run:
+        _show_plan(plan, repository, as_json)
+        return
+    click.echo(f"uploading {len(plan.files)} files, {_say_bytes(plan.total_bytes)}, to {repository}", err=True)
+    with Bars(DownloadColumn(), TimeRemainingColumn()) as progress:
+        task = progress.add_task(repository, total=plan.total_bytes)
+        result = push(plan, repository, endpoint, private, lambda _, size: progress.advance(task, size))
+    if as_json:
+        print_json(result._asdict())
+        return
+    tagged = f", tagged {result.tag}" if result.tag else ""
+    click.echo(f"{result.url}: {result.files} files, {_say_bytes(result.total_bytes)}{tagged}")
+
+
+def _show_plan(plan: PushPlan, repository: str, as_json: bool) -> None:
+    folders: dict[str, list[int]] = {}
+    for file in plan.files:
+        folders.setdefault(file.name.rpartition("/")[0] or ".", []).append(file.size)
+    commits = len(list(batches_of(plan.files)))
+    if as_json:
+        print_json(
+            {
+                "repository": repository,
+                "kind": plan.kind,
+                "files": len(plan.files),
+                "total_bytes": plan.total_bytes,
+                "commits": commits,
+                "tag": plan.tag,
+                "folders": {name: {"files": len(sizes), "bytes": sum(sizes)} for name, sizes in folders.items()},
+                "remarks": list(plan.remarks),
+            }
+        )
+        return
+    rows = [(name, len(sizes), _say_bytes(sum(sizes))) for name, sizes in folders.items()]
+    print_table(f"{plan.kind} {plan.root} to {repository}", ("folder", "files", "size"), rows)
+    tagged = f", tag {plan.tag}" if plan.tag else ""
+    click.echo(f"{len(plan.files)} files, {_say_bytes(plan.total_bytes)}, {commits} commits{tagged}; nothing was sent")
+
+
+def _say_bytes(count: int) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count} B"

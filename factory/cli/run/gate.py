@@ -1,0 +1,128 @@
+"""`factory gate`: a pilot of first attempts in one scene; exit 1 when too few succeed."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import cast
+
+import click
+
+from coordinator.expansion.file import load_plan
+from factory.cli.common.gating import try_scene
+from factory.cli.common.options import (
+    expert_option,
+    former_option,
+    plan_argument,
+    renderer_option,
+    shrunk_plan,
+    verbose_option,
+    workers_option,
+)
+from factory.cli.common.output import json_option, print_json, print_table
+from factory.runs.catalog import open_catalog
+from factory.runs.gate import GateReport
+from factory.stats.model import Share
+from factory.support.logs import configure_logs
+from factory.support.settings import scene_cache
+from schemas.plan import Plan
+from schemas.support.extras import require_package
+from schemas.terms import BUILTIN_CATEGORIES, RendererKind
+from workers.client.stopping import stop_on_signals
+from workers.experts import require_expert
+
+__all__ = ["command"]
+
+
+@click.command("gate")
+@plan_argument(default="paper")
+@former_option("--plan", "plan_name", "PLAN")
+@click.option(
+    "--scene",
+    required=True,
+    metavar="SCENE",
+    help=f"Scene of the plan to measure. Built in: {', '.join(BUILTIN_CATEGORIES)}.",
+)
+@click.option(
+    "--episodes",
+    type=click.IntRange(1),
+    default=50,
+    show_default=True,
+    metavar="N",
+    help="Number of first attempts.",
+)
+@click.option(
+    "--min-success",
+    type=click.FloatRange(0.0, 1.0),
+    default=0.8,
+    show_default=True,
+    metavar="SHARE",
+    help="Least share of attempts that must succeed.",
+)
+@expert_option
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root seed; default: the plan's.")
+@workers_option("Number of simulation processes")
+@renderer_option
+@json_option
+@verbose_option
+def command(
+    scene: str,
+    plan_name: str,
+    episodes: int,
+    min_success: float,
+    expert: str | None,
+    seed: int | None,
+    workers: int | None,
+    renderer: str,
+    as_json: bool,
+    verbose: bool,
+) -> int:
+    """Measure the success rate of first attempts in one scene.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Nothing is archived. Exits with
+    1 when fewer than --min-success succeed. The paper requires 80 % of 50 before it generates a scene.
+    """
+    configure_logs(verbose)
+    require_package("pybullet", "`factory gate`")
+    changes = {"scenes": (scene,), "episodes": episodes, "expert": expert, "seed": seed}
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    require_expert(plan.expert)
+    report = _try(plan, cast(RendererKind, renderer), workers or os.cpu_count() or 1, min_success)
+    if report is None:
+        click.echo("interrupted; nothing was kept", err=True)
+        return 130
+    if as_json:
+        print_json(report.model_dump(mode="json"))
+    else:
+        _print(report)
+    return 0 if report.passed else 1
+
+
+def _try(plan: Plan, renderer: RendererKind, processes: int, min_success: float) -> GateReport | None:
+    with stop_on_signals() as (stop, _), tempfile.TemporaryDirectory(prefix="gate-") as nowhere:
+        catalog = open_catalog(
+            plan, Path(nowhere), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+        )
+        return try_scene(plan, catalog, min_success, renderer, processes, stop)
+
+
+def _print(report: GateReport) -> None:
+    rows = [*((str(tier), share) for tier, share in report.by_tier.items()), ("all", report.success)]
+    body = [(name, share.of, share.count, _percent(share), _interval(share)) for name, share in rows]
+    print_table("", ("tier", "attempts", "succeeded", "share", "95 % interval"), body)
+    if report.reasons:
+        click.echo("failed by: " + ", ".join(f"{count} {reason}" for reason, count in report.reasons.items()))
+    for row in report.lost:
+        click.echo(f"  {row.episode_id} {row.tier} {row.target_id}: {row.reason}: {row.detail}")
+    verdict = "passed" if report.passed else "failed"
+    asked = f"{100 * report.min_success:g} % of first attempts asked for"
+    click.echo(f"{report.scene}, {report.expert} expert: {verdict}; {_percent(report.success)} succeeded, {asked}")
+
+
+def _percent(share: Share) -> str:
+    return "-" if share.share is None else f"{100 * share.share:.1f} %"
+
+
+def _interval(share: Share) -> str:
+    return "-" if share.low is None or share.high is None else f"{100 * share.low:.1f} to {100 * share.high:.1f} %"

@@ -1,0 +1,140 @@
+"""`factory plan`: what a plan expands to, and the nearest plan that its scenes can fulfil."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coordinator.expansion.cells import cells
+from coordinator.expansion.draw import find_impossible
+from coordinator.expansion.file import load_plan
+from coordinator.expansion.nearest import find_nearest
+from coordinator.expansion.spelling import spell_plan
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.options import plan_argument, shrink_options, shrunk_plan, warn_of_empty_splits
+from factory.cli.common.output import json_option, print_json, print_table, print_text, stderr
+from factory.runs.catalog import collect_scenes, find_built
+from factory.runs.plan_files import require_files
+from factory.support.settings import scene_cache
+from schemas.errors import InvalidPlan, WorldError
+from schemas.plan import Plan
+from schemas.terms import Tier
+
+__all__ = ["command"]
+
+
+@click.group("plan", cls=CommandGroup)
+def command() -> None:
+    """Show the episodes of a plan; find the nearest feasible plan."""
+
+
+@command.command("show")
+@plan_argument(default="demo")
+@shrink_options
+@json_option
+def show(plan_name: str, as_json: bool, **changes: Any) -> None:
+    """Show how many episodes of each scene, split and tier a plan has.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; the files that it names must exist.
+    """
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    require_files(plan)
+    found = find_built(plan, scene_cache())
+    unknown = [scene.name for scene in plan.scenes if scene.name not in found]
+    mistakes = None if unknown else find_impossible(plan, found)
+    if as_json:
+        told = {"plan": plan.model_dump(mode="json"), "digest": plan.digest, "cells": list(_rows(plan))}
+        print_json(told | {"mistakes": mistakes, "not_built": unknown})
+        return
+    print_text(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
+    for scene in plan.scenes:
+        seen, held_out = scene.categories
+        print_text(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
+    _print_cells(plan)
+    warn_of_empty_splits(plan)
+    for line in mistakes or ():
+        print_text(f"impossible: {line}")
+    nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
+    if mistakes:
+        print_text(f"{nearest} says what is possible instead")
+    elif unknown:
+        print_text(
+            f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does", stderr
+        )
+
+
+@command.command("nearest")
+@plan_argument(default="demo")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="TOML file to write the plan to; default: none.",
+)
+@shrink_options
+@json_option
+def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> None:
+    """Find the nearest plan that the scenes can fulfil.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file. Scenes that are not in the cache are built or
+    imported.
+    """
+    plan = shrunk_plan(load_plan(plan_name), changes)
+    with tempfile.TemporaryDirectory(prefix="plan-") as nowhere:
+        catalog = collect_scenes(
+            plan, Path(nowhere), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+        )
+    mistakes, found = find_impossible(plan, catalog), find_nearest(plan, catalog)
+    if found.plan is None:
+        raise InvalidPlan(
+            f"plan {plan.name!r} asks for what its scenes do not have, and no plan near it does", mistakes
+        )
+    if out is not None:
+        _write(out, spell_plan(found.plan))
+    if as_json:
+        told = {"possible": not mistakes, "mistakes": mistakes, "changes": found.changes, "moved": found.moved}
+        told |= {"plan": found.plan.model_dump(mode="json"), "cells": list(_rows(found.plan))}
+        print_json(told | {"file": None if out is None else str(out)})
+        return
+    if not mistakes:
+        print_text(f"plan {plan.name} is possible as it is: {plan.episodes} episodes")
+    else:
+        for line in mistakes:
+            print_text(f"impossible: {line}")
+        print_text(
+            f"nearest: {found.plan.episodes} of {plan.episodes} episodes, {found.moved} not in the cell asked for"
+        )
+        for line in found.changes:
+            print_text(f"  {line}")
+        _print_cells(found.plan)
+    if out is not None:
+        print_text(f"written to {out}; make it with: factory run {out} --out DIR")
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise WorldError(f"cannot write {path} ({error.strerror}); choose another place with -o") from error
+
+
+def _print_cells(plan: Plan) -> None:
+    rows = [(row["scene"], row["split"], *(row[tier] for tier in Tier), row["episodes"]) for row in _rows(plan)]
+    print_table("", ("scene", "split", *(str(tier) for tier in Tier), "episodes"), rows)
+
+
+def _rows(plan: Plan) -> list[dict[str, Any]]:
+    rows = []
+    for scene in plan.scenes:
+        quota = cells(plan, scene)
+        for split in plan.splits_of(scene):
+            counts: dict[str, Any] = {str(tier): quota.get((split, tier), 0) for tier in Tier}
+            if sum(counts.values()):
+                rows.append({"scene": scene.name, "split": str(split), **counts, "episodes": sum(counts.values())})
+    return rows

@@ -1,0 +1,104 @@
+"""`factory run`: one machine, all of it; resumes."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, cast
+
+import click
+
+from coordinator.settings import CoordinatorSettings
+from factory.cli.common.bars import Bars
+from factory.cli.common.begin import begin
+from factory.cli.common.gating import GateMode, gate_option, hold_gate
+from factory.cli.common.options import (
+    out_option,
+    plan_argument,
+    renderer_option,
+    shrink_options,
+    verbose_option,
+    warn_of_empty_splits,
+    workers_option,
+)
+from factory.cli.common.output import json_option, print_json, say_duration
+from factory.cli.common.summary import print_summary, say_missing, summarise
+from factory.dataset.site import Site
+from factory.runs.catalog import open_catalog
+from factory.runs.local import LocalRun, run_locally
+from factory.support.logs import configure_logs
+from factory.support.settings import scene_cache
+from schemas.plan import Plan
+from schemas.support.extras import require_package
+from schemas.terms import RendererKind
+from schemas.wire import Progress
+from workers.client.stopping import stop_on_signals
+from workers.experts import require_expert
+
+__all__ = ["command"]
+
+
+@click.command("run")
+@plan_argument(default=None)
+@out_option
+@workers_option("Number of worker processes, one simulation each")
+@renderer_option
+@gate_option("auto")
+@shrink_options
+@json_option
+@verbose_option
+def command(
+    plan_name: str | None,
+    site: Site,
+    workers: int | None,
+    renderer: str,
+    gate_mode: GateMode,
+    as_json: bool,
+    verbose: bool,
+    **changes: Any,
+) -> int:
+    """Make a dataset from a plan, or continue an interrupted run.
+
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
+    After Ctrl-C or a kill the same command continues the run; no episode is made twice.
+    """
+    configure_logs(verbose)
+    require_package("pybullet", "`factory run`")
+    plan, is_new = begin(plan_name, site, changes)
+    require_expert(plan.expert)
+    warn_of_empty_splits(plan)
+    kind, processes = cast(RendererKind, renderer), workers or os.cpu_count() or 1
+    with stop_on_signals() as (stop, _):
+        catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
+        gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", kind, processes, stop)
+        if gate is None:
+            click.echo("interrupted at the gate; nothing was kept", err=True)
+            return 130
+        run = LocalRun(plan, catalog, site.home, processes, kind, verbose, gate, site.store)
+        with _RunBar(plan) as bar:
+            progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
+    if not progress.finished:
+        click.echo(f"interrupted; go on with: factory run --out {site}", err=True)
+        return 130
+    summary = summarise(site.place, progress)
+    if as_json:
+        print_json(summary)
+    else:
+        print_summary(summary)
+    say_missing(site, progress)
+    return 1 if progress.missing else 0
+
+
+class _RunBar(Bars):
+    """One line: what is done, how fast, what is left."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__()
+        self._task = self.add_task(plan.name, total=plan.episodes)
+
+    def tell(self, progress: Progress) -> None:
+        """Shows where the run stands."""
+        failures = sum(progress.failures.values())
+        rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
+        left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "
+        note = f"{rate}{left}{progress.jobs.get('leased', 0)} running, {failures} failed attempts"
+        self.update(self._task, completed=progress.jobs.get("archived", 0), note=note)

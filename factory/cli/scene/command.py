@@ -1,0 +1,138 @@
+"""`factory scene`: build and import scenes; other verbs are files of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from factory.cli.common.groups import CommandGroup
+from factory.cli.common.options import former_option, verbose_option
+from factory.cli.common.output import json_option, print_json, stderr
+from factory.cli.scene import inspect as scene_inspect
+from factory.cli.scene import list as scene_list
+from factory.cli.scene import render as scene_render
+from factory.cli.scene import survey as scene_survey
+from factory.cli.scene import targets as scene_targets
+from factory.cli.scene.choice import seed_option
+from factory.cli.scene.package import describe_package, print_others, print_package
+from factory.cli.scene.steps import next_steps, print_steps
+from factory.scenes.limits import MAX_TRIANGLES, StageLimits
+from factory.support.logs import configure_logs
+from factory.support.settings import scene_cache
+
+__all__ = ["command"]
+
+
+@click.group("scene", cls=CommandGroup)
+def command() -> None:
+    """Build, import, inspect and draw scenes."""
+
+
+command.add_command(scene_list.command)
+command.add_command(scene_inspect.command)
+command.add_command(scene_render.command)
+command.add_command(scene_survey.command)
+command.add_command(scene_targets.command)
+
+
+def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
+    """`--rules --targets --out`: the categories of things, and where the package is written."""
+    file = click.Path(path_type=Path)
+    for option in (
+        former_option("--cache", "cache", "--out", type=file),
+        click.option(
+            "-o",
+            "--out",
+            "cache",
+            type=file,
+            metavar="DIR",
+            help="Folder of the package; default: the user's cache.",
+        ),
+        click.option(
+            "--targets", type=file, metavar="FILE", help="Edited list of targets, written by `factory scene targets`."
+        ),
+        click.option("--rules", type=file, metavar="FILE", help="Table of category rules (YAML); default: built in."),
+    ):
+        verb = option(verb)
+    return verb
+
+
+@command.command("build")
+@click.argument("name")
+@seed_option
+@_edit_options
+@json_option
+@verbose_option
+def build(
+    name: str, seed: int, rules: Path | None, targets: Path | None, cache: Path | None, as_json: bool, verbose: bool
+) -> None:
+    """Build a built-in scene.
+
+    Does nothing when the scene is in the cache.
+    """
+    from factory.scenes.build import build_scene, load_edits
+
+    configure_logs(verbose)
+    book, chosen = load_edits(rules, targets, name)
+    with stderr.status(f"building {name}, seed {seed}"):
+        path = build_scene(name, seed, cache or scene_cache(), book, chosen)
+    facts = describe_package(path)
+    if as_json:
+        print_json(facts)
+    else:
+        print_package(facts)
+
+
+@command.command("import")
+@click.argument("usd", type=click.Path(path_type=Path))
+@click.option("--name", metavar="NAME", help="Name of the scene; default: the name of the file.")
+@click.option(
+    "--max-triangles",
+    type=click.IntRange(1),
+    default=MAX_TRIANGLES,
+    show_default=True,
+    metavar="N",
+    help="Largest number of triangles; larger stages are refused.",
+)
+@click.option("--allow-outside", is_flag=True, help="Also read textures outside the folder of the stage.")
+@_edit_options
+@json_option
+@verbose_option
+def import_(
+    usd: Path,
+    name: str | None,
+    max_triangles: int,
+    allow_outside: bool,
+    rules: Path | None,
+    targets: Path | None,
+    cache: Path | None,
+    as_json: bool,
+    verbose: bool,
+) -> None:
+    """Compile a USD stage of your own.
+
+    USD is a file .usd, .usda, .usdc or .usdz.
+    """
+    from factory.scenes.build import import_scene, load_edits  # needs usd-core
+
+    configure_logs(verbose)
+    called = name or usd.stem.lower()
+    book, chosen = load_edits(rules, targets, called)
+    limits = StageLimits(max_triangles, allow_outside)
+    with stderr.status(f"importing {usd}"):
+        path = import_scene(usd, called, cache or scene_cache(), book, chosen, limits)
+    facts = describe_package(path)
+    made_with = {"rules": rules, "targets": targets}
+    files: dict[str, str | bool] = {key: str(file.resolve()) for key, file in made_with.items() if file is not None}
+    if allow_outside:
+        files["allow_outside"] = True
+    steps = next_steps(path, usd, cache is None, files)
+    if as_json:
+        print_json(facts | asdict(steps))
+    else:
+        print_package(facts)
+        print_others(facts)
+        print_steps(steps)

@@ -1,0 +1,77 @@
+"""`factory scene inspect`: what a scene holds, in words, as JSON and as a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from factory.cli.common.output import json_option, print_json, print_table, print_text
+from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
+from factory.cli.scene.words import say_counts, say_rest
+from schemas.errors import WorldError
+
+__all__ = ["command"]
+
+_LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "bounds_m")
+
+
+@click.command("inspect")
+@scene_argument
+@seed_option
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Also draw the map with targets and spawns to this PNG file.",
+)
+@json_option
+def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
+    """Print the categories, targets and extents of a scene.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    """
+    from factory.scenes.inspection import describe_scene
+    from factory.scenes.topdown import encode_topdown
+
+    compiled = chosen_scene(scene, seed)
+    if out is not None:
+        _write_map(out, encode_topdown(compiled))
+    facts = describe_scene(compiled)
+    if as_json:
+        print_json(facts)
+    else:
+        _print(facts)
+
+
+def _write_map(path: Path, picture: bytes) -> None:
+    try:
+        path.write_bytes(picture)
+    except OSError as error:
+        raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
+
+
+def _print(facts: dict[str, Any]) -> None:
+    for key, value in facts.items():
+        if key not in _LISTED:
+            print_text(f"{key}: {_words(value)}")
+    print_text(f"categories: {say_counts(facts['categories'])}")
+    for line in say_rest(facts["no_target"], facts["instances"]):
+        print_text(line)
+    click.echo("")
+    columns = ("id", "category", "colour", "centroid m", "straight from", "connected from", "prim")
+    print_table("", columns, [_row(target) for target in facts["targets"]])
+    for note in facts["notes"]:
+        click.echo(f"note: {note}", err=True)
+
+
+def _words(value: Any) -> str:
+    return " x ".join(f"{side:g}" for side in value) if isinstance(value, list) else str(value)
+
+
+def _row(target: dict[str, Any]) -> tuple[str, ...]:
+    centroid = ", ".join(f"{value:.2f}" for value in target["centroid_m"])
+    tiers = (" ".join(target[key]) or "-" for key in ("straight_tiers", "connected_tiers"))
+    return (target["id"], target["category"], target["colour"], centroid, *tiers, target["prim_path"])

@@ -1,0 +1,68 @@
+"""`factory scene list`: the scenes that verbs know by name, built-in and imported."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import click
+
+from factory.cli.common.output import json_option, print_json, print_table
+from factory.cli.scene.words import say_counts
+from factory.runs.imported import find_imported
+from factory.support.settings import scene_cache
+from schemas.errors import FactoryError
+from schemas.scene import read_scene_info
+from schemas.terms import BUILTIN_CATEGORIES
+
+__all__ = ["command"]
+
+
+@click.command("list")
+@json_option
+def command(as_json: bool) -> None:
+    """List the built-in scenes and the imported scenes."""
+    built_in, imported = _built_in(), _imported()
+    if as_json:
+        print_json([*built_in, *imported])
+        return
+    _print("", ("scene", "summary", "seen", "held out"), built_in, ("name", "summary", "seen", "held_out"))
+    if imported:
+        click.echo("")
+        _print("", ("imported", "source", "targets", "package"), imported, ("name", "summary", "targets", "package"))
+
+
+def _print(title: str, columns: tuple[str, ...], scenes: list[dict[str, Any]], keys: tuple[str, ...]) -> None:
+    print_table(title, columns, [[scene[key] for key in keys] for scene in scenes])
+
+
+def _built_in() -> list[dict[str, Any]]:
+    from factory.scenes.author import BUILTIN_SCENES
+
+    return [
+        {
+            "name": name,
+            "origin": "built-in",
+            "summary": scene.summary,
+            "seen": ", ".join(BUILTIN_CATEGORIES[name].seen),
+            "held_out": ", ".join(BUILTIN_CATEGORIES[name].held_out),
+        }
+        for name, scene in BUILTIN_SCENES.items()
+    ]
+
+
+def _imported() -> list[dict[str, Any]]:
+    return [
+        {"name": name, "origin": "imported", **_facts(packages[0]), "package": str(packages[0])}
+        for name, packages in find_imported(scene_cache()).items()
+    ]
+
+
+def _facts(package: Path) -> dict[str, str]:
+    try:
+        with package.open("rb") as file:
+            info = read_scene_info(file)
+    except (FactoryError, OSError) as error:
+        return {"summary": f"cannot be read: {' '.join(str(error).split())}", "targets": "-"}
+    return {"summary": info.source, "targets": say_counts(Counter(target.category for target in info.targets))}

@@ -1,0 +1,61 @@
+"""`factory scene render`: map, views and contact sheets of a scene as pictures to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import click
+
+from factory.cli.common.options import count_option, renderer_option
+from factory.cli.common.output import json_option, print_json, stderr
+from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
+from factory.support.logs import configure_logs
+from schemas.errors import WorldError
+from schemas.terms import RendererKind
+
+__all__ = ["command"]
+
+
+@click.command("render")
+@scene_argument
+@seed_option
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder of the pictures; default: ./SCENE."
+)
+@count_option("--views", 6, "Number of views from 1.5 m above the floor.", least=0, most=64)
+@count_option("--robot-views", 4, "Number of views from the robot's camera.", least=0, most=64)
+@count_option("--colours", 0, "Number of targets to draw with their colour words.", least=0, most=500)
+@renderer_option
+@json_option
+def command(
+    scene: str,
+    seed: int,
+    out: Path | None,
+    views: int,
+    robot_views: int,
+    colours: int,
+    renderer: str,
+    as_json: bool,
+) -> None:
+    """Draw the map, views and contact sheets of a scene.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    """
+    from factory.scenes.pictures import Wanted, draw_scene
+
+    configure_logs()
+    compiled = chosen_scene(scene, seed)
+    folder = out or Path(compiled.info.name)
+    paths: list[str] = []
+    try:
+        with stderr.status(f"drawing {compiled.info.name}"):
+            for path in draw_scene(compiled, folder, Wanted(views, robot_views, colours), cast(RendererKind, renderer)):
+                paths.append(str(path))
+    except OSError as error:
+        raise WorldError(f"cannot write below {folder} ({error.strerror}); choose another --out") from error
+    if as_json:
+        print_json({"scene": compiled.info.name, "pictures": paths})
+    else:
+        for written in paths:
+            click.echo(written)

@@ -1,0 +1,52 @@
+"""`factory scene targets`: writes the list of a scene's targets for a person to edit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from factory.cli.common.output import json_option, print_json
+from factory.cli.scene.choice import chosen_scene, scene_argument, seed_option
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["command"]
+
+
+@click.command("targets")
+@scene_argument
+@seed_option
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="File to write; default: targets_SCENE.yaml; - prints to stdout.",
+)
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+@json_option
+def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool) -> None:
+    """Write the targets of a scene to a YAML file for editing.
+
+    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    Give the edited file to `factory scene build` or `factory scene import` with --targets FILE.
+    """
+    from factory.scenes.target_list import list_file_name, spell_target_list
+
+    info = chosen_scene(scene, seed).info
+    path = out or Path(list_file_name(info.name))
+    if str(path) == "-":
+        if as_json:
+            raise UsageError("-o - prints the list itself: leave out --json, or give a file")
+        click.echo(spell_target_list(info), nl=False)
+        return
+    if path.exists() and not force:
+        raise UsageError(f"{path} is there already and may hold your edits; give --force to replace it")
+    try:
+        path.write_text(spell_target_list(info), encoding="utf-8")
+    except OSError as error:
+        raise WorldError(f"cannot write {path} ({error.strerror}); choose another --out") from error
+    if as_json:
+        print_json({"file": str(path), "scene": info.name, "targets": len(info.targets)})
+    else:
+        click.echo(str(path))

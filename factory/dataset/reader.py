@@ -1,0 +1,142 @@
+"""The typed reader of a dataset: rows without opening a bundle, episodes by number, name or filter. Reads only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from enum import StrEnum
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic import ValidationError
+
+from coordinator.tables.write import METADATA_FILE
+from factory.dataset.episode import Episode, Frame
+from factory.dataset.vocabulary import require_known
+from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.dataset_meta import DatasetMeta, read_dataset_meta
+from schemas.encoding.digest import dataset_digest
+from schemas.errors import ArchiveCorrupt, UsageError
+from schemas.storage.place import Place, place_of, table_of
+from schemas.support.foreign import PARSER_ERRORS
+from schemas.support.suggest import did_you_mean
+
+__all__ = ["Dataset", "Episode", "Frame"]
+
+_FILTERS = {
+    "split": "split",
+    "scene": "scene",
+    "tier": "spawn_tier",
+    "category": "target_category",
+    "target": "target_id",
+    "template": "template_id",
+    "colour": "colour",
+    "expert": "expert",
+    "episode": "episode_id",
+}
+_COLUMNS = list(EpisodeSummary.model_fields)
+
+
+class Dataset:
+    """A dataset in a directory or by URL, or what a filter left of it; a sequence of episodes in the order of the plan.
+
+    >>> data = Dataset("dataset").filter(split="train_id", tier=("near", "mid"))  # doctest: +SKIP
+    >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
+
+    Raises:
+        WorldError: the directory holds no dataset, or one of a newer format.
+        ArchiveCorrupt: its tables are damaged.
+    """
+
+    def __init__(self, path: str | Place) -> None:
+        self.root = place_of(path)
+        self.meta: DatasetMeta = read_dataset_meta(self.root)
+        """What the dataset is and what made it."""
+        self.metadata: pa.Table = _read_table(self.root / METADATA_FILE)
+        """One row an episode; the columns are those of `EpisodeSummary`."""
+        self._targets: list[str] = pc.unique(self.metadata["target_id"]).to_pylist()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the content digests of these episodes; equal for equal content, whoever made it and how."""
+        names = self.metadata["episode_id"].to_pylist()
+        return dataset_digest(zip(names, self.metadata["content_digest"].to_pylist(), strict=True))
+
+    def filter(self, **wanted: str | Iterable[str]) -> Dataset:
+        """Returns the episodes that fit all conditions: none where a value is right, but no episode here has it.
+
+        Args:
+            wanted: a value or several for `split`, `scene`, `tier`, `category`, `target`, `template`, `colour`,
+                `expert` or `episode`.
+
+        Raises:
+            UsageError: there is no filter of that name, or no such value.
+        """
+        table = self.metadata
+        for name, values in wanted.items():
+            if name not in _FILTERS:
+                raise UsageError(f"no filter {name!r}; there are {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}")
+            asked, column = _as_strings(values), _FILTERS[name]
+            held = self._targets if name == "target" else pc.unique(self.metadata[column]).to_pylist()
+            require_known(name, asked.to_pylist(), held, self.meta.plan)
+            table = table.filter(pc.field(column).isin(asked))
+        return self._with(table)
+
+    def _with(self, table: pa.Table) -> Dataset:
+        part = object.__new__(Dataset)
+        part.root, part.meta, part.metadata, part._targets = self.root, self.meta, table, self._targets
+        return part
+
+    def __len__(self) -> int:
+        return int(self.metadata.num_rows)
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self[position] for position in range(len(self)))
+
+    def __getitem__(self, key: int | str) -> Episode:
+        """Returns an episode by its position among these or by its id.
+
+        Raises:
+            IndexError: there is no such position.
+            KeyError: there is no such id.
+        """
+        position = self._position(key) if isinstance(key, str) else key
+        if not -len(self) <= position < len(self):
+            raise IndexError(f"{self.root} has {len(self)} episodes here, asked for number {position}")
+        (row,) = self.metadata.slice(position % len(self), 1).to_pylist()
+        summary = _parse(self.root, row)
+        return Episode(self.root / file_name_of(summary.episode_id), summary)
+
+    def _position(self, episode_id: str) -> int:
+        position = int(pc.index(self.metadata["episode_id"], episode_id).as_py())
+        if position < 0:
+            raise KeyError(f"{episode_id} is not among these {len(self)} episodes of {self.root}")
+        return position
+
+    def __repr__(self) -> str:
+        return f"Dataset({str(self.root)!r}, {len(self)} episodes)"
+
+
+def _as_strings(values: str | Iterable[str]) -> pa.Array:
+    found = [values] if isinstance(values, str) else list(values)
+    return pa.array([value.value if isinstance(value, StrEnum) else value for value in found], pa.string())
+
+
+def _read_table(path: Place) -> pa.Table:
+    try:
+        table = pq.read_table(table_of(path))
+        table.validate(full=True)  # else text that is no UTF-8 is found when it is used
+        return table.select(_COLUMNS)  # columns that a later version added are not ours to know
+    except FileNotFoundError as error:
+        raise ArchiveCorrupt(f"{path} is missing: a resumed run writes it anew") from error
+    except (pa.ArrowException, *PARSER_ERRORS) as error:
+        raise ArchiveCorrupt(f"{path} is damaged ({error}): a resumed run writes it anew") from error
+
+
+def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:
+    try:
+        return EpisodeSummary.model_validate(row)
+    except ValidationError as error:
+        found = f"{error.error_count()} wrong values, first at {error.errors()[0]['loc']}"
+        raise ArchiveCorrupt(f"{root / METADATA_FILE} is damaged ({found}): a resumed run writes it anew") from error

@@ -1,0 +1,165 @@
+"""Every frame of a dataset as a sample for `torch.utils.data.DataLoader`; needs no torch until torch uses it.
+
+Keeps a few bundles open a process and shuffles nothing. The frames of a batch are decoded in threads, straight into the
+batch: PNG, zstandard and numpy leave Python's lock alone, and between processes every page of an image costs more than
+its decoding.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import parent_process
+from typing import Any, TypedDict, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.dataset.reader import Dataset, Episode
+from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.support.extras import require_package
+
+__all__ = ["FrameBatch", "FrameDataset", "Sample", "collate"]
+
+_OPEN_EPISODES = 128
+"""Kept open by a process: 0.6 MiB and a file each; to open one again costs as much as a frame."""
+_IMAGE = (FRAME_SIZE_PX, FRAME_SIZE_PX)
+
+
+class Sample(TypedDict, total=False):
+    """One step of one episode; arrays become tensors in torch's default collation."""
+
+    rgb: NDArray[np.uint8]
+    """(640, 640, 3)."""
+    depth: NDArray[np.float32]
+    """(640, 640) metres."""
+    ids: NDArray[np.int32]
+    """(640, 640) instance ids; only when asked for."""
+    instruction: str
+    action: NDArray[np.float32]
+    """(2,) v in m/s, w in rad/s."""
+    tokens: NDArray[np.int64]
+    """(2,) 0..6."""
+    episode_id: str
+    step: int
+
+
+class FrameBatch(list[Sample]):
+    """Samples whose images lie side by side: a list as any other to torch, which `collate` need not copy."""
+
+    def __init__(self, samples: Sequence[Sample], images: dict[str, NDArray[Any]]) -> None:
+        super().__init__(samples)
+        self.images = images
+        """By the name in `Sample`: (N, 640, 640, ...), of which every sample holds one."""
+
+
+class FrameDataset:
+    """A map-style dataset: `len` frames, indexed over all episodes in order.
+
+    Fastest with `collate` and without worker processes, `DataLoader(frames, 16, shuffle=True, collate_fn=collate)`:
+    a batch is decoded on all cores.
+
+    Args:
+        dataset: the episodes, filtered as wanted.
+        with_ids: whether samples hold the instance ids.
+        stride: take every n-th frame of an episode.
+        threads: that decode a batch; by default one a core, and one alone in a worker process.
+    """
+
+    def __init__(self, dataset: Dataset, with_ids: bool = False, stride: int = 1, threads: int | None = None) -> None:
+        if stride < 1:
+            raise ValueError(f"stride {stride}: at least 1")
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads {threads}: at least 1")
+        self._dataset = dataset
+        self._with_ids = with_ids
+        self._stride = stride
+        self._threads = threads
+        lengths = np.asarray(dataset.metadata["num_steps"].to_pylist(), np.int64)
+        self._ends: NDArray[np.int64] = np.cumsum(-(-lengths // stride), dtype=np.int64)
+        self._open: OrderedDict[int, Episode] = OrderedDict()
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    def __getitem__(self, index: int) -> Sample:
+        return self.__getitems__([index])[0]
+
+    def __getitems__(self, indices: Sequence[int]) -> FrameBatch:
+        """Returns the samples of a batch; torch asks for them all at once by this name."""
+        steps = [self._find(index) for index in indices]
+        images: dict[str, NDArray[Any]] = {
+            "rgb": np.empty((len(steps), *_IMAGE, 3), np.uint8),
+            "depth": np.empty((len(steps), *_IMAGE), np.float32),
+        }
+        if self._with_ids:
+            images["ids"] = np.empty((len(steps), *_IMAGE), np.int32)
+
+        def fill(number: int) -> Sample:
+            episode, t = steps[number]
+            for name, batch in images.items():
+                batch[number] = getattr(episode, name)(t)
+            rest = _beside_images(episode, t)
+            return {**{name: batch[number] for name, batch in images.items()}, **rest}  # type: ignore[typeddict-item]
+
+        threads = min(len(steps), self._threads or _usable_cores())
+        samples = list(map(fill, range(len(steps))) if threads < 2 else _pool(threads).map(fill, range(len(steps))))
+        while len(self._open) > _OPEN_EPISODES:  # not before: one of this batch would be closed while it is read
+            self._open.popitem(last=False)[1].close()
+        return FrameBatch(samples, images)
+
+    def _find(self, index: int) -> tuple[Episode, int]:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"{len(self)} frames, asked for number {index}")
+        index %= len(self)
+        position = int(np.searchsorted(self._ends, index, side="right"))
+        first = int(self._ends[position - 1]) if position else 0
+        episode = self._open.pop(position, None) or self._dataset[position]
+        self._open[position] = episode
+        return episode, (index - first) * self._stride
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": OrderedDict()}
+
+
+def collate(samples: Sequence[Sample]) -> dict[str, Any]:
+    """Returns what torch's default collation makes of a batch; the images of a `FrameBatch` are not copied for it.
+
+    Raises:
+        UsageError: torch is not installed; the message names the extra.
+    """
+    require_package("torch", "collate of factory.dataset.torch")
+    import torch
+
+    if not isinstance(samples, FrameBatch):  # of several datasets joined by torch
+        return cast(dict[str, Any], torch.utils.data.default_collate(samples))
+    rest = [{name: value for name, value in sample.items() if name not in samples.images} for sample in samples]
+    images = {name: torch.from_numpy(batch) for name, batch in samples.images.items()}
+    return {**images, **torch.utils.data.default_collate(rest)}
+
+
+def _beside_images(episode: Episode, t: int) -> Sample:
+    return {
+        "instruction": episode.instruction,
+        "action": episode.actions[t].copy(),
+        "tokens": episode.tokens[t].astype(np.int64),
+        "episode_id": episode.episode_id,
+        "step": t,
+    }
+
+
+def _usable_cores() -> int:
+    return 1 if parent_process() is not None else len(os.sched_getaffinity(0))
+
+
+_pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
+
+
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Returns this process's pool of so many threads; a fork has none of its parent's threads."""
+    key = (os.getpid(), threads)
+    if key not in _pools:
+        _pools[key] = ThreadPoolExecutor(threads, "decode")
+    return _pools[key]

@@ -1,0 +1,1 @@
+"""Drives evaluation episodes: simulator, actions, measures, the policy interface."""

@@ -1,0 +1,137 @@
+"""What a policy is: told an instruction once, then shown a view and asked for an action, again and again.
+
+A model sees the camera and the words and nothing else. Drives nothing itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.eval.driving.simulator import Simulator
+from factory.eval.models.request import Actions
+from schemas.job import Job
+
+__all__ = [
+    "EpisodeInfo",
+    "Insider",
+    "Observation",
+    "Policy",
+    "PolicyFailure",
+    "PolicyFault",
+    "ServerAway",
+    "Situation",
+    "is_built_in",
+    "is_insider",
+    "kind_of_actions",
+    "looks",
+]
+
+
+class Observation(TypedDict):
+    """What a policy is shown before each action."""
+
+    rgb: NDArray[np.uint8]
+    """(640, 640, 3) sRGB, top row first."""
+    depth: NDArray[np.float32]
+    """(640, 640) metres along the optical axis; 0 where nothing was hit."""
+    instruction: str
+    step: int
+    """Actions carried out so far, from 0."""
+    pose: NotRequired[NDArray[np.float64]]
+    """(3,) x, y in metres and yaw in radians of base_link in the frame of its start; only with `--pose`."""
+
+
+@dataclass(frozen=True)
+class EpisodeInfo:
+    """What a policy may know of an episode beside its instruction; nothing of the goal."""
+
+    episode: str
+    """Name of the spec."""
+    seed: int
+    """For the policy's own chances: the same episode gives the same seed."""
+    control_hz: int
+    max_steps: int
+    v_range_mps: tuple[float, float]
+    w_range_rps: tuple[float, float]
+    fov_deg: float
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A driver. The optional attribute `actions` is `"continuous"` (the default) or `"tokens"`."""
+
+    def reset(self, instruction: str, info: EpisodeInfo) -> None:
+        """Begins an episode and forgets the one before."""
+        ...
+
+    def act(self, observation: Observation) -> Any:
+        """Returns an action: v in m/s and w in rad/s, or two tokens 0..6; or a chunk (H, 2) of them to carry out."""
+        ...
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What only built-in policies that say so are let into: the running simulation, goal and map included."""
+
+    simulator: Simulator
+    job: Job
+    """The episode as the experts take it."""
+    actions: Actions | None
+    """Those of an archived episode, for policies that carry them out."""
+
+
+@runtime_checkable
+class Insider(Protocol):
+    """A built-in policy with more knowledge than a model has; its attribute `knows` says what."""
+
+    def enter(self, situation: Situation) -> None:
+        """Is called after the simulator's reset and before the policy's own."""
+        ...
+
+
+class PolicyFault(StrEnum):
+    """How a policy failed an episode by itself."""
+
+    RAISED = "policy_raised"  # it raised an exception, or its server answered with an error
+    HUNG = "policy_hung"  # no answer within the time limit
+    INVALID = "policy_invalid"  # NaN, infinity, or another shape than an action has
+    DIED = "policy_died"  # the process it ran in died while it was asked
+    LOST = "policy_lost"  # its server closed the connection in the middle of an episode, twice
+
+
+class PolicyFailure(Exception):
+    """A policy failed this episode: counted, never a crash."""
+
+    def __init__(self, fault: PolicyFault, detail: str) -> None:
+        super().__init__(detail)
+        self.fault = fault
+        self.detail = detail
+
+
+class ServerAway(Exception):
+    """A policy's server cannot be reached: no fault of an episode, the run stops and can be resumed."""
+
+
+def is_built_in(policy: Policy) -> bool:
+    """Whether a policy is one of ours; no other is let in or shown more than the camera sees."""
+    return type(policy).__module__.startswith("factory.eval.policies.")
+
+
+def is_insider(policy: Policy) -> bool:
+    """Whether a policy is let into the running simulation."""
+    return isinstance(policy, Insider) and is_built_in(policy)
+
+
+def looks(policy: Policy) -> bool:
+    """Whether a policy is shown pictures: all but the built-in ones that have no use for them."""
+    return bool(getattr(policy, "looks", True)) or not is_built_in(policy)
+
+
+def kind_of_actions(policy: Policy) -> str:
+    """Returns `continuous` or `tokens`: what the numbers of a policy mean."""
+    return str(getattr(policy, "actions", "continuous"))

@@ -1,0 +1,258 @@
+"""One episode with one policy, from reset to result. Whatever the policy does, a result comes of it."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.eval.driving import measure
+from factory.eval.driving.action import read_actions
+from factory.eval.driving.odometry import odometry, yaws_of
+from factory.eval.driving.policy import (
+    EpisodeInfo,
+    Insider,
+    Observation,
+    Policy,
+    PolicyFailure,
+    PolicyFault,
+    ServerAway,
+    Situation,
+    is_insider,
+    kind_of_actions,
+    looks,
+)
+from factory.eval.driving.simulator import Simulator
+from factory.eval.models.messages import Order
+from factory.eval.models.request import Question
+from factory.eval.models.result import EpisodeResult, EvalEnd
+from factory.eval.models.spec import EvalSpec
+from schemas.config import TaskConfig
+from schemas.terms import ExpertName
+from workers.experts.observation import View
+from workers.sim.scene_renderer import LoadedScene
+
+__all__ = ["TRACK_HZ", "Watch", "describe_question", "progresses", "run_episode", "thin_track"]
+
+TRACK_HZ = 10
+
+
+class Watch(Protocol):
+    """Is told what goes on, so that somebody outside can tell a policy that hangs from a simulation that does."""
+
+    def asks(self, simulator: Simulator, view: View) -> None:
+        """The policy is about to be asked about a view; the first call of an episode is its reset."""
+
+    def has_answer(self) -> None:
+        """The policy has answered, or failed to."""
+
+
+def run_episode(order: Order, policy: Policy, simulator: Simulator, place: LoadedScene, watch: Watch) -> EpisodeResult:
+    """Drives an episode to its end and measures it.
+
+    Args:
+        order: what is asked, and of whom.
+        policy: who drives; an `Insider` is let in.
+        simulator: open, with the settings of the set.
+        place: the scene of the spec.
+        watch: told before and after each call of the policy.
+
+    Raises:
+        WorldError: the spec does not fit its scene.
+        ServerAway: the policy's server cannot be reached; nothing is known about the episode.
+    """
+    begun = time.monotonic()
+    drive = _Drive(order, policy, simulator, watch)
+    view = simulator.reset(order.question.spec, place)
+    end, detail = drive.run(view)
+    return _measured(order, simulator, end, detail, drive, time.monotonic() - begun)
+
+
+@dataclass
+class _Drive:
+    """A policy at the wheel; keeps the clock and the count of its answers."""
+
+    order: Order
+    policy: Policy
+    simulator: Simulator
+    watch: Watch
+    clipped: int = 0
+    answers: int = 0
+    act_s: float = 0.0
+
+    @property
+    def question(self) -> Question:
+        """What is asked."""
+        return self.order.question
+
+    def run(self, view: View) -> tuple[EvalEnd, str]:
+        """Returns how the episode ended."""
+        try:
+            self._begin(view)
+            while view.end is None:
+                view = self._turn(view)
+        except PolicyFailure as failure:
+            return EvalEnd(failure.fault), failure.detail
+        end = EvalEnd(view.end)
+        words = f"{end} after {self.simulator.steps} steps, {view.distance_m:.2f} m from {self.question.spec.target_id}"
+        return end, words
+
+    def _begin(self, view: View) -> None:
+        settings, spec = self.simulator.settings, self.question.spec
+        info = EpisodeInfo(
+            episode=spec.spec_id,
+            seed=spec.seed,
+            control_hz=settings.task.control_hz,
+            max_steps=settings.task.max_steps,
+            v_range_mps=(0.0, settings.robot.max_speed_mps),
+            w_range_rps=(-settings.robot.max_yaw_rate_rps, settings.robot.max_yaw_rate_rps),
+            fov_deg=settings.camera.fov_deg,
+        )
+        with self._asking(view):
+            if is_insider(self.policy):
+                expert = getattr(self.policy, "expert", ExpertName.PROPORTIONAL)
+                situation = Situation(self.simulator, spec.job(settings, expert), self.order.actions)
+                cast(Insider, self.policy).enter(situation)
+            self.policy.reset(self.question.instruction, info)
+
+    def _turn(self, view: View) -> View:
+        """Asks once and carries the answer out."""
+        observation = self._observation(view)
+        with self._asking(view):
+            answer = self.policy.act(observation)
+        self.answers += 1
+        robot = self.simulator.settings.robot
+        chunk = read_actions(answer, kind_of_actions(self.policy), robot.max_speed_mps, robot.max_yaw_rate_rps)
+        self.clipped += chunk.beyond
+        for twist in chunk.twists:
+            view = self.simulator.step(twist)
+            if view.end is not None:
+                break
+        return view
+
+    def _observation(self, view: View) -> Observation:
+        words, step = self.question.instruction, self.simulator.steps
+        if not looks(self.policy):
+            return cast(Observation, {"instruction": words, "step": step})  # it would not look at pictures
+        seen = Observation(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
+        if self.question.with_pose:
+            seen["pose"] = odometry(self.simulator.track)
+        return seen
+
+    @contextmanager
+    def _asking(self, view: View) -> Iterator[None]:
+        """Around a call of the policy: watched, timed, and every exception of it turned into its failure."""
+        self.watch.asks(self.simulator, view)
+        begun = time.monotonic()
+        try:
+            yield
+        except (PolicyFailure, ServerAway):
+            raise
+        except Exception as error:
+            raise PolicyFailure(PolicyFault.RAISED, describe_error(error)) from error
+        finally:
+            self.act_s += time.monotonic() - begun
+            self.watch.has_answer()
+
+
+def describe_error(error: BaseException) -> str:
+    """Returns an exception in one line, with the place it came from."""
+    where = traceback.extract_tb(error.__traceback__)[-1:]
+    place = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in where)
+    return (traceback.format_exception_only(error)[-1].strip() + place)[:500]
+
+
+def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float, float, float], ...]:
+    """Returns x, y, yaw of a (frames, 7) track ten times a second, and of its last frame."""
+    every = max(1, round(control_hz / TRACK_HZ))
+    rows = [*range(0, len(track) - 1, every), len(track) - 1]
+    yaws = yaws_of(track[rows])
+    return tuple(
+        (round(float(x), 3), round(float(y), 3), round(float(yaw), 3))
+        for (x, y), yaw in zip(track[rows, :2], yaws, strict=True)
+    )
+
+
+def _measured(
+    order: Order,
+    simulator: Simulator,
+    end: EvalEnd,
+    detail: str,
+    drive: _Drive,
+    seconds: float,
+) -> EpisodeResult:
+    spec, task, track = order.question.spec, simulator.settings.task, simulator.track
+    gaps = np.linalg.norm(track[:, :2] - np.asarray(simulator.target.centroid_m[:2]), axis=1)
+    start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
+    driven_m = measure.path_length_m(track)
+    is_success = end is EvalEnd.SUCCESS
+    return EpisodeResult(
+        **describe_question(order),
+        end=end,
+        detail=detail,
+        success=is_success,
+        any_instance=is_success or measure.stops_at_any(track, simulator.place.scene.info.targets, spec.category, task),
+        num_steps=simulator.steps,
+        spawn_dist_m=start_m,
+        trajectory_length_m=driven_m,
+        final_ne_m=final_m,
+        min_ne_m=least_m,
+        spl=None if spec.geodesic_m is None else measure.spl(is_success, spec.geodesic_m, driven_m),
+        soft_spl=_soft_spl(spec, simulator, track, is_success, driven_m),
+        **progresses(start_m, final_m, least_m, task),
+        contact_steps=simulator.contact_steps,
+        clipped_actions=drive.clipped,
+        act_ms=1000 * drive.act_s / max(1, drive.answers),
+        seconds=seconds,
+        track=thin_track(track, task.control_hz),
+    )
+
+
+def describe_question(order: Order) -> dict[str, Any]:
+    """Returns the fields of a result that are known before the drive."""
+    question, spec = order.question, order.question.spec
+    return {
+        "spec_id": spec.spec_id,
+        "spec_digest": question.spec_digest,
+        "policy": order.policy,
+        "variant": question.variant,
+        "instruction": question.instruction,
+        "split": spec.split,
+        "scene": spec.scene,
+        "tier": spec.tier,
+        "category": spec.category,
+        "target_id": spec.target_id,
+        "template_id": spec.template_id,
+        "categories_in_view": len(spec.categories_in_view),
+        "geodesic_m": spec.geodesic_m,
+    }
+
+
+def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig) -> dict[str, Any]:
+    """Returns the three measures of progress (DESIGN 3.15) from distances to the target's centroid."""
+    radius_m = task.success_radius_m
+    normalised = measure.progress(start_m - radius_m, max(0.0, least_m - radius_m)) if start_m > radius_m else 1.0
+    return {
+        "progress_final": measure.progress(start_m, final_m),
+        "progress_max": measure.progress(start_m, least_m),
+        "progress_normalised": normalised,
+    }
+
+
+def _soft_spl(
+    spec: EvalSpec, simulator: Simulator, track: NDArray[np.float64], is_success: bool, driven_m: float
+) -> float | None:
+    if spec.geodesic_m is None:
+        return None
+    if is_success:
+        return measure.soft_spl(spec.geodesic_m, 0.0, driven_m)
+    radius_m = simulator.settings.task.success_radius_m
+    left_m = measure.floor_distance_m(simulator.place.grid, track[-1, :2], simulator.target, radius_m)
+    return 0.0 if left_m is None else measure.soft_spl(spec.geodesic_m, left_m, driven_m)

@@ -1,0 +1,104 @@
+"""What the evaluating process and its driving processes say to each other, one JSON line at a time. Opens no pipe."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from factory.eval.models.request import Actions, Question
+from factory.eval.models.result import EpisodeResult
+from factory.eval.models.spec import EvalSettings
+from schemas.base import Model, Positive
+from schemas.terms import RendererKind
+
+__all__ = ["Errand", "Order", "Report", "ReportKind", "Setup", "read_report", "to_line"]
+
+
+class Setup(Model):
+    """The first line to a driving process: what holds for all its orders."""
+
+    settings: EvalSettings
+    renderer: RendererKind = "auto"
+    act_timeout_s: Positive = 10.0
+    load_timeout_s: Positive = 300.0
+    reconnect_s: Positive = 30.0
+
+
+class Order(Model):
+    """One episode to drive."""
+
+    number: Annotated[int, Field(ge=0)]
+    policy: str
+    question: Question
+    package: Path
+    """The compiled scene."""
+    actions: Actions | None = None
+    """Those of the recorded episode, where the question names one."""
+    file: Path | None = None
+    """What the policy is made of, where it is not at the place that its name says."""
+
+
+class Errand(Model):
+    """One episode to drive, as it goes to a worker of another machine."""
+
+    setup: Setup
+    policy: str
+    question: Question
+    actions: Actions | None = None
+
+    def order(self, number: int, package: Path, file: Path | None) -> Order:
+        """Returns the order for a driving process there."""
+        return Order(
+            number=number,
+            policy=self.policy,
+            question=self.question,
+            package=package,
+            actions=self.actions,
+            file=file,
+        )
+
+
+class ReportKind(StrEnum):
+    """What a report is about."""
+
+    READY = "ready"  # the renderer is open
+    POLICY = "policy"  # the policy is made
+    RESULT = "result"  # an episode is over
+    REFUSED = "refused"  # the policy cannot be made, or the spec does not fit: the caller's mistake
+    AWAY = "away"  # the policy's server cannot be reached
+    DEFECT = "defect"  # our own mistake
+
+
+class Report(Model):
+    """What a driving process has to say."""
+
+    kind: ReportKind
+    number: int = -1
+    """Of the order."""
+    detail: str = ""
+    """In words: the renderer, the policy's knowledge, or what is wrong."""
+    exit_code: int = 1
+    """Of the command, for `refused`."""
+    result: EpisodeResult | None = None
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        if (self.kind is ReportKind.RESULT) != (self.result is not None):
+            raise ValueError("a result, and nothing else, carries a result")
+        return self
+
+
+def to_line(message: Model) -> bytes:
+    """Returns the message as one line."""
+    return message.model_dump_json().encode() + b"\n"
+
+
+def read_report(line: bytes) -> Report | None:
+    """Returns the report on a line; `None` for anything else, such as the chatter of a library."""
+    try:
+        return Report.model_validate_json(line)
+    except ValidationError:
+        return None

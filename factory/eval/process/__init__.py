@@ -1,0 +1,1 @@
+"""Evaluates on one machine in driver processes."""

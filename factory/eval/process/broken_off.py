@@ -1,0 +1,48 @@
+"""The result of an episode whose process had to be ended: measured by what stood on its sheet, worth nothing. Pure."""
+
+from __future__ import annotations
+
+from factory.eval.driving.policy import PolicyFault
+from factory.eval.driving.rollout import describe_question, progresses
+from factory.eval.models.messages import Order
+from factory.eval.models.result import EpisodeResult, EvalEnd
+from factory.eval.process.shared_status import State
+from schemas.config import TaskConfig
+
+__all__ = ["result_of_end"]
+
+
+def result_of_end(order: Order, detail: str, fault: PolicyFault, state: State, task: TaskConfig) -> EpisodeResult:
+    """Returns the result of an episode whose driving process had to be ended.
+
+    Args:
+        order: what it drove.
+        detail: the end in words.
+        fault: what the policy did.
+        state: what stood on its sheet.
+        task: rules of the episode.
+    """
+    spec = order.question.spec
+    start_m = state.start_m or spec.spawn_dist_m
+    now_m, least_m = (state.now_m, state.least_m) if state.start_m else (start_m, start_m)
+    nothing = None if spec.geodesic_m is None else 0.0
+    return EpisodeResult(
+        **describe_question(order),
+        end=EvalEnd(fault),
+        detail=detail,
+        success=False,
+        any_instance=False,
+        num_steps=state.steps,
+        spawn_dist_m=start_m,
+        trajectory_length_m=state.driven_m,
+        final_ne_m=now_m,
+        min_ne_m=least_m,
+        spl=nothing,
+        soft_spl=nothing,
+        **progresses(start_m, now_m, least_m, task),
+        contact_steps=state.contact_steps,
+        clipped_actions=0,
+        act_ms=0.0,
+        seconds=0.0,
+        track=(spec.spawn_pose,),
+    )

@@ -1,0 +1,153 @@
+"""A campaign on one machine: policies x variants x episodes over driving processes, kept as they finish.
+
+Owns the processes and ends them all when it ends; prints nothing, a listener is told.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from factory.eval.models.messages import Order, Report, ReportKind
+from factory.eval.models.result import EpisodeResult
+from factory.eval.policies.note import note_of
+from factory.eval.process.broken_off import result_of_end
+from factory.eval.process.driver_process import Ended, Seat
+from factory.eval.results.store import Store
+from factory.eval.specs.campaign import Campaign, orders_for, with_actions
+from factory.eval.specs.from_dataset import Places
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["Pace", "run_campaign"]
+
+_POLL_S = 0.05
+_TRIES = 2
+"""How often an episode is begun when the simulation, not the policy, dies."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How far a campaign is."""
+
+    policy: str
+    done: int
+    """Of the policy, earlier runs included."""
+    total: int
+    successes: int
+
+
+Tell = Callable[[Pace], None]
+
+
+def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: Tell) -> bool:
+    """Drives every episode that is not finished yet; returns whether all are done, or `stop` was set before.
+
+    Args:
+        campaign: what to do.
+        store: holds the finished episodes and takes the new ones.
+        stop: leave at once; nothing finished is lost.
+        tell: told after every episode.
+
+    Raises:
+        UsageError: a policy cannot be made, or the specs do not fit the dataset.
+        WorldError: a policy's server is away, or simulations die.
+    """
+    places = Places(campaign.root)
+    with ExitStack() as stack:
+        seats = [Seat(campaign.setup) for _ in range(campaign.processes)]
+        for seat in seats:
+            stack.callback(seat.kill)
+        for policy in campaign.policies:
+            if not _Round(campaign, orders_for(campaign, policy, places), store, seats, stop, tell).run():
+                return False
+    return True
+
+
+class _Round:
+    """All episodes of one policy."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        orders: list[Order],
+        store: Store,
+        seats: list[Seat],
+        stop: threading.Event,
+        tell: Tell,
+    ) -> None:
+        self._campaign, self._orders, self._store = campaign, orders, store
+        self._policy = orders[0].policy
+        self._seats, self._stop, self._tell = seats, stop, tell
+        self._deaths: dict[int, int] = {}
+
+    def run(self) -> bool:
+        """Returns whether all are done."""
+        orders = self._orders
+        done = {result.key: result.success for result in self._store.results(self._policy)}
+        waiting = deque(order for order in orders if order.question.key not in done)
+        successes = sum(done.get(order.question.key, False) for order in orders)
+        pace = Pace(self._policy, len(orders) - len(waiting), len(orders), successes)
+        self._tell(pace)
+        while pace.done < pace.total and not self._stop.is_set():
+            for result in self._turns(waiting):
+                self._keep(result)
+                pace = Pace(self._policy, pace.done + 1, pace.total, pace.successes + result.success)
+                self._tell(pace)
+        return pace.done >= pace.total
+
+    def _turns(self, waiting: deque[Order]) -> Iterator[EpisodeResult]:
+        """Gives every idle seat an order and hears every busy one once."""
+        busy = 0
+        for seat in self._seats:
+            if seat.order_at_hand is None and waiting:
+                seat.give(with_actions(waiting.popleft(), self._campaign.root))
+            busy += seat.order_at_hand is not None
+        for seat in self._seats:
+            if seat.order_at_hand is None:
+                continue
+            heard = seat.hear(_POLL_S / max(1, busy))
+            result = self._after_end(seat, heard, waiting) if isinstance(heard, Ended) else self._after(heard)
+            if result is not None:
+                seat.order_at_hand = None
+                yield result
+
+    def _after(self, report: Report | None) -> EpisodeResult | None:
+        if report is None:
+            return None
+        if report.kind is ReportKind.REFUSED:
+            raise UsageError(report.detail) if report.exit_code == 2 else WorldError(report.detail)
+        if report.kind is ReportKind.AWAY:
+            kept = f"results so far are kept in {self._store.root}"
+            raise WorldError(f"{report.detail}; {kept}: start the server and run the same command again")
+        if report.kind is ReportKind.DEFECT:
+            raise RuntimeError(f"a driving process broke: {report.detail}")
+        return report.result
+
+    def _after_end(self, seat: Seat, ended: Ended, waiting: deque[Order]) -> EpisodeResult | None:
+        order = seat.order_at_hand
+        if order is None:
+            return None
+        if ended.fault is not None and self._made() is not None:
+            task = self._campaign.specs.settings.task
+            return result_of_end(order, ended.detail, ended.fault, ended.state, task)
+        if ended.fault is not None:
+            raise WorldError(f"policy {order.policy} cannot be made: {ended.detail}")
+        self._deaths[order.number] = self._deaths.get(order.number, 0) + 1
+        if self._deaths[order.number] >= _TRIES:
+            raise WorldError(f"{order.question.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")
+        seat.order_at_hand = None
+        waiting.appendleft(order)
+        return None
+
+    def _made(self) -> Seat | None:
+        """A seat in which the policy could be made."""
+        return next((seat for seat in self._seats if self._policy in seat.made), None)
+
+    def _keep(self, result: EpisodeResult) -> None:
+        seat = self._made()
+        if seat is not None and self._store.note_of(self._policy) is None:
+            self._store.note(note_of(self._policy, seat.made[self._policy], seat.renderer))
+        self._store.add(result)

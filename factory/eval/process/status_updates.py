@@ -1,0 +1,62 @@
+"""Notes on the sheet what an episode is at: who is waited for, under which limit, and how far the robot has come.
+
+Knows no process and no policy but for what it is told of it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+from factory.eval.driving.simulator import Simulator
+from factory.eval.process.shared_status import Busy, Sheet, State
+from workers.experts.observation import View
+
+__all__ = ["SheetWatch"]
+
+
+class SheetWatch:
+    """Writes every turn down; a `Watch` of the rollout."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self._sheet = sheet
+        self._state = State()
+        self._last: tuple[float, float] | None = None
+        self._calls = 0
+        self.is_warm = False
+        """Whether the policy has given an answer; the first one may take long."""
+        self.is_insider = False
+        """Whether it is one of ours that draws and plans for itself: simulation, as far as time goes."""
+
+    def note(self, busy: Busy) -> None:
+        """Writes down what is being done from now on."""
+        self._state = self._state._replace(busy=busy, since_s=time.monotonic())
+        self._sheet.write(self._state)
+
+    def begin(self, busy: Busy) -> None:
+        """The same, with the distances of a new episode."""
+        self._state, self._last, self._calls = State(), None, 0
+        self.note(busy)
+
+    def asks(self, simulator: Simulator, view: View) -> None:
+        """The policy is about to be asked."""
+        self._calls += 1
+        here, state = (view.pose.x, view.pose.y), self._state
+        moved = 0.0 if self._last is None else math.dist(self._last, here)
+        is_first, self._last = self._last is None, here
+        self._state = state._replace(
+            steps=simulator.steps,
+            start_m=view.distance_m if is_first else state.start_m,
+            now_m=view.distance_m,
+            least_m=view.distance_m if is_first else min(state.least_m, view.distance_m),
+            driven_m=state.driven_m + moved,
+            contact_steps=simulator.contact_steps,
+        )
+        if not self.is_insider:
+            is_reset = self._calls == 1
+            self.note(Busy.ASKING if self.is_warm and not is_reset else Busy.MAKING)
+
+    def has_answer(self) -> None:
+        """The policy has answered."""
+        self.is_warm = self.is_warm or self._calls > 1  # the first one is the reset
+        self.note(Busy.SIMULATING)

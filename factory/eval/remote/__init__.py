@@ -1,0 +1,1 @@
+"""Evaluates on many machines through the coordinator."""

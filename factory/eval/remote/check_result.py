@@ -1,0 +1,108 @@
+"""Whether a result that came from another machine can be the answer to the question that was asked. Pure.
+
+Compares it with the question, with itself and with what a robot can do; the drive is not simulated again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+
+from factory.eval.driving import measure
+from factory.eval.driving.rollout import TRACK_HZ, describe_question, progresses
+from factory.eval.models.messages import Order
+from factory.eval.models.result import EpisodeResult
+from factory.eval.models.spec import EvalSettings
+from schemas.scene import Target
+
+__all__ = ["result_findings"]
+
+_TRACK_SLACK_M = 0.003
+"""Poses of a track are rounded to 1 mm."""
+_SPAWN_SLACK_M, _SPAWN_SLACK_RAD = 0.1, 0.2
+"""The warm-up steps let the robot settle."""
+_SPEED_SLACK, _PUSH_M = 1.5, 0.05
+"""A skidding robot is faster than it was told, and an obstacle pushes it aside."""
+
+
+def result_findings(result: EpisodeResult, order: Order, settings: EvalSettings, target: Target) -> list[str]:
+    """Returns every reason for which a result cannot be that of an order; none when it may be kept.
+
+    Args:
+        result: as it came.
+        order: what was asked, and of which policy.
+        settings: of the set.
+        target: of the spec, as its scene has it.
+    """
+    asked = describe_question(order)
+    found = [
+        f"{name} is {getattr(result, name)!r}, asked for {wanted!r}"
+        for name, wanted in asked.items()
+        if getattr(result, name) != wanted
+    ]
+    return [
+        *found,
+        *_of_the_end(result, settings),
+        *_of_the_measures(result, settings),
+        *_of_the_track(result, order, settings, target),
+    ]
+
+
+def _of_the_end(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
+    task = settings.task
+    if result.success != (result.end == "success"):
+        yield f"success is {result.success}, and the end {result.end}"
+    if result.success and not result.any_instance:
+        yield "success at the target is none at any instance"
+    if result.num_steps > task.max_steps:
+        yield f"{result.num_steps} steps, more than the {task.max_steps} of the task"
+    if result.end == "timeout" and result.num_steps < task.max_steps:
+        yield f"timeout after {result.num_steps} of {task.max_steps} steps"
+    if result.success and result.final_ne_m > task.success_radius_m:
+        yield f"success {result.final_ne_m:.3f} m from the target, the radius is {task.success_radius_m:g} m"
+    if result.contact_steps > result.num_steps:
+        yield f"{result.contact_steps} steps with contact of {result.num_steps}"
+
+
+def _of_the_measures(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
+    """What follows from other fields must follow to the last bit: it was computed by the same software."""
+    wanted = progresses(result.spawn_dist_m, result.final_ne_m, result.min_ne_m, settings.task)
+    way = result.geodesic_m
+    if not result.end.is_of_the_policy:
+        wanted["spl"] = None if way is None else measure.spl(result.success, way, result.trajectory_length_m)
+    for name, value in wanted.items():
+        if getattr(result, name) != value:
+            yield f"{name} is {getattr(result, name)}, and {value} by the other measures"
+    if not result.min_ne_m <= min(result.spawn_dist_m, result.final_ne_m):
+        yield f"closest point {result.min_ne_m:.3f} m away, farther than start or end"
+
+
+def _of_the_track(result: EpisodeResult, order: Order, settings: EvalSettings, target: Target) -> Iterator[str]:
+    track, spec, hz = result.track, order.question.spec, settings.task.control_hz
+    every = max(1, round(hz / TRACK_HZ))
+    x, y, yaw = spec.spawn_pose
+    if not track:
+        yield "no track"
+        return
+    if math.dist(track[0][:2], (x, y)) > _SPAWN_SLACK_M or (
+        abs(math.remainder(track[0][2] - yaw, 2 * math.pi)) > _SPAWN_SLACK_RAD
+    ):
+        yield f"the track starts at {track[0]}, the episode at ({x:.3f}, {y:.3f}, {yaw:.3f})"
+    if len(track) == 1 and result.end.is_of_the_policy:
+        return  # the process was ended, and its poses are lost
+    frames = {result.num_steps, result.num_steps + 1}
+    if len(track) not in {math.ceil((count - 1) / every) + 1 for count in frames}:
+        yield f"{len(track)} poses in the track of {result.num_steps} steps, one every {every}"
+        return
+    gaps = [math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(track)]
+    most_m = _SPEED_SLACK * settings.robot.max_speed_mps * every / hz + _PUSH_M
+    if max(gaps, default=0.0) > most_m:
+        yield f"{max(gaps):.3f} m between two poses of the track, at most {most_m:.3f} m can be driven"
+    if sum(gaps) > result.trajectory_length_m + len(track) * _TRACK_SLACK_M:
+        yield f"driven {result.trajectory_length_m:.3f} m, the track alone is {sum(gaps):.3f} m long"
+    goal = target.centroid_m[:2]
+    for name, place in (("spawn_dist_m", 0), ("final_ne_m", -1)):
+        said, seen = getattr(result, name), math.dist(track[place][:2], goal)
+        if abs(said - seen) > _TRACK_SLACK_M:
+            yield f"{name} is {said:.3f} m, by the track {seen:.3f} m"

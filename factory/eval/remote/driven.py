@@ -1,0 +1,48 @@
+"""What a worker returns for an errand: a result and the note of its policy, as a bundle of one member.
+
+Reads and writes open files; bounded before anything is allocated, and judged elsewhere.
+"""
+
+from __future__ import annotations
+
+from typing import BinaryIO
+
+from pydantic import ValidationError
+
+from factory.eval.models.result import EpisodeResult
+from factory.eval.policies.note import PolicyNote
+from schemas.base import Model
+from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.errors import InvalidBundle
+
+__all__ = ["Driven", "read_driven", "write_driven"]
+
+_MEMBER = "driven.json"
+_LIMITS = Limits(members=1, member_bytes=4 << 20)
+
+
+class Driven(Model):
+    """One episode that was driven."""
+
+    result: EpisodeResult
+    note: PolicyNote
+
+
+def write_driven(driven: Driven, file: BinaryIO) -> None:
+    """Writes the bundle."""
+    with ContainerWriter(file) as container:
+        container.add(_MEMBER, driven.model_dump_json().encode())
+
+
+def read_driven(file: BinaryIO) -> Driven:
+    """Reads a bundle.
+
+    Raises:
+        InvalidBundle: it is none.
+    """
+    text = ContainerReader(file, _LIMITS).read(_MEMBER)
+    try:
+        return Driven.model_validate_json(text)
+    except ValidationError as error:
+        places = [f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:20]]
+        raise InvalidBundle(f"{_MEMBER} refused", places) from error

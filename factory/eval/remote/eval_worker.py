@@ -1,0 +1,139 @@
+"""Evaluation worker (`python -m factory.eval.remote.eval_worker`), which a worker starts instead of a simulation.
+
+Takes the worker's orders, evaluates them in a driver process, and leaves results as bundles.
+Simulates nothing itself and ends with its worker.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import sys
+import time
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from factory.eval.models.messages import Errand, ReportKind
+from factory.eval.models.messages import Order as Drive
+from factory.eval.models.messages import Report as Outcome
+from factory.eval.models.result import EpisodeResult
+from factory.eval.policies import is_foreign
+from factory.eval.policies.note import note_of
+from factory.eval.process.broken_off import result_of_end
+from factory.eval.process.driver_process import Ended, Seat
+from factory.eval.remote.driven import Driven, write_driven
+from schemas.terms import FailReason, RendererKind
+from workers.process import messages as worker
+from workers.process.messages import Order, failure
+from workers.process.pipes import listen, take_stdout
+
+__all__ = ["main"]
+
+_HEAR_S, _TELL_S = 0.1, 1.0
+_NO_IMPORTS = "this worker imports no classes; start it with --import-policies where its coordinator is trusted"
+
+
+def main() -> int:
+    """Serves orders until stdin closes."""
+    parser = argparse.ArgumentParser(
+        prog="factory.eval.remote.eval_worker", description="Drives policies for a worker."
+    )
+    parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
+    parser.add_argument("--import-policies", action="store_true")
+    arguments = parser.parse_args()
+    renderer = cast(RendererKind, arguments.renderer)
+    out, lines = take_stdout(), listen(0)
+    station = _Station(renderer, arguments.import_policies, out)
+    try:
+        station.tell(worker.Report(kind=worker.ReportKind.READY, renderer=f"{renderer}, with the first episode"))
+        while True:
+            station.serve(Order.model_validate_json(lines.get()))
+    except BrokenPipeError:
+        return 0  # nobody listens any more
+
+
+class _Station:
+    """Keeps one seat, for the campaign that was served last."""
+
+    def __init__(self, renderer: RendererKind, may_import: bool, out: BinaryIO) -> None:
+        self._renderer, self._may_import, self._out = renderer, may_import, out
+        self._seat: Seat | None = None
+
+    def tell(self, report: worker.Report) -> None:
+        """Tells the worker."""
+        self._out.write(worker.to_line(report))
+
+    def serve(self, order: Order) -> None:
+        """Does one order and tells what came of it."""
+        begun = time.monotonic()
+        errand = Errand.model_validate_json(order.errand or "")
+        if is_foreign(errand.policy) and not self._may_import:
+            # the name came over the network, and importing it runs whatever is there
+            self.tell(failure(FailReason.CRASH, f"policy {errand.policy}: {_NO_IMPORTS}"))
+            return
+        seat = self._seat_for(errand)
+        drive = errand.order(order.job.index, order.scene_path, order.attachment_path)
+        seat.give(drive)
+        heard = self._wait(seat)
+        seat.order_at_hand = None
+        result = _result(heard, drive, errand, seat)
+        if isinstance(result, worker.Report):
+            self.tell(result)
+        else:
+            note = note_of(drive.policy, seat.made[drive.policy], seat.renderer)
+            self.tell(_seal(Driven(result=result, note=note), order.bundle_path, time.monotonic() - begun))
+
+    def _seat_for(self, errand: Errand) -> Seat:
+        setup = errand.setup.model_copy(update={"renderer": self._renderer})
+        if self._seat is None or self._seat.setup != setup:
+            if self._seat is not None:
+                self._seat.kill()
+            self._seat = Seat(setup)
+        return self._seat
+
+    def _wait(self, seat: Seat) -> Outcome | Ended:
+        """Returns what came of the order at hand; the worker hears meanwhile that it goes on."""
+        told = time.monotonic()
+        while True:
+            heard = seat.hear(_HEAR_S)
+            if heard is not None:
+                return heard
+            if time.monotonic() - told > _TELL_S:
+                told = time.monotonic()
+                self.tell(worker.Report(kind=worker.ReportKind.PROGRESS, step=seat.steps))
+
+
+def _result(heard: Outcome | Ended, drive: Drive, errand: Errand, seat: Seat) -> EpisodeResult | worker.Report:
+    """Returns the result of a drive, or what is wrong with this machine, its way to a server, or the errand."""
+    if isinstance(heard, Ended):
+        if heard.fault is not None and drive.policy in seat.made:
+            return result_of_end(drive, heard.detail, heard.fault, heard.state, errand.setup.settings.task)
+        where = "" if heard.fault is None else f"policy {drive.policy} cannot be made: "
+        return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
+    if heard.result is not None:
+        return heard.result
+    is_of_this_machine = heard.kind is ReportKind.AWAY or heard.number != drive.number
+    return failure(FailReason.RELEASED if is_of_this_machine else FailReason.CRASH, heard.detail)
+
+
+def _seal(driven: Driven, path: Path, seconds: float) -> worker.Report:
+    """Leaves a bundle, whole or not at all."""
+    part = Path(f"{path}.part")
+    try:
+        with part.open("w+b") as file:
+            write_driven(driven, file)
+            size = file.seek(0, os.SEEK_END)
+            file.seek(0)
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            os.fsync(file.fileno())
+        part.rename(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        return failure(FailReason.RELEASED, f"cannot write {part.name}: {error.strerror}", seconds=seconds)
+    step = driven.result.num_steps
+    return worker.Report(kind=worker.ReportKind.SUCCESS, step=step, sha256=sha256, size=size, seconds=seconds)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

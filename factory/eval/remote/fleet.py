@@ -1,0 +1,150 @@
+"""A campaign on many machines: its episodes as errands of a run, with the ledger, leases and workers of collection.
+
+Every result is archived once, then taken into the results; a campaign that was stopped or killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from coordinator.expansion.evaluation import Errands, Parcel
+from coordinator.ledger import operator
+from coordinator.ledger.engine import open_writer
+from coordinator.ledger.opening import holds_run, ledger_url_of
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.records import JobFilter, list_jobs
+from coordinator.ledger.states import State
+from coordinator.protocol.ask import ask_presence
+from coordinator.protocol.tls import Guard
+from coordinator.service import Coordinator, utc_now
+from coordinator.settings import CoordinatorSettings
+from factory.eval.process.run import Pace
+from factory.eval.remote.intake import Intake
+from factory.eval.remote.judge import ResultJudge
+from factory.eval.remote.tasks import attachments_of, catalog_of, number_orders, plan_of, planned_of, text_of
+from factory.eval.results.store import Store
+from factory.eval.specs.campaign import Campaign
+from schemas.errors import WorldError
+from schemas.plan import Plan
+
+__all__ = ["Door", "run_fleet"]
+
+_FOLDER = "fleet"
+_SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
+"""Results are small. A policy may take its time limit for each of thousands of actions."""
+_POLL_S = 0.5
+_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Door:
+    """How workers are reached."""
+
+    listen: tuple[str, ...] = ()
+    """Where they connect."""
+    connect: tuple[str, ...] = ()
+    """Running coordinators whose workers shall drive."""
+    guard: Guard | None = None
+    """Certificates, of one who listens or of one who connects."""
+    tell: Callable[[tuple[str, ...]], None] = lambda _endpoints: None
+    """Told the endpoints once it is open."""
+
+
+def run_fleet(
+    campaign: Campaign, plan: Plan, store: Store, door: Door, stop: threading.Event, tell: Callable[[Pace], None]
+) -> bool:
+    """Has every episode driven that is not finished yet; returns whether all are done, or `stop` was set before.
+
+    Args:
+        campaign: what to do.
+        plan: of the dataset.
+        store: takes the results.
+        door: how workers are reached.
+        stop: leave in good order; what workers have brought is kept.
+        tell: told the progress of each policy.
+
+    Raises:
+        UsageError: the specs do not fit the dataset.
+        TransientError: no coordinator answers where it is to connect.
+        WorldError: episodes could not be driven; the message says why.
+    """
+    orders = number_orders(campaign)
+    intake = Intake(store, orders, tell)
+    if not intake.left:
+        return True
+    attached = attachments_of(campaign)
+    run_plan, catalog = plan_of(campaign, plan, orders, attached), catalog_of(orders)
+    root = store.root / _FOLDER / run_plan.run
+    planned = tuple(planned_of(order, index) for index, order in intake.left.items())
+
+    def find(index: int) -> Parcel:
+        attachment, _ = attached.get(orders[index].policy, (None, None))
+        return Parcel(text_of(campaign, orders[index]), attachment)
+
+    errands = Errands(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
+    judge = ResultJudge(orders, campaign.specs.settings)
+    if door.connect:
+        _look_for_coordinator(door)
+    _try_failed_again(root)
+    with Coordinator(
+        root,
+        run_plan,
+        catalog,
+        door.listen,
+        settings=_SETTINGS,
+        guard=door.guard,
+        checker=judge,
+        errands=errands,
+        connect=door.connect,
+    ) as coordinator:
+        door.tell(coordinator.endpoints)
+        is_over = False
+        while not (is_over or stop.is_set()):
+            is_over = coordinator.wait(_POLL_S, stop)
+            intake.take(root)
+        if is_over:
+            coordinator.see_off(stop)
+    if is_over:
+        _require_whole(root, store)
+        shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
+        with contextlib.suppress(OSError):
+            root.parent.rmdir()  # unless another campaign is waiting there
+    return is_over
+
+
+def _look_for_coordinator(door: Door) -> None:
+    """Says so when nobody is there."""
+    if door.guard is None:
+        ask_presence(door.connect)
+    else:
+        ask_presence(door.connect, door.guard.name, door.guard.files)
+
+
+def _try_failed_again(root: Path) -> None:
+    """Gives errands that failed in an earlier start a new chance, as the remedy of its message says."""
+    if ledger_trouble(ledger_url_of(root)):
+        return  # not there yet, or rebuilt when the coordinator starts
+    engine = open_writer(ledger_url_of(root))
+    try:
+        with engine.begin() as connection:
+            if holds_run(connection):
+                operator.retry(connection, (), utc_now())
+    finally:
+        engine.dispose()
+
+
+def _require_whole(root: Path, store: Store) -> None:
+    with look_into(ledger_url_of(root)) as connection:
+        failed = list_jobs(connection, JobFilter(states=(State.FAILED,)), limit=_NAMED)
+    if failed:
+        reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)
+        raise WorldError(
+            f"some episodes could not be driven; the others are kept in {store.root}. Put right what is wrong and run "
+            f"the same command again:\n{reasons}"
+        )

@@ -1,0 +1,131 @@
+"""A campaign as a run of errands: its plan, its jobs, what each worker is told. Reads the dataset, writes nothing."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
+from coordinator.expansion.draw import PlannedJob
+from factory.eval.models.messages import Errand, Order
+from factory.eval.policies import file_of
+from factory.eval.specs.campaign import Campaign, orders_for, with_actions
+from factory.eval.specs.from_dataset import Places
+from schemas.errors import UsageError
+from schemas.keys import EVALUATION_PREFIX
+from schemas.plan import Budget, Plan, canonical_json
+from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
+
+__all__ = ["attachments_of", "catalog_of", "number_orders", "plan_of", "planned_of", "text_of"]
+
+Attached = Mapping[str, tuple[Attachment, Path]]
+"""Policy -> the file that it is made of."""
+_BUDGET = Budget(attempts_per_draw=1, draws=1)
+"""A policy that does not arrive has a result too: no worker has a reason to report a failure of the world."""
+
+
+def number_orders(campaign: Campaign) -> Mapping[int, Order]:
+    """Returns the orders of all policies, by job index; the same campaign gives the same numbers."""
+    places = Places(campaign.root)
+    orders = (order for policy in campaign.policies for order in orders_for(campaign, policy, places))
+    return dict(enumerate(orders, 1))
+
+
+def catalog_of(orders: Mapping[int, Order]) -> Catalog:
+    """Returns the scenes of the orders.
+
+    Raises:
+        UsageError: the specs do not fit them.
+    """
+    found: dict[str, SceneEntry] = {}
+    for order in orders.values():
+        spec = order.question.spec
+        entry = found.get(spec.scene) or found.setdefault(spec.scene, read_entry(order.package))
+        if entry.sha256 != spec.scene_sha256:
+            raise UsageError(f"the specs name two packages of {spec.scene}; make new specs")
+        if all(target.target_id != spec.target_id for target in entry.info.targets):
+            raise UsageError(f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; make new specs")
+    return found
+
+
+def attachments_of(campaign: Campaign) -> Attached:
+    """Returns the files that policies are made of.
+
+    Raises:
+        UsageError: one is not there, or too large.
+    """
+    found: dict[str, tuple[Attachment, Path]] = {}
+    for policy in campaign.policies:
+        path = file_of(policy)
+        if path is not None:
+            size = path.stat().st_size
+            if not 0 < size <= MAX_ATTACHMENT_BYTES:
+                raise UsageError(f"{path} has {size} bytes; 1 to {MAX_ATTACHMENT_BYTES} can be sent to workers")
+            with path.open("rb") as file:
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            found[policy] = Attachment(sha256=sha256, size=size), path
+    return found
+
+
+def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, Order], attached: Attached) -> Plan:
+    """Returns the plan of the run: scenes and settings as those of the specs, named after all that is asked.
+
+    Args:
+        campaign: what to do.
+        plan: of the dataset.
+        orders: of the campaign.
+        attached: files of its policies.
+
+    Raises:
+        UsageError: a scene of the specs is none of the dataset's.
+    """
+    counts = Counter(order.question.spec.scene for order in orders.values())
+    scenes = tuple(
+        scene.model_copy(update={"episodes": counts[scene.name]}) for scene in plan.scenes if scene.name in counts
+    )
+    strange = counts.keys() - {scene.name for scene in scenes}
+    if strange:
+        raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; make new specs of it")
+    settings = campaign.specs.settings
+    numbers = {name: getattr(settings, name) for name in type(settings).model_fields}
+    name = f"{EVALUATION_PREFIX}{_digest(campaign, orders, attached)}"
+    return plan.model_copy(update={"name": name, "scenes": scenes, "budget": _BUDGET, **numbers})
+
+
+def planned_of(order: Order, index: int) -> PlannedJob:
+    """Returns an order as a row of the ledger."""
+    question, spec = order.question, order.question.spec
+    return PlannedJob(
+        index=index,
+        draw=0,
+        scene=spec.scene,
+        tier=spec.tier,
+        split=spec.split,
+        category=spec.category,
+        target_id=spec.target_id,
+        colour=spec.colour,
+        template_id=spec.template_id,
+        instruction=question.instruction,
+    )
+
+
+def text_of(campaign: Campaign, order: Order) -> str:
+    """Returns what a worker is told of an order.
+
+    Raises:
+        ArchiveCorrupt: it needs a recorded episode that the dataset lacks.
+    """
+    whole = with_actions(order, campaign.root)
+    errand = Errand(setup=campaign.setup, policy=whole.policy, question=whole.question, actions=whole.actions)
+    return errand.model_dump_json()
+
+
+def _digest(campaign: Campaign, orders: Mapping[int, Order], attached: Attached) -> str:
+    digest = hashlib.sha256(canonical_json(campaign.setup).encode())
+    for order in orders.values():
+        digest.update(f"{order.policy}\n{canonical_json(order.question)}\n".encode())
+    for policy, (attachment, _) in attached.items():
+        digest.update(f"{policy}\n{attachment.sha256}\n".encode())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""Stores, scores, compares and publishes evaluation results."""

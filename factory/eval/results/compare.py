@@ -1,0 +1,91 @@
+"""Two runs over the same episodes, pair by pair: who is better, by how much, and how sure that is. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import Field
+
+from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.results.estimate import Estimate, mcnemar_p, means_of
+from factory.eval.results.score import MEANS
+from factory.stats.measures import share_of
+from factory.stats.model import Share
+from schemas.base import Fraction, Model
+from schemas.errors import UsageError
+
+__all__ = ["Comparison", "compare"]
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class Comparison(Model):
+    """The second run against the first; a difference is second minus first."""
+
+    first: str
+    second: str
+    variant: Variant
+    pairs: Count
+    """Episodes that both have: same start, target, settings and instruction."""
+    left_out: Count
+    """Episodes that only one of them has."""
+    first_success: Share
+    second_success: Share
+    both: Count
+    only_first: Count
+    only_second: Count
+    neither: Count
+    p: Fraction
+    """Two-sided, of the exact McNemar test."""
+    success_difference: Estimate
+    differences: dict[str, Estimate]
+    """Means of the paired differences with BCa intervals, by measure."""
+
+
+def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], variant: Variant) -> Comparison:
+    """Returns the paired comparison of two policies' results under one variant of the instruction.
+
+    Raises:
+        UsageError: they have no episode in common.
+    """
+    ones, others = (_by_question(rows, variant) for rows in (first, second))
+    common = [key for key in ones if key in others]
+    if not common:
+        raise UsageError(
+            f"the two runs have no {variant} episode in common ({len(ones)} and {len(others)} of their own); "
+            "evaluate both with the same --specs"
+        )
+    pairs = [(ones[key], others[key]) for key in common]
+    wins = [(one.success, other.success) for one, other in pairs]
+    only_first, only_second = wins.count((True, False)), wins.count((False, True))
+    differences = means_of(
+        {
+            "success": [float(b) - float(a) for a, b in wins],
+            **{name: [_minus(getattr(b, field), getattr(a, field)) for a, b in pairs] for name, field in MEANS.items()},
+        }
+    )
+    return Comparison(
+        first=pairs[0][0].policy,
+        second=pairs[0][1].policy,
+        variant=variant,
+        pairs=len(pairs),
+        left_out=len(ones) + len(others) - 2 * len(pairs),
+        first_success=share_of(sum(a for a, _ in wins), len(pairs)),
+        second_success=share_of(sum(b for _, b in wins), len(pairs)),
+        both=wins.count((True, True)),
+        only_first=only_first,
+        only_second=only_second,
+        neither=wins.count((False, False)),
+        p=mcnemar_p(only_first, only_second),
+        success_difference=differences.pop("success"),
+        differences=differences,
+    )
+
+
+def _by_question(rows: Sequence[EpisodeResult], variant: Variant) -> dict[tuple[str, str], EpisodeResult]:
+    return {(row.spec_digest, row.instruction): row for row in rows if row.variant is variant}
+
+
+def _minus(later: float | None, earlier: float | None) -> float | None:
+    return None if later is None or earlier is None else later - earlier

@@ -1,0 +1,196 @@
+"""The page of an evaluation: what `evaluation.html` shows, as text and films. Pure; writes no markup."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from factory.eval.models.result import EpisodeResult
+from factory.eval.results.estimate import Estimate
+from factory.eval.results.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
+from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
+from factory.html import data_uri, render
+from factory.stats.model import Share
+
+__all__ = ["Failure", "write_page"]
+
+_HEAD = (
+    "n",
+    "SR, %",
+    "any instance, %",
+    "SPL",
+    "soft-SPL",
+    "NE, m",
+    "OP final",
+    "OP closest",
+    "OP normalised",
+    "TL, m",
+    "steps",
+    "collision, %",
+    "contact, %",
+    "timeout, %",
+    "policy failure, %",
+)
+_MAIN_HEAD = ("SR, %", "SPL", "NE, m", "collision, %", "n")
+_ABLATION_HEAD = ("words", "episodes", "n", "SR, %", "gap to the true words", "McNemar p")
+_DASH = "–"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A failed episode, its film (MP4) and the last picture of it (JPEG)."""
+
+    row: EpisodeResult
+    film: bytes
+    poster: bytes
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A number, its interval and, for a rate, where both are on a scale of 0 to 100."""
+
+    value: str
+    interval: str = ""
+    ends: tuple[float, float, float] | None = None
+    """Low, value and high in per cent; `None` where no bar is drawn."""
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Rows of several policies, group by group."""
+
+    anchor: str
+    title: str
+    head: Sequence[str]
+    groups: Sequence[tuple[str, Sequence[Sequence[_Cell]]]]
+    """Name of a group and its rows; the first cell of a row names it."""
+    note: str = ""
+
+
+def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[Failure]]) -> str:
+    """Returns the page.
+
+    Args:
+        evaluation: all tables.
+        failures: for each policy, the failures to show.
+    """
+    policies = evaluation.policies
+    films = [(policy, failures[policy.policy]) for policy in policies if failures.get(policy.policy)]
+    return render(
+        "evaluation.html",
+        title=f"{evaluation.run}: evaluation",
+        kicker="Evaluation of policies",
+        run=evaluation.run,
+        badges=list(_badges(evaluation)),
+        digest=("specs digest", evaluation.specs_digest),
+        contents=[
+            ("overview", "Main metrics"),
+            ("measures", "All measures"),
+            *((f"failures_{place}", f"Failures of {policy.policy}") for place, (policy, _) in enumerate(films, 1)),
+            ("method", "Method"),
+        ],
+        evaluation=evaluation,
+        main={
+            "head": _MAIN_HEAD,
+            "rows": [(policy.policy, policy.knows, _main_cells(policy.overall)) for policy in policies],
+        },
+        faults=[line for policy in policies for line in faults_in_words(policy)],
+        ends=[(policy.policy, ends_of(policy)) for policy in policies],
+        tables=list(_tables(policies)),
+        films=[(policy.policy, _failed(policy), [_film(failure) for failure in shown]) for policy, shown in films],
+    )
+
+
+def _badges(evaluation: Evaluation) -> Iterator[str]:
+    yield _count(evaluation.episodes, "episode")
+    yield _count(len(evaluation.policies), "policy", "policies")
+    yield f"success radius {evaluation.success_radius_m:g} m"
+    yield "complete" if evaluation.complete else "not complete"
+
+
+def _count(n: int, one: str, many: str = "") -> str:
+    return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def _failed(policy: PolicyScores) -> int:
+    return policy.overall.n - policy.overall.success.count
+
+
+def _main_cells(score: Score) -> Sequence[_Cell]:
+    return (
+        _share(score.success),
+        _estimate(score.spl),
+        _estimate(score.ne_m),
+        _share(score.collision),
+        _Cell(str(score.n)),
+    )
+
+
+def _tables(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
+    whole = [[_Cell(policy.policy), *_cells(policy.overall)] for policy in policies]
+    yield _Table("all", "All episodes", ("policy", *_HEAD), [("", whole)])
+    for by, title in GROUPS.items():
+        groups: dict[str, list[Sequence[_Cell]]] = {}
+        for name, policy, score in side_by_side(policies, by):
+            groups.setdefault(name, []).append([_Cell(policy.policy), *_cells(score)])
+        if groups:
+            yield _Table(by, title, (by, "policy", *_HEAD), list(groups.items()))
+    yield from _ablations(policies)
+
+
+def _ablations(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
+    groups: dict[str, list[Sequence[_Cell]]] = {}
+    for policy, *cells in ablation_rows(policies, _share, _estimate):
+        groups.setdefault(str(policy), []).append(
+            [cell if isinstance(cell, _Cell) else _Cell(str(cell)) for cell in cells]
+        )
+    if groups:
+        deaf = ", ".join(deaf_policies(policies))
+        note = f"Gap 0 by construction, as they read no instruction: {deaf}." if deaf else ""
+        yield _Table("words", "Other words", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
+
+
+def _film(failure: Failure) -> dict[str, object]:
+    row = failure.row
+    facts = f"{row.scene}, {row.tier}, {row.split}; {row.target_id}; NE {row.final_ne_m:.2f} m, {row.num_steps} steps"
+    return {
+        "row": row,
+        "facts": facts,
+        "source": data_uri("video/mp4", failure.film),
+        "poster": data_uri("image/jpeg", failure.poster),
+    }
+
+
+def _cells(score: Score) -> Sequence[_Cell]:
+    return (
+        _Cell(str(score.n)),
+        _share(score.success),
+        _share(score.any_instance),
+        _estimate(score.spl),
+        _estimate(score.soft_spl),
+        _estimate(score.ne_m),
+        _estimate(score.progress_final),
+        _estimate(score.progress_max),
+        _estimate(score.progress_normalised),
+        _estimate(score.trajectory_length_m),
+        _estimate(score.num_steps, 0),
+        _share(score.collision),
+        _share(score.contact),
+        _share(score.timeout),
+        _share(score.policy_failure),
+    )
+
+
+def _share(share: Share) -> _Cell:
+    if share.share is None or share.low is None or share.high is None:
+        return _Cell(_DASH)
+    low, value, high = 100 * share.low, 100 * share.share, 100 * share.high
+    return _Cell(f"{value:.1f}", f"{low:.0f} to {high:.0f}", (low, value, high))
+
+
+def _estimate(value: Estimate, digits: int = 2) -> _Cell:
+    if value.mean is None:
+        return _Cell(_DASH)
+    if value.low is None or value.high is None:
+        return _Cell(f"{value.mean:.{digits}f}")
+    return _Cell(f"{value.mean:.{digits}f}", f"{value.low:.{digits}f} to {value.high:.{digits}f}")

@@ -1,0 +1,141 @@
+"""From finished episodes to what people read: results.json, episodes.parquet and the page. Writes beside the log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from factory.eval.models.result import EpisodeResult, Variant
+from factory.eval.results.page import Failure, write_page
+from factory.eval.results.score import Evaluation, score_policy
+from factory.eval.results.store import Store
+from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_poster
+from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.from_dataset import Places
+from factory.visualize.film import write_mp4
+from schemas.errors import WorldError
+from workers.sim.scene_renderer import Stage
+
+__all__ = ["PAGE_FILE", "RESULTS_FILE", "TABLE_FILE", "evaluation_of", "publish"]
+
+RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
+_VIDEOS = "videos"
+
+Tell = Callable[[int, int], None]
+"""Is told (videos drawn, videos in all)."""
+
+
+def publish(campaign: Campaign, store: Store, videos: int, tell: Tell = lambda _done, _total: None) -> Evaluation:
+    """Writes all results of an evaluation and returns them.
+
+    Args:
+        campaign: what was evaluated.
+        store: with the finished episodes.
+        videos: how many failures of each policy the page shows.
+        tell: told the progress of drawing them.
+
+    Raises:
+        WorldError: the directory cannot be written.
+    """
+    evaluation = evaluation_of(campaign, store)
+    try:
+        _write(store.root / RESULTS_FILE, (evaluation.model_dump_json(indent=1) + "\n").encode())
+        _write_table(store.root / TABLE_FILE, [row for name in campaign.policies for row in store.results(name)])
+        page = write_page(evaluation, _failures(campaign, store, videos, tell))
+        _write(store.root / PAGE_FILE, page.encode())
+    except OSError as error:
+        raise WorldError(f"cannot write to {store.root}: {error.strerror}; free space and run it again") from error
+    return evaluation
+
+
+def _failures(campaign: Campaign, store: Store, videos: int, tell: Tell) -> dict[str, list[Failure]]:
+    """The videos of each policy; those of an earlier run are taken as they are."""
+    chosen = {
+        name: choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
+        for name in campaign.policies
+    }
+    total = sum(len(rows) for rows in chosen.values())
+    if total == 0:
+        return {}
+    shas = {spec.scene: spec.scene_sha256 for spec in campaign.specs.specs}
+    settings, places = campaign.specs.settings, Places(campaign.root)
+    found: dict[str, list[Failure]] = {name: [] for name in chosen}
+    with Stage(campaign.setup.renderer) as stage:
+        for name, rows in chosen.items():
+            folder = store.folder(name) / _VIDEOS
+            folder.mkdir(exist_ok=True)
+            for row in rows:
+                film, poster = folder / f"{row.spec_id}.mp4", folder / f"{row.spec_id}.jpg"
+                if not (film.exists() and poster.exists()):
+                    scene = places.load(row.scene, shas[row.scene]).scene
+                    radius_m = settings.task.success_radius_m
+                    pictures = list(draw_frames(row, scene, radius_m, stage.renderer, settings.camera))
+                    _write(poster, draw_poster(pictures[-1]))
+                    write_mp4(film, pictures, FILM_RATE, FILM_CRF)
+                found[name].append(Failure(row, film.read_bytes(), poster.read_bytes()))
+                tell(sum(map(len, found.values())), total)
+    return found
+
+
+def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
+    """Returns the tables of the finished episodes."""
+    scores = []
+    is_complete = True
+    for name in campaign.policies:
+        results = [row for row in store.results(name) if row.variant in campaign.variants]
+        note = store.note_of(name)
+        if note is None:
+            raise WorldError(f"{store.root} has no note of policy {name}; run the same command again")
+        expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
+        is_complete = is_complete and len(results) >= expected
+        scores.append(score_policy(name, results, note))
+    return Evaluation(
+        run=campaign.specs.run,
+        source=campaign.specs.source,
+        specs_digest=campaign.specs.digest,
+        episodes=len(campaign.specs.specs),
+        success_radius_m=campaign.specs.settings.task.success_radius_m,
+        complete=is_complete,
+        policies=tuple(scores),
+        remarks=tuple(_remarks(campaign)),
+    )
+
+
+def _remarks(campaign: Campaign) -> list[str]:
+    specs = campaign.specs.specs
+    moved = sum(spec.spawn_source == "frame" for spec in specs)
+    ways = sum(spec.geodesic_m is None for spec in specs)
+    remarks = []
+    if moved:
+        remarks.append(
+            f"{moved} of {len(specs)} episodes start at frame 0 of their archived episode, because another version of "
+            "the software collected them; replay need not succeed there"
+        )
+    if ways:
+        remarks.append(f"{ways} of {len(specs)} episodes have no way along the floor and are left out of SPL")
+    if Variant.WRONG in campaign.variants:
+        remarks.append("policies that read no instruction are not driven again under other words")
+    return remarks
+
+
+def _write(path: Path, data: bytes) -> None:
+    part = path.with_name(f"{path.name}.part")
+    part.write_bytes(data)
+    part.replace(path)
+
+
+def _write_table(path: Path, rows: Sequence[EpisodeResult]) -> None:
+    part = path.with_name(f"{path.name}.part")
+    pq.write_table(pa.Table.from_pylist([_flat(row) for row in rows]), part)
+    part.replace(path)
+
+
+def _flat(row: EpisodeResult) -> dict[str, object]:
+    """The row with its track as three lists, as tables like it."""
+    data = row.model_dump(mode="json", exclude={"track"})
+    for number, name in enumerate(("track_x_m", "track_y_m", "track_yaw_rad")):
+        data[name] = [pose[number] for pose in row.track]
+    return data

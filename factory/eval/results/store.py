@@ -1,0 +1,225 @@
+"""The directory of an evaluation: its specs, what was asked, and every finished episode. The only writer of it.
+
+An episode is appended and synced when it is over, so that a killed run goes on where it was.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+from pydantic import ValidationError
+
+from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, Variant
+from factory.eval.models.spec import SpecSet
+from factory.eval.models.spec_file import read_specs, write_specs
+from factory.eval.policies.note import PolicyNote
+from schemas.base import Model, NonNegative, Sha256
+from schemas.errors import UsageError, WorldError
+
+__all__ = ["Manifest", "Store", "folder_name", "read_policy_folder"]
+
+_MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "policies", "episodes.jsonl", "policy.json"
+
+
+class Manifest(Model):
+    """What an evaluation directory is about; a run with another one is refused."""
+
+    format: int = RESULTS_FORMAT
+    run: str
+    """Name of the run whose dataset it is."""
+    specs_digest: Sha256
+    with_pose: bool
+    act_timeout_s: NonNegative
+
+
+class Store:
+    """An evaluation directory, open for writing."""
+
+    def __init__(self, root: Path, specs: SpecSet, manifest: Manifest) -> None:
+        """Opens or makes the directory.
+
+        Raises:
+            UsageError: it holds an evaluation of other specs or other options.
+            WorldError: it cannot be written, or is of a newer format.
+        """
+        self.root = root
+        self._specs = specs
+        self._logs: dict[str, IO[bytes]] = {}
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            self._agree(manifest)
+        except OSError as error:
+            raise WorldError(f"cannot write {root}: {error.strerror}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for log in self._logs.values():
+            log.close()
+
+    def results(self, policy: str) -> list[EpisodeResult]:
+        """Returns the finished episodes of a policy, in the order of the specs; a torn last line is cut off."""
+        return _in_order(_read_log(self.folder_of(policy) / _LOG, cut=True), self._specs)
+
+    def add(self, result: EpisodeResult) -> None:
+        """Appends an episode, durably.
+
+        Raises:
+            WorldError: the disk is full or away.
+        """
+        try:
+            log = self._log(result.policy)
+            log.write(result.model_dump_json().encode() + b"\n")
+            log.flush()
+            os.fsync(log.fileno())
+        except OSError as error:
+            raise WorldError(f"cannot write to {self.root}: {error.strerror}; free space and run it again") from error
+
+    def folder_of(self, policy: str) -> Path:
+        """Returns where the results of a policy are kept; without that folder it is driven anew."""
+        return self.root / _POLICIES / folder_name(policy)
+
+    def note(self, note: PolicyNote) -> None:
+        """Writes down what a policy is."""
+        folder = self.folder(note.policy)
+        _write(folder / _NOTE, note)
+
+    def note_of(self, policy: str) -> PolicyNote | None:
+        """Returns what was written down of a policy, or `None`."""
+        path = self.folder_of(policy) / _NOTE
+        return PolicyNote.model_validate_json(path.read_bytes()) if path.exists() else None
+
+    def _log(self, policy: str) -> IO[bytes]:
+        if policy not in self._logs:
+            self._logs[policy] = (self.folder(policy) / _LOG).open("ab")
+        return self._logs[policy]
+
+    def folder(self, policy: str) -> Path:
+        """Returns the folder of a policy, made where it is missing."""
+        folder = self.folder_of(policy)
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def _agree(self, manifest: Manifest) -> None:
+        if not (self.root / _MANIFEST).exists():
+            if any(self.root.iterdir()):
+                raise UsageError(f"{self.root} is not empty and holds no evaluation; give another -o")
+            self._begin(manifest)
+            return
+        found = read_manifest(self.root)
+        different = [
+            f"{name} {_short(getattr(found, name))}, now {_short(getattr(manifest, name))}"
+            for name in Manifest.model_fields
+            if name != "format" and getattr(found, name) != getattr(manifest, name)
+        ]
+        if different and self._has_results():
+            raise UsageError(f"{self.root} holds another evaluation ({'; '.join(different)}); give another -o")
+        if different:
+            self._begin(manifest)
+
+    def _has_results(self) -> bool:
+        """Whether anything was driven here, or given to others to drive."""
+        others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES}
+        return bool(others) or any((self.root / _POLICIES).glob(f"*/{_LOG}"))
+
+    def _begin(self, manifest: Manifest) -> None:
+        write_specs(self._specs, self.root / _SPECS)
+        _write(self.root / _MANIFEST, manifest)
+
+
+def _short(value: object) -> str:
+    """Returns how an entry of a manifest is told; of a digest, what tells it from others."""
+    return f"{value[:12]}..." if isinstance(value, str) and len(value) == 64 else repr(value)
+
+
+def read_manifest(root: Path) -> Manifest:
+    """Reads what an evaluation directory is about.
+
+    Raises:
+        WorldError: there is none, it is damaged, or of a newer format.
+    """
+    path = root / _MANIFEST
+    try:
+        found = Manifest.model_validate_json(path.read_bytes())
+    except FileNotFoundError as error:
+        raise WorldError(
+            f"{root} holds no evaluation ({_MANIFEST} is missing): give the -o of `factory eval`"
+        ) from error
+    except (OSError, ValidationError) as error:
+        raise WorldError(f"{path} is damaged: {error}") from error
+    if found.format > RESULTS_FORMAT:
+        raise WorldError(
+            f"{path} has format {found.format}, this software reads up to {RESULTS_FORMAT}: upgrade minivla-factory"
+        )
+    return found
+
+
+def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
+    """Returns the name and the results of one policy, for comparisons.
+
+    Args:
+        path: `OUT/policies/NAME`, or `OUT` where it holds one policy only.
+
+    Raises:
+        UsageError: there are several policies, or none.
+        WorldError: the results are damaged.
+    """
+    folder = path
+    if (path / _MANIFEST).exists():
+        folders = sorted(entry.parent for entry in (path / _POLICIES).glob(f"*/{_LOG}"))
+        if len(folders) != 1:
+            there = ", ".join(str(entry) for entry in folders) or "none"
+            raise UsageError(f"{path} holds {len(folders)} policies; name one of them: {there}")
+        folder = folders[0]
+    if not (folder / _LOG).exists():
+        raise UsageError(f"{path} holds no results; give OUT or OUT/{_POLICIES}/NAME of `factory eval`")
+    out = folder.parent.parent
+    read_manifest(out)
+    results = _in_order(_read_log(folder / _LOG, cut=False), read_specs(out / _SPECS))
+    if not results:
+        raise UsageError(f"{path} holds no finished episode yet")
+    return results[0].policy, results
+
+
+def folder_name(policy: str) -> str:
+    """Returns the folder of a policy: its name where that is a plain word, else a readable form and a digest."""
+    plain = re.sub(r"[^a-z0-9_.]+", "-", policy.lower()).strip("-.")[:60]
+    return plain if plain == policy else f"{plain}-{hashlib.sha256(policy.encode()).hexdigest()[:8]}"
+
+
+def _in_order(results: Iterator[EpisodeResult], specs: SpecSet) -> list[EpisodeResult]:
+    place = {spec.spec_id: number for number, spec in enumerate(specs.specs)}
+    once = {(result.spec_id, result.variant): result for result in results if result.spec_id in place}
+    variants = list(Variant)
+    return sorted(once.values(), key=lambda result: (variants.index(result.variant), place[result.spec_id]))
+
+
+def _read_log(path: Path, cut: bool) -> Iterator[EpisodeResult]:
+    if not path.exists():
+        return
+    data = path.read_bytes()
+    whole = data[: data.rfind(b"\n") + 1]
+    if cut and len(whole) < len(data):
+        os.truncate(path, len(whole))
+    for number, line in enumerate(whole.splitlines(), 1):
+        try:
+            yield EpisodeResult.model_validate_json(line)
+        except ValidationError as error:
+            raise WorldError(
+                f"{path} is damaged in line {number}; take the line out and run the command again"
+            ) from error
+
+
+def _write(path: Path, model: Model) -> None:
+    part = path.with_name(f"{path.name}.part")
+    part.write_text(model.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    part.replace(path)

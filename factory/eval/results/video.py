@@ -1,0 +1,130 @@
+"""Films of evaluation episodes: the camera's view beside the map with the track so far, drawn again from results.
+
+The simulation is not run again: poses are taken from the result's track, ten a second.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from factory.eval.models.result import EpisodeResult
+from factory.visualize.film import Rgb
+from schemas.config import CameraConfig
+from schemas.scene import CompiledScene, Target
+from workers.geometry.pose import Pose
+from workers.render import Renderer
+
+__all__ = ["FILM_CRF", "FILM_RATE", "choose_failures", "draw_frames", "draw_poster"]
+
+FILM_RATE = Fraction(8)
+"""Pictures a second."""
+FILM_CRF = 28
+"""Of a film 640 pixels wide: about 10 kB a second of standing, 60 kB of driving."""
+_SIDE_PX = 320
+_FRAMES = 36
+_POSTER_QUALITY = 80
+_MARGIN_M = 1.2
+_FREE, _OCCUPIED, _UNKNOWN = 245, 110, 170
+_TRACK, _START, _GOAL = (20, 80, 220), (20, 160, 60), (220, 30, 30)
+
+
+def choose_failures(results: Sequence[EpisodeResult], count: int) -> list[EpisodeResult]:
+    """Returns at most `count` failures, one of each way to end in turn, in the order of the results."""
+    by_end: dict[str, list[EpisodeResult]] = {}
+    for row in results:
+        if not row.success:
+            by_end.setdefault(row.end, []).append(row)
+    queues, chosen = list(by_end.values()), list[EpisodeResult]()
+    while len(chosen) < count and any(queues):
+        for rows in queues:
+            if rows and len(chosen) < count:
+                chosen.append(rows.pop(0))
+    place = {id(row): number for number, row in enumerate(results)}
+    return sorted(chosen, key=lambda row: place[id(row)])
+
+
+def draw_frames(
+    result: EpisodeResult, scene: CompiledScene, radius_m: float, renderer: Renderer, camera: CameraConfig
+) -> Iterator[Rgb]:
+    """Yields at most 36 pictures (320, 640, 3) of an episode, spread evenly over its track.
+
+    Args:
+        result: with its track.
+        scene: where it took place.
+        radius_m: of success.
+        renderer: open; shows the camera's view.
+        camera: of the robot.
+    """
+    target = scene.info.target(result.target_id)
+    renderer.load(scene, camera)
+    count = min(_FRAMES, len(result.track))
+    board = _Map(scene, result, target, radius_m)
+    for row in np.linspace(0, len(result.track) - 1, count).round().astype(int):
+        pose = result.track[int(row)]
+        rgb = renderer.render(Pose.planar(*pose, z=scene.info.floor_height_m)).rgb
+        view = Image.fromarray(rgb).resize((_SIDE_PX, _SIDE_PX), Image.Resampling.BOX)
+        yield np.hstack((np.asarray(view), np.asarray(board.draw(int(row)))))
+
+
+def draw_poster(picture: Rgb) -> bytes:
+    """Returns a picture of a film as JPEG."""
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "JPEG", quality=_POSTER_QUALITY)
+    return out.getvalue()
+
+
+class _Map:
+    """The scene from above around a track; x to the right, y up."""
+
+    def __init__(self, scene: CompiledScene, result: EpisodeResult, target: Target, radius_m: float) -> None:
+        self._track = np.array([pose[:2] for pose in result.track])
+        self._yaws = [pose[2] for pose in result.track]
+        self._goal = np.asarray(target.centroid_m[:2])
+        points = np.vstack((self._track, self._goal))
+        self._centre = (points.min(axis=0) + points.max(axis=0)) / 2
+        span_m = float(np.ptp(points, axis=0).max()) + 2 * _MARGIN_M
+        self._px_per_m = _SIDE_PX / span_m
+        self._radius_px = radius_m * self._px_per_m
+        self._floor = self._draw_floor(scene, span_m)
+
+    def draw(self, row: int) -> Image.Image:
+        """Returns the map with the track up to a row."""
+        picture = self._floor.copy()
+        pen = ImageDraw.Draw(picture)
+        gx, gy = self._pixel(self._goal)
+        box = (gx - self._radius_px, gy - self._radius_px, gx + self._radius_px, gy + self._radius_px)
+        pen.ellipse(box, outline=_GOAL, width=2)
+        pen.ellipse((gx - 4, gy - 4, gx + 4, gy + 4), fill=_GOAL)
+        line = [self._pixel(point) for point in self._track[: row + 1]]
+        if len(line) > 1:
+            pen.line(line, fill=_TRACK, width=3)
+        sx, sy = line[0]
+        pen.ellipse((sx - 4, sy - 4, sx + 4, sy + 4), fill=_START)
+        x, y = line[-1]
+        dx, dy = 14 * math.cos(self._yaws[row]), -14 * math.sin(self._yaws[row])
+        pen.ellipse((x - 6, y - 6, x + 6, y + 6), fill=_TRACK)
+        pen.line((x, y, x + dx, y + dy), fill=_TRACK, width=3)
+        return picture
+
+    def _pixel(self, xy: NDArray[np.float64]) -> tuple[float, float]:
+        x, y = (xy - self._centre) * self._px_per_m
+        return _SIDE_PX / 2 + float(x), _SIDE_PX / 2 - float(y)
+
+    def _draw_floor(self, scene: CompiledScene, span_m: float) -> Image.Image:
+        info = scene.info
+        offsets = (np.arange(_SIDE_PX) + 0.5) / _SIDE_PX * span_m - span_m / 2
+        origin = np.asarray(info.grid_origin_m)
+        columns = np.floor((self._centre[0] + offsets - origin[0]) / info.grid_resolution_m).astype(int)
+        rows = np.floor((self._centre[1] - offsets - origin[1]) / info.grid_resolution_m).astype(int)
+        height, width = scene.occupancy.shape
+        is_inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None, :]
+        cells = scene.occupancy[np.clip(rows, 0, height - 1)[:, None], np.clip(columns, 0, width - 1)[None, :]]
+        grey = np.where(is_inside, np.where(cells > 0, _OCCUPIED, _FREE), _UNKNOWN).astype(np.uint8)
+        return Image.fromarray(grey).convert("RGB")

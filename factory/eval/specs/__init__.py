@@ -1,0 +1,1 @@
+"""Chooses evaluation episodes and instruction variants."""

@@ -1,0 +1,94 @@
+"""What else a policy can be told: another episode's words, the wrong category, nothing. Pure.
+
+A policy that drives as well by the wrong words has not listened (paper Sec. VII, language-ablation baseline).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from factory.eval.models.result import Variant
+from factory.eval.models.spec import EvalSpec, SpecSet
+from schemas.errors import UsageError
+from schemas.language import TEMPLATES, instruction, needs_colour
+from schemas.scene import SceneInfo
+
+__all__ = ["ABLATIONS", "donors", "instructions"]
+
+ABLATIONS = (Variant.SHUFFLED, Variant.WRONG, Variant.EMPTY)
+_WRONG_STREAM, _SHUFFLE_STREAM, _DONOR_STREAM = 11, 12, 13
+
+Scenes = Mapping[str, SceneInfo]
+"""Digest of a package -> what the scene holds."""
+
+
+def instructions(specs: SpecSet, variant: Variant, scenes: Scenes) -> dict[str, str]:
+    """Returns the instruction of each spec under a variant, by spec id; the same set gives the same words.
+
+    Args:
+        specs: the set.
+        variant: which words.
+        scenes: the scenes of the set, for categories that are there.
+
+    Raises:
+        UsageError: the set has no two different instructions to shuffle, or a scene one category only.
+    """
+    if variant is Variant.SHUFFLED:
+        return _shuffled(specs)
+    if variant is Variant.WRONG:
+        return {spec.spec_id: _wrong(spec, scenes[spec.scene_sha256]) for spec in specs.specs}
+    if variant is Variant.EMPTY:
+        return {spec.spec_id: "" for spec in specs.specs}
+    return {spec.spec_id: spec.instruction for spec in specs.specs}
+
+
+def donors(specs: SpecSet) -> dict[str, str]:
+    """Returns for each spec the archived episode that a playback carries out: another one, by spec id.
+
+    Raises:
+        UsageError: fewer than two specs come from archived episodes.
+    """
+    recorded = [spec for spec in specs.specs if spec.source_episode is not None]
+    if len({spec.source_episode for spec in recorded}) < 2:
+        raise UsageError("playback needs specs of at least two archived episodes; give more of --split or --episodes")
+    rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _DONOR_STREAM)))
+    ring = [recorded[int(number)] for number in rng.permutation(len(recorded))]
+    found: dict[str, str] = {}
+    for place, spec in enumerate(ring):
+        others = (ring[(place + step) % len(ring)].source_episode for step in range(1, len(ring)))
+        found[spec.spec_id] = next(name for name in others if name is not None and name != spec.source_episode)
+    return found
+
+
+def _shuffled(specs: SpecSet) -> dict[str, str]:
+    if len({spec.instruction for spec in specs.specs}) < 2:
+        raise UsageError("all episodes have one instruction, so that there is nothing to shuffle; take more episodes")
+    rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _SHUFFLE_STREAM)))
+    ring = [specs.specs[int(number)] for number in rng.permutation(len(specs.specs))]
+    found: dict[str, str] = {}
+    for place, spec in enumerate(ring):
+        others = (ring[(place + step) % len(ring)].instruction for step in range(1, len(ring)))
+        found[spec.spec_id] = next(words for words in others if words != spec.instruction)
+    return found
+
+
+def _wrong(spec: EvalSpec, scene: SceneInfo) -> str:
+    """The same template with another category: one in view at the start where there is one."""
+    there = sorted({target.category for target in scene.targets} - {spec.category})
+    if not there:
+        raise UsageError(f"scene {spec.scene} has targets of {spec.category} only: no wrong category to name")
+    rng = np.random.default_rng(np.random.SeedSequence((spec.seed, _WRONG_STREAM)))
+    in_view = [category for category in there if category in spec.categories_in_view]
+    category = str(rng.choice(in_view or there))
+    if spec.template_id not in TEMPLATES:
+        raise UsageError(f"{spec.spec_id}: no template {spec.template_id!r}; make new specs")
+    return instruction(spec.template_id, category, _colour(spec, scene, category, rng))
+
+
+def _colour(spec: EvalSpec, scene: SceneInfo, category: str, rng: np.random.Generator) -> str:
+    if not needs_colour(spec.template_id):
+        return spec.colour
+    known = [target.colour for target in scene.targets if target.category == category and target.colour != "unknown"]
+    return str(rng.choice(sorted(known))) if known else spec.colour

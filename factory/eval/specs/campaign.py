@@ -1,0 +1,96 @@
+"""What a campaign asks: its policies, variants and episodes, and the orders that come of them. Drives nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from factory.eval.models.messages import Order, Setup
+from factory.eval.models.request import Question
+from factory.eval.models.result import Variant
+from factory.eval.models.spec import SpecSet
+from factory.eval.policies import find_policy
+from factory.eval.specs.ablation import donors, instructions
+from factory.eval.specs.from_dataset import Places
+from factory.eval.specs.recordings import read_actions_of
+from schemas.errors import UsageError
+
+__all__ = ["Campaign", "orders_for", "require_recordings", "with_actions"]
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What to evaluate, and with what."""
+
+    specs: SpecSet
+    root: Path
+    """The dataset, which has the scenes."""
+    policies: tuple[str, ...]
+    variants: tuple[Variant, ...]
+    setup: Setup
+    processes: int = 1
+    """Driving processes on this machine."""
+    with_pose: bool = False
+    """Whether policies are given the pose in the frame of the start."""
+
+
+def orders_for(campaign: Campaign, policy: str, places: Places) -> list[Order]:
+    """Returns all episodes of a policy in the order of work: by variant, scene and place in the set."""
+    entry = find_policy(policy)
+    specs = campaign.specs
+    packages = {spec.scene_sha256: places.path(spec.scene, spec.scene_sha256) for spec in specs.specs}
+    # a policy that cannot hear is not asked again under other words
+    variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
+    needs_scenes = Variant.WRONG in variants
+    scenes = {
+        spec.scene_sha256: places.load(spec.scene, spec.scene_sha256).scene.info for spec in specs.specs if needs_scenes
+    }
+    recorded = _recordings(policy, specs) if entry.needs_recording else {}
+    orders: list[Order] = []
+    for variant in variants:
+        words = instructions(specs, variant, scenes)
+        for spec in sorted(specs.specs, key=lambda spec: spec.scene):
+            orders.append(
+                Order(
+                    number=len(orders),
+                    policy=policy,
+                    question=Question(
+                        spec=spec,
+                        spec_digest=specs.spec_digest(spec),
+                        instruction=words[spec.spec_id],
+                        variant=variant,
+                        recorded=recorded.get(spec.spec_id),
+                        with_pose=campaign.with_pose,
+                    ),
+                    package=packages[spec.scene_sha256],
+                )
+            )
+    return orders
+
+
+def with_actions(order: Order, root: Path) -> Order:
+    """Returns the order with the actions of the episode that its question names, where it names one.
+
+    Raises:
+        ArchiveCorrupt: the dataset lacks the episode.
+    """
+    recorded = order.question.recorded
+    return order if recorded is None else order.model_copy(update={"actions": read_actions_of(root, recorded)})
+
+
+def require_recordings(policy: str, specs: SpecSet) -> None:
+    """Makes sure that all specs come from archived episodes.
+
+    Raises:
+        UsageError: one does not.
+    """
+    lacking = [spec.spec_id for spec in specs.specs if spec.source_episode is None]
+    if lacking:
+        raise UsageError(f"policy {policy} needs specs of archived episodes; {lacking[0]} is freshly drawn")
+
+
+def _recordings(policy: str, specs: SpecSet) -> dict[str, str]:
+    require_recordings(policy, specs)
+    if policy == "playback":
+        return donors(specs)
+    return {spec.spec_id: spec.source_episode for spec in specs.specs if spec.source_episode is not None}

@@ -1,0 +1,166 @@
+"""Evaluation episodes out of a dataset: the starts of its archived episodes, for another driver. Reads only."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.dataset.episode import Episode
+from factory.dataset.reader import Dataset
+from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet, spread
+from factory.runs.catalog import find_package
+from schemas.episode import EpisodeMeta
+from schemas.errors import UsageError
+from schemas.scene import Instance, decode_scene
+from schemas.storage.place import Place
+from schemas.terms import Split
+from workers.sim.scene_renderer import LoadedScene, prepare_scene
+from workers.sim.spawn import draw_poses
+
+__all__ = ["Places", "categories_in_view", "specs_of_dataset"]
+
+_SAME_PLACE_M = 0.005
+"""Largest displacement in the warm-up of a pose that is taken for the one that was put down."""
+_SAME_HEADING_RAD = 0.01
+
+Tell = Callable[[int, int], None]
+"""Is told (done, total)."""
+
+
+class Places:
+    """The scenes of a dataset, found and loaded when first asked for; keeps the last few."""
+
+    def __init__(self, root: Place, keep: int = 4) -> None:
+        self._root = root
+        self._keep = keep
+        self._paths: dict[str, Path] = {}
+        self._loaded: dict[str, LoadedScene] = {}
+
+    def path(self, name: str, sha256: str) -> Path:
+        """Returns the package of a scene; `ArchiveCorrupt` where the dataset has none."""
+        if sha256 not in self._paths:
+            self._paths[sha256] = find_package(self._root, name, sha256).path
+        return self._paths[sha256]
+
+    def load(self, name: str, sha256: str) -> LoadedScene:
+        """Returns a scene; `ArchiveCorrupt` where the dataset has none."""
+        if sha256 not in self._loaded:
+            with self.path(name, sha256).open("rb") as file:
+                self._loaded[sha256] = prepare_scene(decode_scene(file))
+            while len(self._loaded) > self._keep:
+                del self._loaded[next(iter(self._loaded))]
+        return self._loaded[sha256]
+
+
+def specs_of_dataset(
+    dataset: Dataset,
+    splits: Collection[Split],
+    tell: Tell = lambda _done, _total: None,
+    episodes: int | None = None,
+) -> SpecSet:
+    """Returns one spec for each archived episode of some splits, in the order of the plan.
+
+    Args:
+        dataset: with its scenes and episodes.
+        splits: which; all that are asked for must have episodes.
+        tell: told the progress.
+        episodes: only so many of them, spread evenly over the list.
+
+    Raises:
+        UsageError: a split has no episodes.
+        ArchiveCorrupt: an episode or a scene is missing or damaged.
+    """
+    _require_episodes(dataset, splits)
+    part = dataset.filter(split=[str(split) for split in splits])
+    names = part.metadata["episode_id"].to_pylist()
+    chosen = [names[place] for place in spread(len(names), episodes)]
+    source = f"episodes of {dataset.meta.run}, splits {', '.join(str(split) for split in splits)}"
+    places = Places(dataset.root)
+    specs: dict[str, EvalSpec] = {}
+    # by scene and target, so that what is derived from them is derived once; the order of the set is the plan's
+    order = sorted(
+        (part[name] for name in chosen), key=lambda episode: (episode.summary.scene, episode.summary.target_id)
+    )
+    for done, episode in enumerate(order, 1):
+        with episode:
+            specs[episode.episode_id] = spec_of_episode(episode, places)
+        tell(done, len(chosen))
+    return SpecSet(
+        source=source if len(chosen) == len(names) else f"{source}; {len(chosen)} of {len(names)}",
+        run=dataset.meta.run,
+        settings=EvalSettings.of(dataset.meta.plan),
+        specs=tuple(specs[name] for name in chosen),
+    )
+
+
+def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
+    """Returns the spec that asks for an archived episode again."""
+    meta, job = episode.meta, episode.meta.job
+    drawn = _drawn_pose(meta, places.load(job.scene, job.scene_sha256))
+    seen = categories_in_view(episode.ids(0), meta.instances, job.gains.min_mask_px)
+    target_pixels = int(np.count_nonzero(episode.ids(0) == meta.target_instance_id))
+    return EvalSpec(
+        spec_id=episode.episode_id,
+        scene=job.scene,
+        scene_sha256=job.scene_sha256,
+        target_id=job.target_id,
+        category=job.category,
+        colour=job.colour,
+        template_id=job.template_id,
+        instruction=job.instruction,
+        split=job.split,
+        tier=job.tier,
+        seed=int(np.random.SeedSequence((job.root_seed, job.index)).generate_state(1)[0]),
+        spawn_pose=drawn or meta.rollout.spawn_pose,
+        spawn_source="job" if drawn else "frame",
+        spawn_dist_m=meta.rollout.spawn_dist_m,
+        geodesic_m=meta.route.geodesic_m,
+        categories_in_view=seen,
+        is_target_in_view=target_pixels >= job.gains.min_mask_px,
+        source_episode=episode.episode_id,
+    )
+
+
+def categories_in_view(ids: NDArray[np.uint16], instances: Sequence[Instance], min_pixels: int) -> tuple[str, ...]:
+    """Returns the categories of which at least one object is in view, by name.
+
+    Args:
+        ids: (H, W) instance ids.
+        instances: what the ids mean.
+        min_pixels: from how many pixels on an object counts as in view.
+    """
+    counts = np.bincount(ids.ravel())
+    seen = {
+        instance.category
+        for instance in instances
+        if instance.category is not None and instance.id < len(counts) and counts[instance.id] >= min_pixels
+    }
+    return tuple(sorted(seen))
+
+
+def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
+    present = set(dataset.metadata["split"].to_pylist())
+    empty = [str(split) for split in splits if str(split) not in present]
+    if empty:
+        there = ", ".join(sorted(present)) or "none at all"
+        raise UsageError(f"{dataset.root} has no episodes in {', '.join(empty)}; splits with episodes: {there}")
+
+
+def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, float] | None:
+    """Draws the start again as the attempt did; `None` where this version draws another one."""
+    target = place.scene.info.target(meta.job.target_id)
+    draws = draw_poses(meta.job, target, place, meta.job.rng())
+    pose = next(itertools.islice(draws, meta.rollout.spawn_draws - 1, None), None)
+    if pose is None:
+        return None
+    x, y, yaw = meta.rollout.spawn_pose
+    is_same = (
+        math.hypot(pose.x - x, pose.y - y) <= _SAME_PLACE_M
+        and abs(math.remainder(pose.yaw - yaw, 2 * math.pi)) <= _SAME_HEADING_RAD
+    )
+    return (pose.x, pose.y, pose.yaw) if is_same else None

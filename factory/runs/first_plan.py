@@ -1,0 +1,40 @@
+"""A first plan for a scene that was just imported: what its user would write to make a dataset of it. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from coordinator.expansion.catalog import SceneEntry
+from coordinator.expansion.nearest import find_nearest
+from schemas.plan import PAPER_SPLITS, Plan, ScenePlan
+from schemas.terms import Split
+
+__all__ = ["draft_plan"]
+
+_EPISODES = 100
+
+
+def draft_plan(entry: SceneEntry, usd: str, **files: str | bool) -> Plan | None:
+    """Returns a plan that the scene can fulfil: its rarest category is held out, where it has two or more.
+
+    Args:
+        entry: the scene.
+        usd: path of the stage's root layer.
+        files: the scene's `rules`, `targets` and `allow_outside`, where it was imported with them.
+
+    Returns:
+        The plan, or `None` when the expert could start for none of its targets.
+    """
+    counts = Counter(target.category for target in entry.info.targets)
+    seen = sorted(counts, key=lambda name: (-counts[name], name))
+    held_out = [seen.pop()] if len(seen) > 1 else []
+    scene = ScenePlan.model_validate(
+        {"name": entry.info.name, "usd": usd, "seen": seen, "held_out": held_out, "episodes": _EPISODES, **files}
+    )
+    splits = PAPER_SPLITS if held_out else _without_held_out()
+    return find_nearest(Plan(name=entry.info.name, scenes=(scene,), splits=dict(splits)), {entry.info.name: entry}).plan
+
+
+def _without_held_out() -> dict[Split, float]:
+    kept = {split: share for split, share in PAPER_SPLITS.items() if split is not Split.TEST_OOD_OBJ}
+    return {split: round(share / sum(kept.values()), 4) for split, share in kept.items()}

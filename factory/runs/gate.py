@@ -1,0 +1,199 @@
+"""The paper's acceptance gate: first attempts at the episodes of one scene, counted and thrown away. Archives nothing.
+
+Attempts run in the simulation processes that workers use; a bundle is deleted as soon as it is whole.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import expand, to_job
+from factory.stats.measures import share_of
+from factory.stats.model import Share
+from schemas.base import Fraction, Model
+from schemas.errors import WorldError
+from schemas.job import Job
+from schemas.plan import Plan
+from schemas.terms import FailReason, Tier
+from workers.process.messages import Order, Report, ReportKind
+from workers.process.simulation import Death, Simulation
+
+__all__ = ["GateReport", "Lost", "Pilot", "Trial", "judge", "run_pilot"]
+
+_POLL_S = 0.1
+_HANG_S = 60.0
+_STARTS = 3
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What to try, and with what."""
+
+    jobs: tuple[Job, ...]
+    package: Path
+    """The compiled scene of all jobs."""
+    command: tuple[str, ...]
+    """How to start a simulation process."""
+    processes: int = 1
+
+    @classmethod
+    def of(cls, plan: Plan, catalog: Catalog, command: tuple[str, ...], processes: int) -> Pilot:
+        """Returns the first attempts at all episodes of a plan of one scene.
+
+        Raises:
+            InvalidPlan: the scene does not have what the plan asks for.
+        """
+        jobs = tuple(to_job(plan, catalog, planned, attempt=1) for planned in expand(plan, catalog))
+        return cls(jobs, catalog[plan.scenes[0].name].path, command, processes)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How one first attempt ended; without a reason it succeeded."""
+
+    job: Job
+    reason: FailReason | None = None
+    detail: str = ""
+
+
+class Lost(Model):
+    """A first attempt that failed."""
+
+    episode_id: str
+    tier: Tier
+    target_id: str
+    reason: FailReason
+    detail: str
+
+
+class GateReport(Model):
+    """What the gate says."""
+
+    scene: str
+    expert: str
+    min_success: Fraction
+    passed: bool
+    success: Share
+    by_tier: dict[Tier, Share]
+    reasons: dict[FailReason, int]
+    lost: tuple[Lost, ...]
+    """In the order of the plan."""
+
+
+def run_pilot(pilot: Pilot, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
+    """Tries every job once; returns what was tried until all are done or `stop` is set.
+
+    Args:
+        pilot: what to try.
+        stop: leave at once.
+        tell: told the number of attempts done.
+
+    Raises:
+        WorldError: simulations do not start, or the disk of temporary files is full.
+    """
+    waiting, trials = deque(pilot.jobs), list[Trial]()
+    with tempfile.TemporaryDirectory(prefix="gate-") as folder, ExitStack() as stack:
+        count = min(pilot.processes, len(pilot.jobs))
+        seats = [_Seat(pilot, Path(folder) / f"{number}.zip", count) for number in range(count)]
+        for seat in seats:
+            stack.callback(seat.close)
+        while len(trials) < len(pilot.jobs) and not stop.is_set():
+            for seat in seats:
+                trial = seat.turn(waiting)
+                if trial is not None:
+                    trials.append(trial)
+                    tell(len(trials))
+    return trials
+
+
+def judge(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
+    """Counts trials by tier and reason and compares their share of successes with what is asked for.
+
+    A crash counts as a failed attempt: the gate asks whether a scene can be generated, whatever is in the way.
+    """
+    won = Counter(trial.job.tier for trial in trials if trial.reason is None)
+    tried = Counter(trial.job.tier for trial in trials)
+    lost = [
+        Lost(
+            episode_id=trial.job.episode_id,
+            tier=trial.job.tier,
+            target_id=trial.job.target_id,
+            reason=trial.reason,
+            detail=trial.detail,
+        )
+        for trial in sorted(trials, key=lambda trial: trial.job.index)
+        if trial.reason is not None
+    ]
+    success = share_of(won.total(), len(trials))
+    return GateReport(
+        scene=scene,
+        expert=expert,
+        min_success=min_success,
+        passed=success.share is not None and success.share >= min_success,
+        success=success,
+        by_tier={tier: share_of(won[tier], tried[tier]) for tier in Tier if tried[tier]},
+        reasons=dict(sorted(Counter(row.reason for row in lost).items())),
+        lost=tuple(lost),
+    )
+
+
+class _Seat:
+    """One simulation process and the job it has; all seats are asked in turn, so none may wait for long."""
+
+    def __init__(self, pilot: Pilot, bundle: Path, seats: int) -> None:
+        self._pilot, self._bundle = pilot, bundle
+        self._poll_s = _POLL_S / seats
+        self._simulation = Simulation(pilot.command, _HANG_S / seats)  # hears itself wait for its own turns only
+        self._job: Job | None = None
+        self._is_ready = False
+        self._starts = 0
+
+    def close(self) -> None:
+        """Ends the process, whatever it is doing."""
+        self._simulation.kill()
+
+    def turn(self, waiting: deque[Job]) -> Trial | None:
+        """Starts, orders or hears; returns the trial that ended, if one did."""
+        if self._job is None and not waiting:
+            return None
+        if not self._simulation.is_running:
+            self._is_ready = False
+            self._simulation.start()
+        elif self._is_ready and self._job is None:
+            self._order(waiting.popleft())
+        heard = self._simulation.hear(self._poll_s)
+        if isinstance(heard, Death):
+            return self._mourn(heard)
+        return None if heard is None else self._note(heard)
+
+    def _order(self, job: Job) -> None:
+        self._job = job
+        self._simulation.order(Order(job=job, scene_path=self._pilot.package, bundle_path=self._bundle, sid="gate"))
+
+    def _note(self, report: Report) -> Trial | None:
+        if report.kind is ReportKind.READY:
+            self._is_ready, self._starts = True, 0
+        if report.kind in {ReportKind.READY, ReportKind.PROGRESS} or self._job is None:
+            return None
+        if report.reason is FailReason.RELEASED:  # a full disk says nothing about the scene
+            raise WorldError(f"{report.detail}; free space where temporary files lie, or set TMPDIR")
+        job, self._job = self._job, None
+        self._bundle.unlink(missing_ok=True)
+        return Trial(job, report.reason, report.detail)
+
+    def _mourn(self, death: Death) -> Trial | None:
+        job, self._job = self._job, None
+        if job is not None:
+            return Trial(job, death.reason, death.detail)
+        self._starts += 1
+        if self._starts >= _STARTS:
+            command = " ".join(self._pilot.command)
+            raise WorldError(f"a simulation does not start after {_STARTS} tries of `{command}`: {death.detail}")
+        return None

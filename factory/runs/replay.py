@@ -1,0 +1,98 @@
+"""Regenerate an archived episode from its job and compare: identical, or how far apart (DESIGN 3.14)."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+
+from factory.runs.catalog import find_package
+from schemas.bundle import BundleReader
+from schemas.errors import WorldError
+from schemas.storage.place import Place
+from schemas.terms import RendererKind
+from workers.sim.attempt import Failure, run_attempt
+from workers.sim.scene_renderer import Stage
+
+__all__ = ["Replay", "replay_episode"]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came of a replay."""
+
+    episode_id: str
+    archived_digest: str
+    replayed_digest: str
+    steps: int
+    """Steps of the archived episode."""
+    differences: dict[str, float]
+    """Largest absolute difference by array, over the steps both have; empty when identical."""
+    fingerprint_changes: dict[str, tuple[str, str]]
+    """Software and machine traits that differ: (archived, here)."""
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether both have one content digest."""
+        return self.archived_digest == self.replayed_digest
+
+
+def replay_episode(root: Place, episode: Place, renderer: RendererKind, on_step: Callable[[int, int], None]) -> Replay:
+    """Simulates the job of an archived episode again; renders in a process of its own, for any program may call this.
+
+    Args:
+        root: the dataset.
+        episode: the bundle.
+        renderer: which renderer to use; `auto` takes the best there is.
+        on_step: told (steps done, steps of the archived episode).
+
+    Raises:
+        InvalidBundle: the archived bundle cannot be read.
+        WorldError: the replayed attempt failed.
+    """
+    with episode.open("rb") as file, tempfile.TemporaryFile() as out, Stage(renderer, apart=True) as stage:
+        archived = BundleReader(file)
+        job = archived.meta.job
+        stage.load(find_package(root, job.scene, job.scene_sha256).path, job.scene_sha256)
+        outcome = run_attempt(job, stage, out, "replay", lambda step: on_step(step, archived.length))
+        if isinstance(outcome, Failure):
+            raise WorldError(f"{job.episode_id}: the replay ended with {outcome.reason}: {outcome.detail}")
+        return _compare(archived, out)
+
+
+def _compare(archived: BundleReader, out: BinaryIO) -> Replay:
+    replayed = BundleReader(out)
+    is_identical = archived.meta.content_digest == replayed.meta.content_digest
+    return Replay(
+        episode_id=archived.meta.episode_id,
+        archived_digest=archived.meta.content_digest,
+        replayed_digest=replayed.meta.content_digest,
+        steps=archived.length,
+        differences={} if is_identical else _differences(archived, replayed),
+        fingerprint_changes=_fingerprint_changes(archived, replayed),
+    )
+
+
+def _differences(one: BundleReader, other: BundleReader) -> dict[str, float]:
+    steps = min(one.length, other.length)
+    found = {"steps": float(abs(one.length - other.length))}
+    for name in ("poses", "actions_continuous", "actions_tokens"):
+        a, b = (getattr(reader.arrays, name)[:steps].astype(np.float64) for reader in (one, other))
+        found[name] = float(np.abs(a - b).max())
+    for name in ("rgb", "depth", "ids"):
+        found[name] = max(
+            float(np.abs(getattr(one, name)(t).astype(np.float64) - getattr(other, name)(t)).max())
+            for t in range(steps)
+        )
+    return found
+
+
+def _fingerprint_changes(one: BundleReader, other: BundleReader) -> dict[str, tuple[str, str]]:
+    a, b = (
+        {**mark.software, "renderer": mark.renderer, "cpu": mark.cpu}
+        for mark in (one.meta.provenance.fingerprint, other.meta.provenance.fingerprint)
+    )
+    return {key: (a.get(key, "-"), b.get(key, "-")) for key in sorted({*a, *b}) if a.get(key) != b.get(key)}

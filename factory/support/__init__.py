@@ -1,0 +1,1 @@
+"""Logs, settings and endpoints of the command line."""

@@ -1,0 +1,1 @@
+"""Verifies the files and tables of a dataset."""

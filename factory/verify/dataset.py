@@ -1,0 +1,214 @@
+"""Verification of a dataset: every file against the tables, and deep: every byte against itself and the plan.
+
+Reads only, needs no ledger, prints nothing; finds all, never stops at the first.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from types import MappingProxyType
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import ValidationError
+
+from coordinator.archive.contract import EPISODES, SCENES, index_of_file
+from coordinator.expansion.catalog import SceneEntry, read_entry
+from coordinator.expansion.draw import cells
+from coordinator.tables.card import CARD_FILE
+from coordinator.tables.card_configs import SPLITS_FOLDER, names_split_tables
+from coordinator.tables.split_faults import FaultKind, find_faults
+from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
+from factory.dataset.parts import is_part
+from factory.dataset.reader import Dataset
+from factory.scenes.target_list import list_file_name
+from factory.verify.episode import EpisodeCheck, check_episode, target_of
+from factory.verify.report import Finding, Kind, Report
+from schemas.dataset import EpisodeSummary
+from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.errors import ArchiveCorrupt, InvalidBundle
+from schemas.job import episode_id
+from schemas.storage.place import Place, at_hand, children, table_of
+
+__all__ = ["Finding", "Kind", "Report", "verify"]
+
+Progress = Callable[[int, int], None]
+Rows = dict[str, EpisodeSummary]
+_ROWS_AT_A_TIME = 2000
+_KIND_OF_FAULT = MappingProxyType(
+    {
+        FaultKind.ABSENT: Kind.MISSING,
+        FaultKind.SURPLUS: Kind.SURPLUS,
+        FaultKind.DAMAGED: Kind.DAMAGED,
+        FaultKind.OUTDATED: Kind.CONTRADICTION,
+    }
+)
+_CHECKS_AT_A_TIME = 4
+
+
+def verify(
+    root: Place, deep: bool = False, on_progress: Progress = lambda _done, _all: None, processes: int = 1
+) -> Report:
+    """Checks a whole dataset.
+
+    Shallow: tables readable and agreeing with each other, every file there with its size and SHA-256, none too many.
+    Deep: besides, every frame decoded, digests and motion recomputed, rows compared with the episodes, scene packages
+    hashed and quotas compared with the plan.
+
+    Args:
+        root: of the dataset.
+        deep: whether to look into the episodes.
+        on_progress: called with the number of episodes checked and their total.
+        processes: how many processes check episodes; 1 stays in this one.
+
+    Raises:
+        WorldError: there is no dataset, or it is of a newer format.
+    """
+    report = Report(root, deep)
+    try:
+        dataset = Dataset(root)
+    except ArchiveCorrupt as error:
+        report.add(Kind.DAMAGED, str(root), str(error))
+        return report
+    report.episodes, report.complete, report.digest = len(dataset), dataset.meta.complete, dataset.digest
+    rows = _rows(dataset, report)
+    _check_listing(root, rows, report)
+    _check_tables(dataset, rows, report)
+    checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report)
+    for done, findings in enumerate(_carry_out(checks, processes), 1):
+        report.findings += findings
+        on_progress(done, len(rows))
+    if deep:
+        _check_quotas(dataset.meta, rows, report)
+    return report
+
+
+def _rows(dataset: Dataset, report: Report) -> Rows:
+    rows: Rows = {}
+    for batch in dataset.metadata.to_batches(max_chunksize=_ROWS_AT_A_TIME):
+        for values in batch.to_pylist():
+            try:
+                row = EpisodeSummary.model_validate(values)
+            except ValidationError as error:
+                where = sorted({str(item["loc"][0]) for item in error.errors() if item["loc"]})
+                name = values.get("episode_id")
+                report.add(Kind.DAMAGED, METADATA_FILE, f"{name}: wrong values in {', '.join(where)}")
+                continue
+            if row.episode_id in rows:
+                report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} stands twice")
+            if row.episode_id != episode_id(row.index):
+                report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} has index {row.index}")
+            rows[row.episode_id] = row
+    return rows
+
+
+def _plan_checks(rows: Rows, scenes: dict[str, SceneEntry], report: Report) -> list[EpisodeCheck]:
+    checks = []
+    for row in rows.values():
+        target, findings = target_of(row, scenes.get(row.scene))
+        report.findings += findings
+        checks.append(EpisodeCheck(report.root, row, target, report.deep))
+    return checks
+
+
+def _carry_out(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Finding]]:
+    if processes <= 1 or len(checks) <= 1:
+        yield from map(check_episode, checks)
+        return
+    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks that threads of ours may hold
+    with ProcessPoolExecutor(min(processes, len(checks)), mp_context=fresh) as pool:
+        yield from pool.map(check_episode, checks, chunksize=_CHECKS_AT_A_TIME if len(checks) > 100 else 1)
+
+
+def _check_listing(root: Place, rows: Rows, report: Report) -> None:
+    for entry in children(root / EPISODES):
+        name = f"{EPISODES}/{entry.name}"
+        index = index_of_file(entry.name) if entry.is_file() and not entry.is_symlink() else None
+        if index is None:
+            report.add(Kind.FOREIGN, name, "is no episode by its name")
+        elif episode_id(index) not in rows:
+            report.add(
+                Kind.SURPLUS, name, f"{METADATA_FILE} does not name it (while a run is under way, it lags behind)"
+            )
+    for entry in children(root):
+        if not is_part(entry.name):
+            report.add(Kind.FOREIGN, entry.name, "is no part of a dataset")
+
+
+def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
+    meta = dataset.meta
+    if meta.plan.digest != meta.plan_digest:
+        report.add(Kind.CONTRADICTION, META_FILE, f"plan digest {meta.plan_digest}, its plan has {meta.plan.digest}")
+    if meta.episodes != len(rows):
+        report.add(Kind.CONTRADICTION, META_FILE, f"{meta.episodes} episodes, {METADATA_FILE} has {len(rows)}")
+    if meta.complete and meta.dataset_digest != dataset.digest:
+        text = f"dataset digest {meta.dataset_digest}, {METADATA_FILE} gives {dataset.digest}"
+        report.add(Kind.CONTRADICTION, META_FILE, text)
+    try:
+        attempts = pq.read_table(table_of(dataset.root / ATTEMPTS_FILE)).num_rows
+    except FileNotFoundError:
+        report.add(Kind.MISSING, ATTEMPTS_FILE, "is not there")
+    except (pa.ArrowException, OSError) as error:
+        report.add(Kind.DAMAGED, ATTEMPTS_FILE, f"cannot be read: {error}")
+    else:
+        if attempts != meta.failed_attempts:
+            report.add(Kind.CONTRADICTION, ATTEMPTS_FILE, f"{attempts} rows, {META_FILE} says {meta.failed_attempts}")
+    _check_split_tables(dataset, report)
+
+
+def _check_split_tables(dataset: Dataset, report: Report) -> None:
+    """Compares them with `metadata.parquet` once the run is complete; they may be absent if the card names none."""
+    try:
+        card = (dataset.root / CARD_FILE).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        report.add(Kind.MISSING, CARD_FILE, "is not there")
+        card = ""
+    lags = not dataset.meta.complete
+    if not names_split_tables(card) and not children(dataset.root / SPLITS_FOLDER):
+        return
+    for fault in find_faults(dataset.root, report.deep):
+        if not (lags and fault.kind in (FaultKind.ABSENT, FaultKind.OUTDATED)):
+            report.add(_KIND_OF_FAULT[fault.kind], fault.name, f"{fault.text}; `factory repair` writes it anew")
+
+
+def _check_scenes(root: Place, meta: DatasetMeta, report: Report) -> dict[str, SceneEntry]:
+    found: dict[str, SceneEntry] = {}
+    expected = {f"{name}-{sha256[:16]}.scene.zip": (name, sha256) for name, sha256 in meta.scenes.items()}
+    for_people = {list_file_name(name) for name in meta.scenes}
+    for entry in children(root / SCENES):
+        if entry.name not in expected and entry.name not in for_people:
+            report.add(Kind.FOREIGN, f"{SCENES}/{entry.name}", f"{META_FILE} does not name it")
+    for file, (name, sha256) in expected.items():
+        try:
+            with at_hand(root / SCENES / file) as package:
+                scene = read_entry(package)
+        except FileNotFoundError:
+            report.add(Kind.MISSING, f"{SCENES}/{file}", "is not there")
+        except (InvalidBundle, OSError) as error:
+            report.add(Kind.DAMAGED, f"{SCENES}/{file}", str(error))
+        else:
+            if scene.sha256 == sha256:
+                found[name] = scene
+            else:
+                report.add(Kind.CHANGED, f"{SCENES}/{file}", f"SHA-256 {scene.sha256}, recorded {sha256}")
+    return found
+
+
+def _check_quotas(meta: DatasetMeta, rows: Rows, report: Report) -> None:
+    """Compares the counts of every cell with the plan; an unfinished dataset may only have too few."""
+    found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.values())
+    wanted = {
+        (scene.name, split, tier): count
+        for scene in meta.plan.scenes
+        for (split, tier), count in cells(meta.plan, scene).items()
+    }
+    for key in sorted(found.keys() | wanted.keys()):
+        have, want = found.get(key, 0), wanted.get(key, 0)
+        if have > want or (meta.complete and have < want):
+            report.add(Kind.CONTRADICTION, METADATA_FILE, f"{'/'.join(key)}: {have} episodes, the plan has {want}")
+    runs = sorted({row.plan_digest for row in rows.values()} - {meta.plan_digest})
+    if runs:
+        report.add(Kind.CONTRADICTION, METADATA_FILE, f"episodes of other plans: {', '.join(runs)}")

@@ -1,0 +1,86 @@
+"""Verification of one episode file against its row, its scene and itself. A function of the disk; changes nothing."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+from coordinator.expansion.catalog import SceneEntry
+from coordinator.tables.write import METADATA_FILE
+from coordinator.validation.validate import validate
+from factory.verify.report import Finding, Kind
+from schemas.bundle import BundleReader
+from schemas.dataset import EpisodeSummary, file_name_of, summary_of
+from schemas.errors import InvalidBundle
+from schemas.scene import Target
+from schemas.storage.place import Place, at_hand
+
+__all__ = ["EpisodeCheck", "check_episode", "target_of"]
+
+_OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
+
+
+@dataclass(frozen=True)
+class EpisodeCheck:
+    """What to check of one episode; travels to another process."""
+
+    root: Place
+    row: EpisodeSummary
+    target: Target | None
+    """As the scene has it; `None` where the scene could not be read."""
+    deep: bool
+
+
+def check_episode(check: EpisodeCheck) -> list[Finding]:
+    """Returns all that is wrong with the file: size and SHA-256, and deep: every frame, the motion and the row."""
+    row = check.row
+    path = check.root / file_name_of(row.episode_id)
+    found: list[Finding] = []
+    try:
+        with at_hand(path) as local, local.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            size = file.tell()
+            if size != row.file_bytes:
+                found.append(Finding(Kind.TRUNCATED, row.file_name, f"{size} bytes, recorded {row.file_bytes}"))
+            elif sha256 != row.file_sha256:
+                found.append(Finding(Kind.CHANGED, row.file_name, f"SHA-256 {sha256}, recorded {row.file_sha256}"))
+            if check.deep:
+                with BundleReader(file) as bundle:
+                    violations = validate(bundle, target=check.target)
+                    differences = _differences(row, summary_of(bundle.meta, sha256, size))
+                found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
+                found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
+    except FileNotFoundError:
+        found.append(Finding(Kind.MISSING, row.file_name, "is not there"))
+    except InvalidBundle as error:
+        found += [Finding(Kind.INVALID, row.file_name, text) for text in error.findings]
+    except OSError as error:
+        found.append(Finding(Kind.DAMAGED, row.file_name, f"cannot be read: {error}"))
+    return found
+
+
+def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | None, list[Finding]]:
+    """Returns the row's target as its scene has it, and what contradicts it.
+
+    Args:
+        row: of the episode.
+        scene: its package; `None` where it cannot be read, which is a finding of its own already.
+    """
+    if scene is None:
+        return None, []
+    if scene.sha256 != row.scene_sha256:
+        text = f"made in a scene with SHA-256 {row.scene_sha256}, {row.scene} has {scene.sha256}"
+        return None, [Finding(Kind.CONTRADICTION, row.file_name, text)]
+    try:
+        return scene.info.target(row.target_id), []
+    except KeyError:
+        text = f"its target {row.target_id} is not in the scene {row.scene}"
+        return None, [Finding(Kind.CONTRADICTION, row.file_name, text)]
+
+
+def _differences(row: EpisodeSummary, found: EpisodeSummary) -> list[str]:
+    return [
+        f"{name}: {METADATA_FILE} says {getattr(row, name)}, the episode {getattr(found, name)}"
+        for name in EpisodeSummary.model_fields
+        if name not in _OF_THE_FILE and getattr(row, name) != getattr(found, name)
+    ]

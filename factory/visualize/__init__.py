@@ -1,0 +1,1 @@
+"""Pictures and films of episodes, and the Rerun viewer."""

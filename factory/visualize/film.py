@@ -1,0 +1,155 @@
+"""A short film of an episode for people: colour, depth, ids and the track from above, the instruction beneath.
+
+Shown at the speed of life, every so many frames left out; written as MP4 (H.264) or GIF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from factory.visualize.panels import TrackMap, show_depth, show_ids
+from schemas.bundle import BundleReader
+from schemas.errors import WorldError
+from schemas.scene import CompiledScene
+from schemas.support.extras import require_package
+
+__all__ = ["draw_film", "facts_of_step", "film_rate", "require_mp4", "write_gif", "write_mp4"]
+
+_TILE_PX = 320
+_CAPTION_PX = 56
+_MARGIN_PX = 10
+_HOLD_S = 1
+"""How long the last picture stays."""
+_GIF_COLOURS = 128
+_FPS = 30
+Rgb = NDArray[np.uint8]
+
+
+def film_rate(control_hz: int, fps: int = _FPS) -> tuple[int, Fraction]:
+    """Returns every how many frames one is shown so that at most `fps` are, and the rate that gives, 1/s."""
+    stride = max(1, -(-control_hz // fps))
+    return stride, Fraction(control_hz, stride)
+
+
+def draw_film(episode: BundleReader, scene: CompiledScene, stride: int) -> Iterator[Rgb]:
+    """Yields pictures (H, W, 3) of even size: every `stride`-th frame and the last one.
+
+    Args:
+        episode: the bundle.
+        scene: the package it was made in, for the map.
+        stride: frames from one picture to the next.
+    """
+    chart = TrackMap(episode, scene, _TILE_PX)
+    last = episode.length - 1
+    for t in [*range(0, last, stride), last]:
+        tiles = [
+            episode.rgb(t),
+            show_depth(episode.depth(t)),
+            show_ids(episode.ids(t), episode.meta.target_instance_id),
+        ]
+        film = Image.new("RGB", (4 * _TILE_PX, _TILE_PX + _CAPTION_PX), "white")
+        for place, tile in enumerate(tiles):
+            small = Image.fromarray(tile).resize((_TILE_PX, _TILE_PX), Image.Resampling.BOX)
+            film.paste(small, (place * _TILE_PX, 0))
+        film.paste(chart.draw(t + 1), (3 * _TILE_PX, 0))
+        _write_caption(film, episode, t)
+        yield np.asarray(film)
+
+
+def require_mp4() -> None:
+    """Makes sure that MP4 can be written, before anything is drawn.
+
+    Raises:
+        UsageError: PyAV is not installed.
+    """
+    require_package("av", "an MP4 film")
+
+
+def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction, crf: int = 20) -> None:
+    """Writes H.264 in yuv420p, which every player and browser shows; `path` is replaced as a whole.
+
+    Args:
+        path: of the file.
+        pictures: (H, W, 3) sRGB of even size.
+        rate: pictures a second.
+        crf: constant rate factor of x264; a larger one gives a smaller file.
+
+    Raises:
+        UsageError: PyAV is not installed.
+        WorldError: the file cannot be written.
+    """
+    require_mp4()
+    import av
+
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        with av.open(str(beside), "w", format="mp4", options={"movflags": "faststart"}) as container:
+            stream: Any = None
+            for picture in _held(pictures, rate):
+                if stream is None:
+                    stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf), "preset": "veryfast"})
+                    stream.height, stream.width = picture.shape[:2]
+                    stream.pix_fmt = "yuv420p"
+                    stream.codec_context.thread_count = 1  # the bytes do not depend on the number of cores
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            container.mux(stream.encode())
+        beside.replace(path)
+    except OSError as error:  # PyAV's errors are of this kind too
+        raise _unwritten(path, error) from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def write_gif(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
+    """Writes an endless GIF; `path` is replaced as a whole.
+
+    Raises:
+        WorldError: the file cannot be written.
+    """
+    beside = path.with_name(f".{path.name}.part")
+    frames = (Image.fromarray(picture).quantize(_GIF_COLOURS) for picture in _held(pictures, rate))
+    try:
+        first = next(frames)
+        first.save(beside, "GIF", save_all=True, append_images=frames, duration=10 * round(100 / rate), loop=0)
+        beside.replace(path)
+    except OSError as error:
+        raise _unwritten(path, error) from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _held(pictures: Iterable[Rgb], rate: Fraction) -> Iterator[Rgb]:
+    picture: Rgb | None = None
+    for picture in pictures:
+        yield picture
+    if picture is not None:
+        yield from [picture] * round(_HOLD_S * rate)
+
+
+def _unwritten(path: Path, error: OSError) -> WorldError:
+    return WorldError(f"cannot write {path} ({error.strerror or error}); free space or choose another -o")
+
+
+def _write_caption(film: Image.Image, episode: BundleReader, t: int) -> None:
+    pen = ImageDraw.Draw(film)
+    top = _TILE_PX + 6
+    pen.text((_MARGIN_PX, top), episode.meta.job.instruction, fill="black", font=ImageFont.load_default(20))
+    pen.text((_MARGIN_PX, top + 27), facts_of_step(episode, t), fill=(90, 90, 90), font=ImageFont.load_default(14))
+
+
+def facts_of_step(episode: BundleReader, t: int) -> str:
+    """Returns what stands beneath the picture of a step: episode, time, command, planar distance."""
+    meta, job = episode.meta, episode.meta.job
+    speed, turn = episode.arrays.actions_continuous[t]
+    distance = float(np.linalg.norm(episode.arrays.poses[t, :2] - np.array(meta.target_centroid_m[:2])))
+    return (
+        f"{meta.episode_id}  {job.scene}  {job.tier}  {job.target_id}   t {t / job.task.control_hz:5.2f} s   "
+        f"v {speed:4.2f} m/s   w {turn:+5.2f} rad/s   {distance:4.2f} m from the target's centre"
+    )

@@ -1,0 +1,154 @@
+"""Arrays as bytes: `.npy` version 1.0, plain or zstandard-compressed, with every size known before it is allocated.
+
+Never unpickles; never accepts a dtype or shape that the caller did not ask for.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+import threading
+from collections.abc import Sequence
+
+import numpy as np
+import zstandard
+from numpy.lib import format as npy_format
+from numpy.typing import DTypeLike, NDArray
+
+from schemas.errors import InvalidBundle
+from schemas.support.foreign import PARSER_ERRORS
+
+__all__ = ["decode_npy", "decode_npy_zst", "encode_npy", "encode_npy_zst"]
+
+_MAX_HEADER_BYTES = 4096
+_MAX_WINDOW_BYTES = 128 << 20
+_FAST, _FAST_HASH_LOG = 1, 12
+# The fast level's own hash table, of 2**14 entries, does not fit into a core's first cache: depth takes 0.84 instead of
+# 0.73 ms with it, for 73.2 instead of 73.6 kB.
+_MAGIC = b"\x93NUMPY\x01\x00"
+
+
+class _Codecs(threading.local):
+    """Contexts of zstandard, kept because making one costs as much as an image; none may be used by two threads."""
+
+    def __init__(self) -> None:
+        self._compressors: dict[tuple[int, bool], zstandard.ZstdCompressor] = {}
+        self._decompressor: zstandard.ZstdDecompressor | None = None
+
+    def compressor(self, level: int, checksum: bool) -> zstandard.ZstdCompressor:
+        key = (level, checksum)
+        if key not in self._compressors:
+            self._compressors[key] = _make_compressor(level, checksum)
+        return self._compressors[key]
+
+    def decompressor(self) -> zstandard.ZstdDecompressor:
+        if self._decompressor is None:
+            self._decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+        return self._decompressor
+
+
+def _make_compressor(level: int, checksum: bool) -> zstandard.ZstdCompressor:
+    if level != _FAST:
+        return zstandard.ZstdCompressor(level, write_checksum=checksum, write_content_size=True)
+    fast = zstandard.ZstdCompressionParameters.from_level(
+        level, write_checksum=checksum, write_content_size=True, hash_log=_FAST_HASH_LOG
+    )
+    return zstandard.ZstdCompressor(compression_params=fast)
+
+
+_codecs = _Codecs()
+
+
+def encode_npy(array: NDArray[np.generic]) -> bytes:
+    """Returns the array as `.npy` 1.0 in C order; equal arrays give equal bytes."""
+    return b"".join((_header(array.dtype, array.shape), np.ascontiguousarray(array).data))
+
+
+@functools.lru_cache(maxsize=64)
+def _header(dtype: np.dtype[np.generic], shape: tuple[int, ...]) -> bytes:
+    buffer = io.BytesIO()
+    facts = {"descr": npy_format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    npy_format.write_array_header_1_0(buffer, facts)
+    return buffer.getvalue()
+
+
+def decode_npy(name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | None]) -> NDArray[np.generic]:
+    """Reads an `.npy` whose dtype and shape are known in advance.
+
+    Args:
+        name: what to call the array in errors.
+        data: the whole file.
+        dtype: the only dtype accepted.
+        shape: the only shape accepted; `None` accepts any extent, bounded by the bytes at hand.
+
+    Raises:
+        InvalidBundle: the header or the length says otherwise.
+    """
+    offset, found_shape = _known_header(data, np.dtype(dtype), shape) or _read_header(name, data, np.dtype(dtype))
+    if len(found_shape) != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, found_shape, strict=True)
+    ):
+        raise InvalidBundle("array refused", [f"{name}: shape {found_shape}, expected {tuple(shape)}"])
+    expected = math.prod(found_shape) * np.dtype(dtype).itemsize
+    if len(data) - offset != expected:
+        raise InvalidBundle("array refused", [f"{name}: {len(data) - offset} bytes of data, expected {expected}"])
+    return np.frombuffer(data, dtype, offset=offset).reshape(found_shape)
+
+
+def _known_header(
+    data: bytes, dtype: np.dtype[np.generic], shape: Sequence[int | None]
+) -> tuple[int, tuple[int, ...]] | None:
+    """Returns what `_read_header` would where the header is the very one we write; parsing takes 40 us."""
+    sides = tuple(side for side in shape if side is not None)
+    if len(sides) < len(shape):
+        return None
+    header = _header(dtype, sides)
+    return (len(header), sides) if data.startswith(header) else None
+
+
+def _read_header(name: str, data: bytes, dtype: np.dtype[np.generic]) -> tuple[int, tuple[int, ...]]:
+    if not data.startswith(_MAGIC):
+        raise InvalidBundle("array refused", [f"{name}: not an .npy file of version 1.0"])
+    stream = io.BytesIO(data)
+    stream.seek(len(_MAGIC))
+    try:
+        shape, fortran_order, found = npy_format.read_array_header_1_0(stream, max_header_size=_MAX_HEADER_BYTES)
+    except PARSER_ERRORS as error:
+        raise InvalidBundle("array refused", [f"{name}: unreadable .npy header ({error})"]) from error
+    if found != dtype or fortran_order:
+        order = "Fortran" if fortran_order else "C"
+        raise InvalidBundle("array refused", [f"{name}: dtype {found} in {order} order, expected {dtype} in C order"])
+    return stream.tell(), tuple(int(side) for side in shape)
+
+
+def encode_npy_zst(array: NDArray[np.generic], level: int = 1, *, checksum: bool = True) -> bytes:
+    """Returns `.npy` inside one zstandard frame that states its size.
+
+    Args:
+        array: any.
+        level: of zstandard.
+        checksum: whether the frame carries one of its own; a quarter of the time at level 1.
+    """
+    return _codecs.compressor(level, checksum).compress(encode_npy(array))
+
+
+def decode_npy_zst(
+    name: str, data: bytes, dtype: DTypeLike, shape: Sequence[int | None], max_bytes: int
+) -> NDArray[np.generic]:
+    """Reads what `encode_npy_zst` wrote; refuses a frame that states more than `max_bytes`.
+
+    `max_output_size` does not bound a frame that states its size, so the stated size is checked first and the
+    frame is then held to it by the library.
+
+    Raises:
+        InvalidBundle: the frame is damaged, too large, or followed by other bytes.
+    """
+    try:
+        stated = zstandard.get_frame_parameters(data).content_size
+        if stated > max_bytes:  # an unknown size reads as 2**64 - 1
+            raise InvalidBundle("array refused", [f"{name}: the zstd frame states {stated} bytes, limit {max_bytes}"])
+        raw = _codecs.decompressor().decompress(data, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise InvalidBundle("array refused", [f"{name}: damaged zstd frame ({error})"]) from error
+    return decode_npy(name, raw, dtype, shape)

@@ -1,0 +1,96 @@
+"""Where a dataset lies: a directory, or a folder in object storage; readers treat both alike. Reads only."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, TypeAlias
+from urllib.parse import unquote, urlsplit
+
+from schemas.errors import UsageError
+from schemas.storage.disk import translated
+from schemas.storage.object_path import ObjectPath
+from schemas.support.foreign import path_trouble
+
+__all__ = ["Place", "at_hand", "children", "digest_of", "place_of", "relative_name", "table_of"]
+
+Place: TypeAlias = Path | ObjectPath
+
+
+def place_of(name: str | Place) -> Place:
+    """Returns the place that a path or a URL names; `file://` is a directory.
+
+    Raises:
+        UsageError: the URL cannot be understood, or the extra for object storage is not installed.
+    """
+    if not isinstance(name, str):
+        return name
+    if name.startswith("file:"):
+        parts = urlsplit(name)
+        if parts.netloc not in ("", "localhost") or not parts.path.startswith("/"):
+            raise UsageError(f"{name!r} names no directory of this machine: write file:///DIRECTORY")
+        return _path(unquote(parts.path))
+    return ObjectPath.at(name) if "://" in name else _path(name)
+
+
+def _path(name: str) -> Path:
+    trouble = path_trouble(name)
+    if trouble:
+        raise UsageError(f"no directory {name[:80]!r}: {trouble}")
+    return Path(name)
+
+
+def children(folder: Place) -> list[Place]:
+    """Returns what lies in a folder, sorted by name; nothing where there is no such folder."""
+    try:
+        return sorted(folder.iterdir(), key=lambda place: place.name)
+    except FileNotFoundError:
+        return []
+
+
+def relative_name(place: Place, root: Place) -> str:
+    """Returns the name of a file below the dataset it belongs to."""
+    return str(place).removeprefix(f"{root}/")
+
+
+def digest_of(place: Place) -> str:
+    """Returns the SHA-256 of a file, read once and kept nowhere."""
+    if isinstance(place, Path):
+        with place.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    digest = hashlib.sha256()
+    for piece in place.stream():
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+@contextlib.contextmanager
+def at_hand(place: Place) -> Iterator[Path]:
+    """Yields a file of this machine's disk: the file itself, or a copy that is gone afterwards.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        WorldError: the store does not answer, or the disk is full.
+    """
+    if isinstance(place, Path):
+        yield place
+        return
+    with tempfile.TemporaryDirectory(prefix="minivla-") as folder:
+        copy = Path(folder) / place.name
+        with copy.open("xb") as file:
+            for piece in place.stream():
+                with translated("copy an episode into", copy.parent):
+                    file.write(piece)
+        yield copy
+
+
+def table_of(place: Place) -> Path | BinaryIO:
+    """Returns what a reader of tables takes for that file.
+
+    Raises:
+        FileNotFoundError: there is no such file in the store.
+    """
+    return place if isinstance(place, Path) else place.open("rb")

@@ -1,0 +1,131 @@
+"""Packages that optional extras bring: checks for them, and names the command that installs them here.
+
+Imports none of them. The command depends on how this installation was made (checkout, wheel file, repository, index).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shlex
+import sys
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from urllib.parse import unquote
+
+from schemas.errors import UsageError
+
+__all__ = [
+    "EXTRA_OF",
+    "direct_url",
+    "install_command",
+    "missing_package",
+    "pip_install",
+    "require_package",
+    "requirement_of",
+]
+
+_DISTRIBUTION = "minivla-factory"
+
+EXTRA_OF: Mapping[str, str] = MappingProxyType(
+    {
+        "pybullet": "sim",
+        "zenoh": "sim",
+        "sqlalchemy": "sim",
+        "embreex": "sim",
+        "mapbox_earcut": "sim",
+        "pxr": "sim",
+        "moderngl": "render",
+        "matplotlib": "report",
+        "rosbags": "ros2",
+        "huggingface_hub": "hub",
+        "rerun": "view",
+        "gymnasium": "eval",
+        "msgpack": "eval",
+        "websockets": "eval",
+        "torch": "train",
+        "tensorboard": "train",
+        "prometheus_client": "metrics",
+        "tornado": "metrics",
+        "pyseccomp": "sandbox",
+        "psycopg": "postgres",
+        "cryptography": "tls",
+        "obstore": "object-storage",
+    }
+)
+"""Top-level module -> the smallest extra that brings it."""
+_NO_WHEEL = (
+    "PyBullet has wheels for Python 3.9 to 3.11 only, and this is Python {version}. Generate data with Python 3.11: "
+    "`python3.11 -m venv sim`, then install the extra `sim` in it. "
+    "Reading, exporting, showing and training work with this Python"
+)
+
+
+def require_package(module: str, who: str) -> None:
+    """Checks that an optional package is installed.
+
+    Args:
+        module: its top-level module; one that is not in `EXTRA_OF` belongs to the base install.
+        who: the part of the product that needs it, as the subject of the message.
+
+    Raises:
+        UsageError: it is not installed; the message names the command that installs it.
+    """
+    if importlib.util.find_spec(module) is None:
+        raise missing_package(module, who)
+
+
+def missing_package(module: str, who: str) -> UsageError:
+    """Returns the error to raise when `who` needs the package `module` and it is not installed."""
+    if module == "pybullet" and sys.version_info >= (3, 12):
+        version = ".".join(map(str, sys.version_info[:3]))
+        return UsageError(f"{who} needs PyBullet. {_NO_WHEEL.format(version=version)}")
+    return UsageError(
+        f"{who} needs the package {module}, which is not installed; install it: {install_command(EXTRA_OF.get(module))}"
+    )
+
+
+def install_command(extra: str | None = None) -> str:
+    """Returns the shell command that adds an extra to this installation, or repairs its base when no extra is given."""
+    return pip_install(requirement_of(extra, direct_url()))
+
+
+def pip_install(words: str) -> str:
+    """Returns the shell command that calls `pip install` of this Python; `words` are quoted for a shell."""
+    return f"{shlex.quote(sys.executable or 'python')} -m pip install {words}"
+
+
+def direct_url() -> dict[str, Any] | None:
+    """Returns the origin that pip recorded for this installation (PEP 610); `None` when it came from an index."""
+    try:
+        text = metadata.distribution(_DISTRIBUTION).read_text("direct_url.json")
+    except metadata.PackageNotFoundError:
+        return {"url": Path(__file__).resolve().parents[2].as_uri(), "dir_info": {"editable": True}}
+    try:
+        found = json.loads(text) if text else None
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) and isinstance(found.get("url"), str) else None
+
+
+def requirement_of(extra: str | None, origin: dict[str, Any] | None) -> str:
+    """Returns what to give to `pip install`, quoted for a shell.
+
+    Args:
+        extra: the extra to add, if any.
+        origin: as `direct_url` returns it.
+    """
+    suffix = f"[{extra}]" if extra else ""
+    if origin is None:
+        return shlex.quote(_DISTRIBUTION + suffix)
+    url = origin["url"]
+    if "dir_info" in origin:
+        path = unquote(url.removeprefix("file://"))
+        flag = "-e " if (origin["dir_info"] or {}).get("editable") else ""
+        return f"{flag}{shlex.quote(path + suffix)}"
+    vcs = origin.get("vcs_info") or {}
+    at = f"{vcs['vcs']}+{url}@{vcs.get('commit_id', 'HEAD')}" if "vcs" in vcs else url
+    return shlex.quote(f"{_DISTRIBUTION}{suffix} @ {at}")

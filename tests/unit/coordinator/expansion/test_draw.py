@@ -1,0 +1,199 @@
+"""Plan expansion: exact quotas, clean splits, even draws, deterministic redraws."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coordinator.expansion.apportion import apportion, webster_sequence
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.cells import empty_splits
+from coordinator.expansion.draw import PlannedJob, cells, expand, find_impossible, pool, redraw, to_job
+from coordinator.expansion.file import shrink
+from schemas.errors import InvalidPlan
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
+from tests.builders.catalog import make_catalog, make_entry, make_target
+
+PAPER = BUILTIN_PLANS["paper"]
+
+
+@given(st.dictionaries(st.text(max_size=3), st.floats(0.01, 1.0), min_size=1, max_size=6), st.integers(0, 300))
+def test_apportionment_adds_up_and_stays_within_one_seat_of_quota_for_equal_shares(shares, count):
+    seats = apportion(shares, count)
+    assert sum(seats.values()) == count
+    equal = apportion(dict.fromkeys(shares, 1.0), count)
+    assert max(equal.values()) - min(equal.values()) <= 1
+
+
+@given(st.integers(1, 400))
+def test_a_longer_webster_sequence_never_takes_a_seat_back(count):
+    shares = {"a": 0.6, "b": 0.3, "c": 0.1}
+    assert webster_sequence(shares, count) == webster_sequence(shares, count + 1)[:-1]
+
+
+@pytest.mark.parametrize("episodes", [None, 1, 7, 52, 240])
+def test_cells_hold_exactly_the_quota_of_every_scene_split_and_tier(episodes):
+    plan = shrink(PAPER, episodes=episodes)
+    jobs = expand(plan, make_catalog(plan))
+    assert [job.index for job in jobs] == list(range(1, plan.episodes + 1))
+    for scene in plan.scenes:
+        found = Counter((job.split, job.tier) for job in jobs if job.scene == scene.name)
+        assert found == cells(plan, scene)
+        by_split = Counter(job.split for job in jobs if job.scene == scene.name)
+        assert by_split == {s: n for s, n in apportion(plan.splits, scene.episodes).items() if n}
+        by_tier = Counter(job.tier for job in jobs if job.scene == scene.name)
+        assert by_tier == {t: n for t, n in apportion(plan.tiers, scene.episodes).items() if n}
+
+
+@pytest.mark.parametrize("episodes", [4, 24, 240])
+def test_a_split_is_empty_when_no_job_of_a_plan_that_asks_for_it_has_it(episodes):
+    plan = shrink(BUILTIN_PLANS["demo"], episodes=episodes)
+    drawn = {job.split for job in expand(plan, make_catalog(plan))}
+    assert set(empty_splits(plan)) == {split for split, share in plan.splits.items() if share > 0} - drawn
+    assert bool(empty_splits(plan)) == (episodes == 4)
+
+
+def test_the_paper_plan_counts_1174_episodes_as_published():
+    assert PAPER.episodes == 1174
+    assert {scene.name: scene.episodes for scene in PAPER.scenes} == {
+        "office": 700,
+        "hospital": 52,
+        "full_warehouse": 354,
+        "warehouse_multiple_shelves": 68,
+    }
+
+
+def test_the_demo_has_16_episodes_spread_evenly_over_scenes_and_splits():
+    demo = BUILTIN_PLANS["demo"]
+    assert demo.episodes == 16
+    jobs = expand(demo, make_catalog(demo))
+    assert Counter((job.scene, job.split) for job in jobs) == Counter(
+        (scene, split) for scene in BUILTIN_CATEGORIES for split, share in demo.splits.items() if share
+    )
+
+
+def test_the_first_twelve_jobs_of_the_demo_are_those_of_the_demo_with_15_episodes():
+    demo = BUILTIN_PLANS["demo"]
+    scenes = (*demo.scenes[:3], demo.scenes[3].model_copy(update={"episodes": 3}))
+    former = demo.model_copy(update={"scenes": scenes})
+    catalog = make_catalog(demo)
+    assert expand(former, catalog)[:12] == expand(demo, catalog)[:12]
+
+
+def test_held_out_categories_appear_only_in_test_ood_obj():
+    plan = shrink(PAPER, episodes=300)
+    categories = {scene.name: scene.categories for scene in plan.scenes}
+    for job in expand(plan, make_catalog(plan)):
+        held_out = job.category in categories[job.scene].held_out
+        assert held_out == (job.split is Split.TEST_OOD_OBJ)
+
+
+def test_paraphrased_templates_appear_only_in_test_paraphrase_ood():
+    plan = shrink(PAPER, episodes=300)
+    for job in expand(plan, make_catalog(plan)):
+        assert job.template_id.startswith("ood_") == (job.split is Split.TEST_PARAPHRASE_OOD)
+
+
+def test_colour_templates_are_left_out_when_colours_are_off():
+    plan = shrink(PAPER, episodes=300).model_copy(update={"colors": "off"})
+    jobs = expand(plan, make_catalog(plan))
+    assert all(job.colour == "unknown" for job in jobs)
+    assert {job.template_id for job in jobs}.isdisjoint({"train_06", "train_07", "train_08", "train_16", "ood_04"})
+    assert len({job.template_id for job in jobs if job.template_id.startswith("train")}) == 14
+
+
+def test_balanced_plans_draw_categories_as_evenly_as_whole_numbers_allow():
+    plan = shrink(BUILTIN_PLANS["balanced"], episodes=240)
+    jobs = [j for j in expand(plan, make_catalog(plan)) if j.scene == "office" and j.split is not Split.TEST_OOD_OBJ]
+    counts = Counter(job.category for job in jobs)
+    assert max(counts.values()) - min(counts.values()) <= 1
+
+
+def test_a_redraw_keeps_the_cell_and_leaves_the_hopeless_target():
+    plan = shrink(PAPER, episodes=40)
+    catalog = make_catalog(plan)
+    for job in expand(plan, catalog):
+        for _ in range(12):
+            following = redraw(plan, catalog, job)
+            assert _cell(following) == _cell(job)
+            assert following.draw == job.draw + 1
+            assert following.target_id != job.target_id
+            job = following
+
+
+def test_redraws_depend_on_plan_index_and_draw_only():
+    plan = shrink(PAPER, episodes=40)
+    catalog = make_catalog(plan)
+    jobs = expand(plan, catalog)
+    forward = [redraw(plan, catalog, job) for job in jobs]
+    backward = [redraw(plan, catalog, job) for job in reversed(jobs)]
+    assert forward == backward[::-1]
+
+
+def test_equal_plans_expand_equally_and_another_seed_differently():
+    plan = shrink(PAPER, episodes=60)
+    catalog = make_catalog(plan)
+    assert expand(plan, catalog) == expand(plan, catalog)
+    assert expand(plan, catalog) != expand(shrink(plan, seed=7), catalog)
+
+
+def test_every_impossible_cell_is_named_before_anything_runs():
+    plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=50),))
+    targets = [make_target("chair", 1, 1, tiers=[Tier.NEAR]), make_target("whiteboard", 1, 2)]
+    with pytest.raises(InvalidPlan) as caught:
+        expand(plan, {"hospital": make_entry("hospital", targets)})
+    text = str(caught.value)
+    assert "no reachable 'trash_can'" in text
+    assert "no reachable 'fire_extinguisher'" in text
+    assert "train_id / mid" in text
+    assert "train_id / near" not in text
+
+
+def test_absent_categories_are_one_line_and_the_cells_that_follow_from_them_none():
+    scene = ScenePlan(name="lab", usd="lab.usda", seen=("chair", "table"), held_out=("plant",), episodes=50)
+    plan = Plan(name="x", scenes=(scene,))
+    (line,) = find_impossible(plan, {"lab": make_entry("lab", [make_target("shelf", 1, 1), make_target("bin", 1, 2)])})
+    assert (
+        "lab: no reachable 'chair', 'table' (seen), no reachable 'plant' (held_out); reachable there: bin, she" in line
+    )
+    assert line.endswith("or change the scene, its rules or its list of targets")
+
+
+def test_an_absent_category_that_is_shown_is_called_out_of_reach():
+    plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
+    entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
+    entry = replace(entry, info=entry.info.model_copy(update={"targets": entry.info.targets[:1]}))
+    assert "shown but out of reach: trash_can" in find_impossible(plan, {"hospital": entry})[0]
+
+
+def test_a_held_out_category_that_no_episode_names_may_be_absent():
+    plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
+    entry = make_entry("hospital", [make_target("chair", 1, 1), make_target("trash_can", 1, 2)])
+    assert find_impossible(plan, {"hospital": entry}) == []
+
+
+def test_the_planner_may_start_where_straight_drivers_may_not():
+    plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
+    target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
+    entry = make_entry("hospital", [target])
+    args = (plan.scenes[0], entry, Split.TRAIN_ID, Tier.FAR)
+    assert pool(plan, *args) == ()
+    assert pool(plan.model_copy(update={"expert": ExpertName.PLANNER}), *args) == (target,)
+
+
+def test_an_attempts_generator_depends_on_seed_index_and_attempt():
+    plan = shrink(PAPER, episodes=4)
+    catalog = make_catalog(plan)
+    first, second = expand(plan, catalog)[:2]
+    draws = {to_job(plan, catalog, job, attempt).rng().random() for job in (first, second) for attempt in (1, 2)}
+    assert len(draws) == 4
+    assert to_job(plan, catalog, first, 1).rng().random() == to_job(plan, catalog, first, 1).rng().random()
+
+
+def _cell(job: PlannedJob) -> tuple[int, str, Split, Tier]:
+    return job.index, job.scene, job.split, job.tier

@@ -1,0 +1,127 @@
+"""Instances of training and evaluation: kept apart where a scene has enough, shared and said so where it has not."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.draw import PlannedJob, expand, pool, redraw
+from coordinator.expansion.file import shrink
+from coordinator.expansion.instances import Side, shared_categories, sides_of
+from schemas.plan import Plan, ScenePlan
+from schemas.terms import ExpertName, Split, Tier
+from tests.builders.catalog import make_catalog, make_entry, make_target
+
+EVALUATION = (Split.VAL_ID, Split.TEST_ID, Split.TEST_PARAPHRASE_OOD)
+
+
+def office_plan(episodes: int = 200, **changes: object) -> Plan:
+    scene = ScenePlan(name="hospital", episodes=episodes)
+    return Plan(name="x", scenes=(scene,), disjoint_instances=True, balance="categories").model_copy(update=changes)
+
+
+def hospital_of(chairs: int, bins: int, tiers: tuple[Tier, ...] = tuple(Tier)) -> Catalog:
+    numbers = [("chair", n) for n in range(chairs)] + [("trash_can", n) for n in range(bins)]
+    held_out = [("fire_extinguisher", 0), ("whiteboard", 0)]
+    targets = [make_target(name, n, place, tiers=tiers) for place, (name, n) in enumerate(numbers, 1)]
+    targets += [make_target(name, n, 500 + place) for place, (name, n) in enumerate(held_out)]
+    return {"hospital": make_entry("hospital", targets)}
+
+
+def named(jobs: list[PlannedJob], *splits: Split) -> set[str]:
+    return {job.target_id for job in jobs if job.split in splits}
+
+
+def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJob]:
+    """Every draw of every episode, as if each but the last were hopeless."""
+    jobs = list(expand(plan, catalog))
+    found = list(jobs)
+    for _ in range(draws):
+        jobs = [redraw(plan, catalog, job) for job in jobs]
+        found += jobs
+    return found
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(2, 12), st.integers(2, 12), st.integers(0, 5))
+def test_no_instance_is_trained_and_evaluated_on_even_after_redraws(chairs: int, bins: int, seed: int) -> None:
+    plan, catalog = office_plan(60, seed=seed), hospital_of(chairs, bins)
+    jobs = with_redraws(plan, catalog, 4)
+    assert not named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION)
+    assert shared_categories(sides_of(plan, plan.scenes[0], catalog["hospital"]), catalog["hospital"]) == ()
+
+
+def test_without_the_promise_instances_are_shared() -> None:
+    plan, catalog = office_plan(disjoint_instances=False), hospital_of(3, 3)
+    assert sides_of(plan, plan.scenes[0], catalog["hospital"]) == {}
+    jobs = list(expand(plan, catalog))
+    assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION)
+
+
+def test_each_category_gives_training_its_share_of_instances() -> None:
+    plan, catalog = office_plan(), hospital_of(39, 12)
+    sides = sides_of(plan, plan.scenes[0], catalog["hospital"])
+    count = Counter((name.rsplit("_", 1)[0], side) for name, side in sides.items())
+    assert count == {
+        ("chair", Side.TRAIN): 26,
+        ("chair", Side.EVALUATION): 13,
+        ("trash_can", Side.TRAIN): 8,
+        ("trash_can", Side.EVALUATION): 4,
+    }
+
+
+def test_a_single_instance_is_shared_and_named() -> None:
+    plan, catalog = office_plan(), hospital_of(6, 1)
+    sides = sides_of(plan, plan.scenes[0], catalog["hospital"])
+    assert shared_categories(sides, catalog["hospital"]) == ("trash_can",)
+    jobs = with_redraws(plan, catalog)
+    assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION) == {"trash_can_000"}
+
+
+def test_instances_that_start_from_most_tiers_are_given_to_both_sides() -> None:
+    targets = [make_target("chair", n, n + 1, tiers=[Tier.NEAR]) for n in range(6)]
+    targets += [make_target("chair", n, n + 1) for n in (6, 7)]
+    entry = make_entry("hospital", targets)
+    plan = office_plan(splits={Split.TRAIN_ID: 0.9, Split.VAL_ID: 0.1})
+    sides = sides_of(plan, plan.scenes[0], entry)
+    assert {sides["chair_006"], sides["chair_007"]} == {Side.TRAIN, Side.EVALUATION}
+    for split in plan.splits:
+        for tier in Tier:
+            assert pool(plan, plan.scenes[0], entry, split, tier)
+
+
+def test_a_tier_with_one_target_shares_it_rather_than_emptying_a_cell() -> None:
+    targets = [make_target("chair", n, n + 1, tiers=[Tier.NEAR, Tier.MID]) for n in range(5)]
+    targets += [make_target("trash_can", n, n + 9, tiers=[Tier.NEAR, Tier.MID]) for n in range(5)]
+    entry = make_entry("hospital", [*targets, make_target("chair", 5, 6)])
+    plan = office_plan(splits={Split.TRAIN_ID: 0.6, Split.TEST_ID: 0.4})
+    sides = sides_of(plan, plan.scenes[0], entry)
+    assert shared_categories(sides, entry) == ("chair",)
+    assert pool(plan, plan.scenes[0], entry, Split.TEST_ID, Tier.FAR)
+    assert pool(plan, plan.scenes[0], entry, Split.TRAIN_ID, Tier.FAR)
+
+
+def test_sides_depend_on_plan_and_scene_only_and_follow_the_expert() -> None:
+    catalog = hospital_of(9, 9)
+    first, second = (sides_of(office_plan(), office_plan().scenes[0], catalog["hospital"]) for _ in range(2))
+    assert first == second
+    other = office_plan(seed=7)
+    assert sides_of(other, other.scenes[0], catalog["hospital"]) != first
+    nowhere = hospital_of(9, 9, tiers=())
+    planner = office_plan(expert=ExpertName.PLANNER)
+    assert sides_of(planner, planner.scenes[0], nowhere["hospital"]) == {}
+
+
+def test_the_balanced_plan_keeps_its_categories_even() -> None:
+    plan = shrink(BUILTIN_PLANS["balanced"], episodes=240)
+    catalog = make_catalog(plan)
+    jobs = list(expand(plan, catalog))
+    for scene in plan.scenes:
+        here = [job for job in jobs if job.scene == scene.name]
+        assert not named(here, Split.TRAIN_ID) & named(here, *EVALUATION)
+        counts = Counter(job.category for job in here if job.split is not Split.TEST_OOD_OBJ)
+        assert max(counts.values()) - min(counts.values()) <= 1

@@ -1,0 +1,134 @@
+"""The nearest possible plan: every cell has a target, nothing is changed that need not be, and TOML keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.catalog import Catalog
+from coordinator.expansion.cells import cells
+from coordinator.expansion.draw import expand, find_impossible
+from coordinator.expansion.file import load_plan
+from coordinator.expansion.nearest import find_nearest
+from coordinator.expansion.spelling import spell_plan
+from schemas.config import SpawnConfig
+from schemas.plan import Budget, Plan, ScenePlan
+from schemas.terms import ExpertName, Split, Tier
+from tests.builders.catalog import make_catalog, make_entry, make_target
+
+NEAR_AND_MID = (Tier.NEAR, Tier.MID)
+
+
+def hospital(seen: Sequence[Tier] = tuple(Tier), held_out: Sequence[Tier] | None = tuple(Tier)) -> Catalog:
+    """A hospital whose targets can be started for from those tiers; without held-out categories for `None`."""
+    names = {"chair": seen, "trash_can": seen}
+    if held_out is not None:
+        names |= {"fire_extinguisher": held_out, "whiteboard": held_out}
+    pairs = [(name, number) for name in names for number in range(4)]
+    targets = [make_target(name, n, place, tiers=names[name]) for place, (name, n) in enumerate(pairs, 1)]
+    return {"hospital": make_entry("hospital", targets)}
+
+
+def plan_of(episodes: int = 100) -> Plan:
+    return Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=episodes),))
+
+
+def test_a_possible_plan_is_its_own_nearest() -> None:
+    found = find_nearest(plan_of(), hospital())
+    assert (found.plan, found.changes, found.moved) == (plan_of(), (), 0)
+
+
+def test_a_scene_without_far_starts_gives_the_far_tier_up_and_keeps_its_splits() -> None:
+    plan, catalog = plan_of(), hospital(NEAR_AND_MID, NEAR_AND_MID)
+    assert any("train_id / far (18 episodes)" in line for line in find_impossible(plan, catalog))
+    found = find_nearest(plan, catalog)
+    assert found.plan is not None
+    (scene,) = found.plan.scenes
+    assert scene.tiers == pytest.approx({Tier.NEAR: 3 / 7, Tier.MID: 4 / 7})
+    assert scene.splits == {}
+    assert scene.episodes == 100
+    assert found.moved == 30
+    assert "far 0 (30 of 100 episodes in other cells)" in found.changes[0]
+
+
+def test_a_scene_without_held_out_categories_gives_their_split_up_and_keeps_its_tiers() -> None:
+    found = find_nearest(plan_of(), hospital(held_out=None))
+    assert found.plan is not None
+    (scene,) = found.plan.scenes
+    assert scene.tiers == {}
+    assert Split.TEST_OOD_OBJ not in scene.splits
+    assert sum(scene.splits.values()) == pytest.approx(1)
+    assert "held_out without fire_extinguisher, whiteboard" in found.changes[0]
+
+
+def test_the_cheaper_of_tier_and_split_is_given_up() -> None:
+    found = find_nearest(plan_of(), hospital(held_out=NEAR_AND_MID))
+    assert found.plan is not None
+    (scene,) = found.plan.scenes
+    assert scene.tiers == {}
+    assert Split.TEST_OOD_OBJ not in scene.splits
+    assert found.moved == 10
+
+
+def test_a_scene_with_nothing_to_start_for_is_left_out_and_the_others_stay() -> None:
+    scenes = (ScenePlan(name="hospital", episodes=20), ScenePlan(name="office", episodes=10))
+    plan = Plan(name="x", scenes=scenes)
+    found = find_nearest(plan, {**hospital((), ()), "office": make_catalog(plan)["office"]})
+    assert found.plan is not None
+    assert found.plan.scenes == scenes[1:]
+    assert found.changes == ("hospital: left out, 20 episodes; nothing there can be reached",)
+    assert find_nearest(plan_of(), hospital((), ())).plan is None
+
+
+def test_a_scene_with_no_category_asked_for_is_left_out_for_that_reason() -> None:
+    scenes = (ScenePlan(name="hospital", episodes=20), ScenePlan(name="office", episodes=10))
+    plan = Plan(name="x", scenes=scenes)
+    other = make_entry("hospital", [make_target("shelf", 1, 1)])
+    found = find_nearest(plan, {"hospital": other, "office": make_catalog(plan)["office"]})
+    assert found.changes == ("hospital: left out, 20 episodes; it has none of the categories asked for",)
+
+
+@pytest.mark.parametrize("seen", [(Tier.NEAR,), NEAR_AND_MID, (Tier.FAR,)])
+@pytest.mark.parametrize("held_out", [None, (), (Tier.MID,), NEAR_AND_MID])
+@pytest.mark.parametrize("episodes", [3, 50, 101])
+def test_what_is_found_can_be_expanded_with_exact_quotas(
+    seen: tuple[Tier, ...], held_out: tuple[Tier, ...] | None, episodes: int
+) -> None:
+    catalog = hospital(seen, held_out)
+    found = find_nearest(plan_of(episodes), catalog)
+    assert found.plan is not None
+    assert find_impossible(found.plan, catalog) == []
+    jobs = expand(Plan.model_validate(found.plan.model_dump()), catalog)
+    assert len(jobs) == episodes == sum(cells(found.plan, found.plan.scenes[0]).values())
+
+
+def own_plan() -> Plan:
+    lab = ScenePlan(
+        name="lab",
+        usd="/data/lab.usda",
+        seen=("chair",),
+        episodes=3,
+        tiers={Tier.NEAR: 1.0},
+        splits={Split.TRAIN_ID: 1.0},
+    )
+    return Plan(
+        name="own",
+        seed=7,
+        scenes=(ScenePlan(name="office", episodes=5, seed=3), lab),
+        expert=ExpertName.PLANNER,
+        colors="off",
+        disjoint_instances=True,
+        budget=Budget(draws=3),
+        spawn=SpawnConfig(margin_m=0.07),
+    )
+
+
+@pytest.mark.parametrize("plan", [*BUILTIN_PLANS.values(), own_plan()], ids=lambda plan: plan.name)
+def test_a_plan_spelled_as_toml_is_read_back_as_the_same(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(spell_plan(plan))
+    assert load_plan(str(path)) == plan
+    assert load_plan(str(path)).digest == plan.digest

@@ -1,0 +1,160 @@
+"""Plan files: every mistake is named with its key; shrinking keeps proportions."""
+
+from __future__ import annotations
+
+import pytest
+
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.file import load_plan, shrink
+from schemas.errors import InvalidPlan, UsageError
+from schemas.terms import Split, Tier
+
+GOOD = """
+name = "mine"
+seed = 7
+[tiers]
+near = 0.5
+mid = 0.5
+[[scenes]]
+name = "office"
+episodes = 12
+[[scenes]]
+name = "my_lab"
+usd = "lab/world.usda"
+seen = ["chair"]
+held_out = ["plant"]
+episodes = 3
+"""
+
+
+def test_a_good_file_is_read_and_relative_scene_paths_start_at_the_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    plan = load_plan(str(path))
+    assert plan.tiers == {Tier.NEAR: 0.5, Tier.MID: 0.5}
+    assert plan.scenes[1].usd == str(tmp_path / "lab/world.usda")
+    assert plan.episodes == 15
+
+
+def test_an_unknown_plan_names_the_built_in_ones():
+    with pytest.raises(UsageError, match="demo, paper, balanced; did you mean 'paper'"):
+        load_plan("papper")
+
+
+@pytest.mark.parametrize(
+    ("reference", "said"),
+    [
+        ("mine.toml", r"no plan 'mine.toml': no such file \(the built-in plans are demo, paper, balanced\)$"),
+        ("plans/mine", "no plan 'plans/mine': no such file"),
+        ("demo.toml", "no such file .*; did you mean 'demo'"),
+        ("/", "that is a directory; give a TOML file"),
+    ],
+)
+def test_a_file_that_is_not_there_is_called_so(reference, said):
+    with pytest.raises(UsageError, match=said):
+        load_plan(reference)
+
+
+def test_a_misspelt_scene_is_told_the_nearest_of_the_plan():
+    with pytest.raises(UsageError, match=r"has no scene 'hospitl'; it has .*; did you mean 'hospital'"):
+        shrink(load_plan("demo"), scenes=["hospitl"])
+
+
+def test_every_mistake_is_named_with_its_key(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        'name = "bad"\nexpert = "wizard"\nspeed = 3\n[tiers]\nnear = 0.5\nnar = 0.5\n'
+        '[[scenes]]\nname = "offce"\nepisodes = 0\n[[scenes]]\nname = "office"\nepisodes = 2\nseen = ["cat"]\n'
+    )
+    with pytest.raises(InvalidPlan) as caught:
+        load_plan(str(path))
+    text = "\n".join(caught.value.findings)
+    for key in ("scenes[0].name", "scenes[0].episodes", "scenes[1].seen", "expert", "speed", "tiers.nar"):
+        assert f"{key}:" in text
+
+
+def test_shares_that_do_not_add_up_are_each_named(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('[tiers]\nnear = 0.5\n[splits]\ntrain_id = 0.7\n[[scenes]]\nname = "office"\nepisodes = 2\n')
+    with pytest.raises(InvalidPlan) as caught:
+        load_plan(str(path))
+    assert [text.split(":")[0] for text in caught.value.findings] == ["tiers", "splits"]
+
+
+def test_an_unknown_split_is_named(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text('[splits]\ntrain = 1.0\n[[scenes]]\nname = "office"\nepisodes = 2\n')
+    with pytest.raises(InvalidPlan, match=r"splits\.train"):
+        load_plan(str(path))
+
+
+def test_a_file_that_is_no_toml_says_so(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text("name = [")
+    with pytest.raises(InvalidPlan, match="is not valid TOML"):
+        load_plan(str(path))
+
+
+def test_a_scene_file_given_as_a_plan_is_told_what_a_plan_is(tmp_path):
+    path = tmp_path / "shop.glb"
+    path.write_bytes(b"glTF\x02\0\0\0\xff\xfe")
+    with pytest.raises(InvalidPlan, match="is not a plan; plans are TOML files"):
+        load_plan(str(path))
+
+
+def test_shrinking_keeps_the_proportions_of_the_scenes():
+    plan = shrink(BUILTIN_PLANS["paper"], episodes=117)
+    assert plan.episodes == 117
+    assert {scene.name: scene.episodes for scene in plan.scenes} == {
+        "office": 70,
+        "hospital": 5,
+        "full_warehouse": 35,
+        "warehouse_multiple_shelves": 7,
+    }
+
+
+def test_shrinking_to_an_unknown_scene_names_the_scenes_of_the_plan():
+    with pytest.raises(UsageError, match="office, hospital"):
+        shrink(BUILTIN_PLANS["demo"], scenes=["garage"])
+
+
+def test_two_plans_that_ask_for_the_same_have_one_digest():
+    demo = BUILTIN_PLANS["demo"]
+    assert demo.digest == shrink(demo, episodes=demo.episodes).digest
+    assert demo.digest != shrink(demo, seed=1).digest
+
+
+def test_rules_and_targets_of_a_scene_start_at_the_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD.replace("episodes = 12", 'episodes = 12\nrules = "r.yaml"\ntargets = "t.yaml"'))
+    office, lab = load_plan(str(path)).scenes
+    assert (office.rules, office.targets) == (str(tmp_path / "r.yaml"), str(tmp_path / "t.yaml"))
+    assert (lab.rules, lab.targets) == (None, None)
+
+
+def test_keys_of_a_scene_that_are_not_used_leave_the_digest_as_it_was(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    plan = load_plan(str(path))
+    assert not {"rules", "targets", "allow_outside"} & set(plan.model_dump()["scenes"][0])
+    other = plan.scenes[0].model_copy(update={"targets": "t.yaml"})
+    assert plan.model_copy(update={"scenes": (other, plan.scenes[1])}).digest != plan.digest
+
+
+def test_a_copy_with_other_values_has_a_digest_of_its_own() -> None:
+    plan = load_plan("demo")
+    before = plan.digest
+    other = plan.model_copy(update={"seed": plan.seed + 1})
+    assert other.digest != before
+    assert other.model_copy(update={"seed": plan.seed}).digest == before
+    one, same = (plan.model_copy(update={"tiers": {Tier.NEAR: share}}) for share in (1, 1.0))
+    assert one.digest == same.digest
+
+
+def test_shares_over_all_scenes_count_the_scenes_that_have_their_own() -> None:
+    plan = load_plan("demo")
+    first, *rest = plan.scenes
+    own = first.model_copy(update={"tiers": {Tier.FAR: 1.0}, "episodes": sum(scene.episodes for scene in rest)})
+    mixed = plan.model_copy(update={"scenes": (own, *rest)})
+    assert mixed.tier_share(Tier.FAR) == pytest.approx((1 + plan.tiers.get(Tier.FAR, 0)) / 2)
+    assert sum(map(mixed.split_share, Split)) == pytest.approx(1)

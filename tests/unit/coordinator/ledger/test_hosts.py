@@ -1,0 +1,259 @@
+"""Hosts that harm jobs: they pause, are barred and released; jobs are given up only when several hosts failed them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import timedelta
+from typing import Any
+
+import pytest
+from sqlalchemy import func, inspect, select
+
+from coordinator.ledger import hosts
+from coordinator.ledger.engine import open_reader
+from coordinator.ledger.opening import open_run
+from coordinator.ledger.reading.progress import read_progress
+from coordinator.ledger.tables import hosts as hosts_table
+from coordinator.ledger.tables import jobs
+from coordinator.protocol.protocol import Request, Terms, parse, serve
+from schemas.base import Model
+from schemas.terms import FailReason
+from schemas.wire import (
+    Ack,
+    AdminAction,
+    AdminReply,
+    AdminRequest,
+    Beat,
+    Claim,
+    ClaimReply,
+    Done,
+    Fail,
+    Hello,
+    HostStatus,
+    Lease,
+)
+from tests.builders.ledger import TTL_S, Desk, room_plan
+
+HARM = [reason for reason in FailReason if reason.is_of_the_worker]
+EPISODES = 20
+
+
+class Counter:
+    """Asks a ledger as hosts do, through all that the protocol checks, with a clock that the test turns."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self.terms = Terms(desk.plan, desk.catalog, "1", TTL_S, 0.1)
+
+    def ask(self, host: str, verb: str, message: Model) -> Any:
+        request = parse(verb, host, message.model_dump_json().encode())
+        assert isinstance(request, Request), request
+        with self.desk.open() as connection:
+            return serve(connection, request, self.terms, self.desk.now).reply
+
+    def hello(self, host: str) -> None:
+        self.ask(host, "hello", Hello(sid=f"{host}.1", host=host, slots=4, version="1"))
+
+    def claim(self, host: str) -> ClaimReply:
+        reply = self.ask(host, "claim", Claim(sid=f"{host}.1", token=self.desk.new_token()))
+        assert isinstance(reply, ClaimReply)
+        return reply
+
+    def fail(self, host: str, lease: Lease, reason: FailReason = FailReason.INVALID) -> None:
+        report = Fail(sid=f"{host}.1", lease=lease, reason=reason, detail="7 bytes")
+        assert self.ask(host, "fail", report) == Ack(accepted=True)
+
+    def succeed(self, host: str, lease: Lease) -> None:
+        assert self.ask(host, "done", Done(sid=f"{host}.1", lease=lease, sha256="c" * 64, size=1000)).accepted
+        assert self.desk.archive(lease)
+
+    def spoil(self, host: str, seconds: float, reason: FailReason = FailReason.INVALID) -> int:
+        """Lets a host fail whatever it is given for so long; returns how many jobs that were."""
+        end, spoilt = self.desk.now + timedelta(seconds=seconds), 0
+        while self.desk.now < end:
+            reply = self.claim(host)
+            if reply.lease is not None:
+                self.fail(host, reply.lease, reason)
+                spoilt += 1
+            self.desk.tick(max(0.01, reply.retry_after_s))
+        return spoilt
+
+    def troubled(self) -> tuple[HostStatus, ...]:
+        with self.desk.open() as connection:
+            return read_progress(connection, self.desk.now).hosts
+
+    def counts(self) -> dict[str, int]:
+        with self.desk.open() as connection:
+            return read_progress(connection, self.desk.now).jobs
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def counter(request: pytest.FixtureRequest) -> Iterator[Counter]:
+    is_server = request.param == "postgresql"
+    url = request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://"
+    desk = Desk(room_plan(EPISODES), url)
+    yield Counter(desk)
+    desk.engine.dispose()
+
+
+@pytest.mark.parametrize("reason", HARM)
+@pytest.mark.parametrize("has_neighbour", [False, True])
+def test_one_host_that_fails_everything_gives_up_no_job_and_is_barred(counter, reason, has_neighbour):
+    if has_neighbour:
+        counter.hello("good")
+    spoilt = counter.spoil("bad", 600, reason)
+    assert counter.counts()["failed"] == 0
+    assert spoilt <= hosts.STRIKES
+    (found,) = counter.troubled()
+    assert (found.host, found.strikes, found.reason) == ("bad", hosts.STRIKES, f"{reason}: 7 bytes")
+    assert found.barred_at is not None
+    counter.desk.tick(3600)
+    assert counter.claim("bad").job is None
+    assert counter.claim("good").job is not None
+
+
+def test_a_host_that_claims_all_jobs_before_it_fails_them_gives_up_none(counter):
+    for _ in range(5):
+        leases = []
+        while (reply := counter.claim("bad")).lease is not None:
+            leases.append(reply.lease)
+        for lease in leases:
+            counter.fail("bad", lease)
+        counter.desk.tick(120)
+    assert counter.counts()["failed"] == 0
+    assert counter.counts()["pending"] == EPISODES
+
+
+def test_a_host_pauses_longer_after_each_strike_and_then_has_one_job_at_a_time(counter):
+    pauses = []
+    for _ in range(3):
+        lease = counter.claim("bad").lease
+        counter.fail("bad", lease)
+        pauses.append(counter.claim("bad").retry_after_s)
+        counter.desk.tick(pauses[-1])
+    assert pauses == [1, 2, 4]
+    assert counter.claim("bad").job is not None
+    assert counter.claim("bad").job is None
+    assert counter.claim("good").job is not None
+
+
+def test_failures_of_jobs_that_were_given_out_before_a_pause_count_once(counter):
+    leases = [counter.claim("bad").lease for _ in range(10)]
+    for lease in leases:
+        counter.fail("bad", lease)
+    assert [host.strikes for host in counter.troubled()] == [1]
+
+
+def test_episodes_take_strikes_back(counter):
+    counter.spoil("shaky", 8)
+    before = counter.troubled()[0].strikes
+    while counter.troubled():
+        reply = counter.claim("shaky")
+        if reply.lease is None:
+            counter.desk.tick(reply.retry_after_s)
+        else:
+            counter.succeed("shaky", reply.lease)
+    assert before > 2
+    leases = [counter.claim("shaky").lease for _ in range(3)]
+    assert None not in leases
+
+
+def test_a_released_host_gets_jobs_again(counter):
+    counter.spoil("bad", 600)
+    request = AdminRequest(action=AdminAction.RELEASE, hosts=("bad", "unknown"))
+    reply = counter.ask("operator", "admin", request)
+    assert reply.hosts == ("bad",)
+    assert list(reply.refused_hosts) == ["unknown"]
+    assert counter.troubled() == ()
+    assert counter.claim("bad").job is not None
+    assert counter.ask("operator", "admin", AdminRequest(action=AdminAction.RELEASE)) == AdminReply(changed=())
+
+
+def test_a_job_that_fails_on_every_host_is_given_up(counter):
+    target = counter.claim("one")
+    counter.fail("one", target.lease)
+    others = [counter.claim("other").lease for _ in range(EPISODES - 1)]
+    assert None not in others
+    for host in ("two", "other"):
+        while (reply := counter.claim(host)).job is None:
+            counter.desk.tick(1)
+            counter.ask("other", "beat", Beat(sid="other.1", spool=tuple(others)))
+        assert reply.job.index == target.job.index
+        counter.fail(host, reply.lease)
+    assert counter.counts()["failed"] == 1
+
+
+def test_two_hosts_that_fail_everything_give_up_no_job_that_another_host_could_try(counter):
+    kept = tuple(counter.claim("good").lease for _ in range(EPISODES - 1))
+    for _ in range(400):
+        for host in ("hostile", "faulty"):
+            if (lease := counter.claim(host).lease) is not None:
+                counter.fail(host, lease)
+        counter.desk.tick(5)
+        counter.ask("good", "beat", Beat(sid="good.1", spool=kept))
+    with counter.desk.open() as connection:
+        crashes = connection.execute(select(func.max(jobs.c.crashes))).scalar_one()
+    assert crashes >= counter.desk.plan.budget.crashes
+    assert counter.counts()["failed"] == 0
+    assert [host.barred_at is not None for host in counter.troubled()] == [True, True]
+
+
+def test_a_job_that_fails_on_two_hosts_is_given_up_where_there_is_no_other(counter):
+    first, *others = [counter.claim("one").lease for _ in range(EPISODES)]
+    counter.fail("one", first)
+    for failures in (1, 2):
+        assert counter.counts()["failed"] == 0, failures
+        while (lease := counter.claim("two").lease) is None:
+            counter.desk.tick(1)
+            counter.ask("one", "beat", Beat(sid="one.1", spool=tuple(others)))
+        counter.fail("two", lease)
+    assert counter.counts()["failed"] == 1
+
+
+def test_a_job_that_fails_only_where_nobody_else_can_try_it_is_given_up_after_long(counter):
+    """The host brings every other episode, so that it is not at fault."""
+    begun, tries = counter.desk.now, 0
+    while counter.counts()["failed"] == 0:
+        reply = counter.claim("only")
+        if reply.job is None:
+            counter.desk.tick(reply.retry_after_s)
+        elif reply.job.index == 1:
+            tries += 1
+            counter.fail("only", reply.lease)
+        else:
+            counter.succeed("only", reply.lease)
+    assert tries > hosts.STRIKES
+    assert counter.desk.now - begun > timedelta(minutes=2)
+    assert counter.counts()["archived"] == EPISODES - 1
+    assert all(host.barred_at is None for host in counter.troubled())
+
+
+def test_a_host_that_holds_one_job_back_is_barred_where_others_could_try_it(counter):
+    counter.hello("good")
+    target = counter.claim("bad")
+    others = [counter.claim("good").lease for _ in range(EPISODES - 1)]
+    lease = target.lease
+    for _ in range(60):
+        if lease is not None:
+            counter.fail("bad", lease)
+        counter.desk.tick(5)
+        counter.ask("good", "beat", Beat(sid="good.1", spool=tuple(others)))
+        lease = counter.claim("bad").lease
+    assert counter.counts()["failed"] == 0
+    assert counter.troubled()[0].barred_at is not None
+
+
+def test_a_ledger_without_the_table_of_hosts_is_read_and_brought_up_to_date(tmp_path):
+    url = f"sqlite:///{tmp_path / 'ledger.db'}"
+    desk = Desk(room_plan(3), url)
+    with desk.open() as connection:
+        hosts_table.drop(connection)
+    reader = open_reader(url)
+    with reader.connect() as connection:
+        assert read_progress(connection, desk.now).hosts == ()
+    reader.dispose()
+    assert not open_run(desk.engine, desk.plan, desk.catalog, TTL_S, desk.now)
+    with desk.open() as connection:
+        assert inspect(connection).has_table("hosts")
+    assert Counter(desk).spoil("bad", 600) <= hosts.STRIKES
+    desk.engine.dispose()

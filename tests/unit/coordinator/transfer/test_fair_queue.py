@@ -1,0 +1,67 @@
+"""The queue in which owners take turns by the time they were served."""
+
+from __future__ import annotations
+
+import threading
+
+from coordinator.transfer.fair_queue import FairQueue
+
+
+def serve(queue: FairQueue[str], seconds: float) -> str:
+    taken = queue.take()
+    assert taken is not None
+    owner, item = taken
+    queue.give(owner, seconds)
+    return item
+
+
+def test_the_least_served_owner_is_next() -> None:
+    queue: FairQueue[str] = FairQueue()
+    for item in ("a1", "a2", "a3"):
+        queue.put("a", item)
+    assert serve(queue, 5) == "a1"
+    queue.put("b", "b1")
+    queue.put("b", "b2")
+    assert serve(queue, 5) == "a2"  # b was not there before, and has no credit
+    assert [serve(queue, 0.1) for _ in range(3)] == ["b1", "b2", "a3"]
+
+
+def test_items_of_one_owner_stay_in_order_and_an_unfinished_one_goes_first() -> None:
+    queue: FairQueue[str] = FairQueue()
+    queue.put("a", "a1")
+    queue.put("a", "a2")
+    owner, item = queue.take() or ("", "")
+    queue.give(owner, 1, item)
+    assert [serve(queue, 1), serve(queue, 1)] == ["a1", "a2"]
+
+
+def test_an_owner_has_a_second_item_under_way_only_while_nobody_else_waits() -> None:
+    queue: FairQueue[str] = FairQueue()
+    for item in ("a1", "a2", "a3"):
+        queue.put("a", item)
+    queue.put("b", "b1")
+    taken = [queue.take() for _ in range(3)]
+    assert [item for _, item in filter(None, taken)] == ["a1", "b1", "a2"]
+    assert queue.has_others("b")
+    assert not queue.has_others("a")
+    assert queue.sizes() == {"a": 3, "b": 1}
+
+
+def test_a_closed_queue_gives_back_what_waits_and_wakes_who_waits() -> None:
+    queue: FairQueue[str] = FairQueue()
+    ends: list[object] = []
+    waiting = threading.Thread(target=lambda: ends.append(queue.take()))
+    waiting.start()
+    assert queue.close() == []
+    waiting.join(10)
+    assert ends == [None]
+    queue.put("a", "a1")
+    assert queue.take() is None
+
+
+def test_an_owner_that_is_done_is_forgotten() -> None:
+    queue: FairQueue[str] = FairQueue()
+    for number in range(100):
+        queue.put(f"owner-{number}", "item")
+        serve(queue, 1)
+    assert queue.sizes() == {}

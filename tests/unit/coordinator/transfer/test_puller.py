@@ -1,0 +1,261 @@
+"""Bringing a bundle home: over the network, or from the disk on which the archive lies, too."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from coordinator.archive.opening import open_archive
+from coordinator.protocol.protocol import Pull
+from coordinator.settings import CoordinatorSettings
+from coordinator.transfer.puller import Nearby, Pullers, nothing_nearby
+from schemas.errors import TransientError
+from schemas.keys import Chunk
+from schemas.wire import Lease
+from tests.builders.bundle import job_for
+
+BUNDLE = b"0123456789" * 1000
+LEASE = Lease(job_id=1, fence=1, token="0" * 32)
+
+
+@dataclass
+class House:
+    """A ledger and a judge that agree with everything, and a worker that serves `BUNDLE`; all take notes."""
+
+    fetched: list[Chunk] = field(default_factory=list)
+    judged: list[bytes] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    done: threading.Event = field(default_factory=threading.Event)
+
+    def fetch(self, _sid: str, _lease: Lease, chunk: Chunk) -> bytes:
+        self.fetched.append(chunk)
+        return BUNDLE[chunk.offset : chunk.offset + chunk.length]
+
+    def check(self, path: Path, _job: Any, _target: Any = None) -> Any:
+        self.judged.append(path.read_bytes())
+        return SimpleNamespace(num_steps=1)
+
+    def keep(self, _pull: Pull, _seconds: float) -> bool:
+        return True
+
+    def is_owned(self, _index: int) -> bool:
+        return False
+
+    def own(self, _pull: Pull, _receipt: Any) -> bool:
+        return True
+
+    def refuse(self, _pull: Pull, detail: str) -> None:
+        self.refused.append(detail)
+        self.done.set()
+
+    def close(self) -> None:
+        pass
+
+
+@contextmanager
+def brought(root: Path, nearby: Nearby) -> Iterator[tuple[House, Path]]:
+    """Has one bundle brought, and gives what was noted and where it has to lie."""
+    house = House()
+    settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0)
+    sha256 = hashlib.sha256(BUNDLE).hexdigest()
+    with open_archive(root / "data") as archive:
+        with Pullers(archive, house, house.fetch, house, settings, house.done.set, nearby=nearby) as pullers:
+            target: Any = None
+            pullers.offer(Pull(LEASE, "worker", sha256, len(BUNDLE), job_for(7), target))
+            assert house.done.wait(10)
+        place = archive.path_of(7)
+        assert isinstance(place, Path)
+        assert list((root / "data" / ".staging").iterdir()) == []
+        yield house, place
+
+
+def spooled(root: Path, data: bytes) -> Path:
+    path = root / "spool.zip"
+    path.write_bytes(data)
+    return path
+
+
+def test_a_bundle_comes_over_the_network_in_parts(tmp_path: Path) -> None:
+    with brought(tmp_path, nothing_nearby) as (house, place):
+        assert place.read_bytes() == BUNDLE
+        assert [chunk.offset for chunk in house.fetched] == [0, 4096, 8192]
+
+
+def test_a_bundle_on_the_archives_disk_is_neither_fetched_nor_copied(tmp_path: Path) -> None:
+    path = spooled(tmp_path, BUNDLE)
+    with brought(tmp_path, lambda lease: path if lease == LEASE else None) as (house, place):
+        assert house.fetched == []
+        assert house.judged == [BUNDLE]
+        assert place.samefile(path)
+        path.unlink()
+        assert place.read_bytes() == BUNDLE
+
+
+def test_a_bundle_that_cannot_be_taken_is_fetched(tmp_path: Path) -> None:
+    for source in (tmp_path / "gone.zip", spooled(tmp_path, b"torn"), tmp_path / "gone" / "too.zip"):
+        root = tmp_path / source.stem
+        with brought(root, lambda _lease, source=source: source) as (house, place):  # type: ignore[misc]
+            assert place.read_bytes() == BUNDLE
+            assert len(house.fetched) == 3
+
+
+def test_a_bundle_on_the_archives_disk_must_be_the_one_announced(tmp_path: Path) -> None:
+    path = spooled(tmp_path, bytes(reversed(BUNDLE)))
+    with brought(tmp_path, lambda _lease: path) as (house, place):
+        assert not place.exists()
+        assert "arrived" in house.refused[0]
+        assert path.exists()
+
+
+def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: Path) -> None:
+    def vanished(_lease: Lease) -> Path:
+        raise FileNotFoundError("dropped meanwhile")
+
+    with brought(tmp_path, vanished) as (house, place):
+        assert place.read_bytes() == BUNDLE
+        assert len(house.fetched) == 3
+
+
+class Crowd(House):
+    """Workers of several hosts; those whose name begins with `slow` take their time for every chunk."""
+
+    def __init__(self, pause_s: float) -> None:
+        super().__init__()
+        self.pause_s = pause_s
+        self.owned: list[str] = []
+        self.changed = threading.Event()
+
+    def fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
+        if sid.startswith("slow"):
+            time.sleep(self.pause_s)
+        return super().fetch(sid, lease, chunk)
+
+    def own(self, pull: Pull, _receipt: Any) -> bool:
+        self.owned.append(pull.sid)
+        self.changed.set()
+        return True
+
+
+def pull_of(sid: str, index: int, data: bytes = BUNDLE) -> Pull:
+    target: Any = None
+    lease = LEASE.model_copy(update={"job_id": index})
+    return Pull(lease, sid, hashlib.sha256(data).hexdigest(), len(data), job_for(index), target)
+
+
+@pytest.mark.parametrize("slow_hosts", [1, 2, 10])
+def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_hosts: int) -> None:
+    crowd = Crowd(pause_s=0.3)
+    settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=0)
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+    ):
+        for number in range(3 * slow_hosts):
+            pullers.offer(pull_of(f"slow-{number % slow_hosts}.1", number + 10))
+        time.sleep(0.5)
+        pullers.offer(pull_of("quick.1", 7))
+        assert crowd.changed.wait(60)
+    assert crowd.owned[0] == "quick.1"
+    assert list((tmp_path / "data" / ".staging").iterdir()) == []
+
+
+def test_bundles_that_take_turns_arrive_whole(tmp_path: Path) -> None:
+    crowd = Crowd(pause_s=0.1)
+    settings = CoordinatorSettings(pullers=1, chunk_bytes=1024, reserve_bytes=0)
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+    ):
+        for number in range(4):
+            pullers.offer(pull_of(f"slow-{number}.1", number + 1))
+        while pullers.waiting:
+            time.sleep(0.05)
+    assert len(crowd.owned) == 4
+    assert crowd.judged == [BUNDLE] * 4
+    assert crowd.refused == []
+
+
+def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
+    crowd = Crowd(pause_s=0.05)
+    settings = CoordinatorSettings(
+        pullers=1, chunk_bytes=1024, reserve_bytes=0, slow_start_s=0.2, min_bytes_per_s=10_000_000
+    )
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
+    ):
+        pullers.offer(pull_of("slow-1.1", 1))
+        assert crowd.done.wait(30)
+    assert crowd.owned == []
+    assert "too slow" in crowd.refused[0]
+
+
+@pytest.mark.parametrize("size", [0, 1])
+def test_a_bundle_that_is_announced_again_and_again_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
+    house, asked = House(), threading.Event()
+
+    def fetch(_sid: str, _lease: Lease, chunk: Chunk) -> bytes:
+        if chunk.offset >= size * 1024:
+            asked.set()
+            raise TransientError("no answer in time")
+        return BUNDLE[: chunk.length]
+
+    settings = CoordinatorSettings(
+        pullers=1, chunk_bytes=1024, reserve_bytes=0, slow_start_s=0.2, min_bytes_per_s=10_000_000
+    )
+    pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
+    ):
+        for _ in range(600):  # as beats do
+            pullers.offer(pull)
+            if house.done.wait(0.05):
+                break
+    assert asked.is_set()
+    assert len(house.refused) == 1
+    assert f"not served: {size * 1024} of {len(BUNDLE)} bytes" in house.refused[0]
+
+
+def test_a_bundle_whose_transfers_fail_for_a_moment_is_brought(tmp_path: Path) -> None:
+    house, failures = House(), iter(range(3))
+
+    def fetch(sid: str, lease: Lease, chunk: Chunk) -> bytes:
+        if next(failures, None) is not None:
+            raise TransientError("no answer in time")
+        return house.fetch(sid, lease, chunk)
+
+    settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0, slow_start_s=0.0)
+    pull = Pull(LEASE, "worker", hashlib.sha256(BUNDLE).hexdigest(), len(BUNDLE), job_for(7), None)  # type: ignore[arg-type]
+    with (
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
+    ):
+        for _ in range(600):
+            pullers.offer(pull)
+            if house.done.wait(0.05):
+                break
+    assert house.refused == []
+    assert house.judged == [BUNDLE]
+
+
+def test_room_is_counted_for_bundles_that_are_under_way(tmp_path: Path) -> None:
+    crowd = Crowd(pause_s=0.1)
+    with open_archive(tmp_path / "data") as archive:
+        free = archive.free_bytes()
+        settings = CoordinatorSettings(pullers=2, chunk_bytes=1024, reserve_bytes=max(0, free - (1 << 30)))
+        with Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers:
+            for number in (1, 2):
+                pullers.offer(replace(pull_of(f"slow-{number}.1", number), size=(1 << 30) - (200 << 20)))
+            while pullers.waiting == 2:
+                time.sleep(0.02)
+            assert pullers.waiting == 1

@@ -1,0 +1,104 @@
+"""What a confined process can still do: real processes, real system calls."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from coordinator.validation.sandbox import RLIMITS, SECCOMP
+from coordinator.validation.validator import Validator
+from schemas.errors import InvalidBundle
+from tests.builders.bundle import job_for
+
+SCRIPT = """
+import ctypes, mmap, os, signal, socket, subprocess, sys, threading
+from pathlib import Path
+from coordinator.validation.sandbox import confine
+folder = Path(sys.argv[1])
+inherited = open(folder / "bundle", "rb")
+print(*confine(2 << 30), flush=True)
+try:
+    eval(sys.argv[2])
+except (OSError, RuntimeError, ValueError) as error:
+    print("refused:", error)
+else:
+    print("done")
+"""
+FORBIDDEN = {
+    "a network socket": "socket.socket()",
+    "a Unix socket": "socket.socket(socket.AF_UNIX)",
+    "a pair of sockets": "socket.socketpair()",
+    "reading a secret": "open(folder / 'secret').read()",
+    "reading a system file": "os.open('/etc/passwd', os.O_RDONLY)",
+    "listing a folder": "os.listdir(folder)",
+    "looking for a file": "os.stat(folder / 'secret')",
+    "writing a file": "os.open(folder / 'new', os.O_CREAT | os.O_WRONLY)",
+    "deleting a file": "os.unlink(folder / 'secret')",
+    "renaming a file": "os.rename(folder / 'secret', folder / 'other')",
+    "a link": "os.symlink('/etc', folder / 'etc')",
+    "permissions": "os.chmod(folder / 'secret', 0o777)",
+    "another program": "os.execv('/bin/true', ['true'])",
+    "a child process": "os.fork()",
+    "a program in a child": "subprocess.run(['/bin/true'])",
+    "a thread": "threading.Thread(target=print).start()",
+    "a signal": "os.kill(os.getppid(), signal.SIGTERM)",
+    "code in memory": "mmap.mmap(-1, 4096, prot=mmap.PROT_READ | mmap.PROT_EXEC)",
+    "another user": "os.setuid(1000)",
+    "more memory": "__import__('resource').setrlimit(__import__('resource').RLIMIT_AS, (-1, -1))",
+}
+ALLOWED = {"what it was handed": "inherited.read()", "memory": "bytearray(64 << 20)", "numbers": "hash('x')"}
+
+
+def outcome(folder: Path, action: str) -> tuple[list[str], str]:
+    """Returns what confines a fresh process, and what came of an action in it."""
+    (folder / "secret").write_text("token")
+    (folder / "bundle").write_bytes(b"frames")
+    words = [sys.executable, "-c", SCRIPT, str(folder), action]
+    run = subprocess.run(words, capture_output=True, text=True, timeout=60, cwd=Path(__file__).parents[4])
+    layers, _, said = run.stdout.partition("\n")
+    assert said, run.stderr
+    return layers.split(), said.strip()
+
+
+@pytest.mark.parametrize("what", FORBIDDEN)
+def test_a_confined_process_is_refused(what: str, tmp_path: Path) -> None:
+    layers, said = outcome(tmp_path, FORBIDDEN[what])
+    if SECCOMP not in layers:
+        pytest.skip("no seccomp here: pyseccomp, libseccomp2 or the kernel's filters are missing")
+    assert said.startswith("refused:"), said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bundle", "secret"]
+
+
+@pytest.mark.parametrize("what", ALLOWED)
+def test_a_confined_process_can_use(what: str, tmp_path: Path) -> None:
+    layers, said = outcome(tmp_path, ALLOWED[what])
+    assert RLIMITS in layers
+    assert said == "done"
+
+
+def test_without_the_library_limits_hold_and_the_log_says_what_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "pyseccomp.py").write_text("raise ImportError('not installed')")
+    (tmp_path / "ep_000001.zip").write_bytes(b"rubbish")
+    code = (
+        "from pathlib import Path; from coordinator.validation.validator import Validator\n"
+        "from tests.builders.bundle import job_for\n"
+        f"with Validator() as validator: validator.check(Path({str(tmp_path / 'ep_000001.zip')!r}), job_for())"
+    )
+    root = Path(__file__).parents[4]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(root)])}
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, cwd=root
+    )
+    assert "bundle refused" in run.stderr
+    assert "active=rlimits" in run.stdout.replace("'", "")
+    assert "libseccomp2" in run.stdout
+
+
+def test_a_pipe_in_the_place_of_a_bundle_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "ep_000001.zip")
+    with Validator() as validator, pytest.raises(InvalidBundle, match="not a regular file"):
+        validator.check(tmp_path / "ep_000001.zip", job_for())

@@ -1,0 +1,179 @@
+"""Every violation that validation promises to find, one at a time, on the smallest valid bundle."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from coordinator.validation.validate import validate
+from schemas.bundle import BundleReader
+from schemas.job import Job
+from schemas.terms import EndReason, Split, Tier
+from tests.builders.bundle import TARGET_ID, BundleParts, bundle_bytes, job_for, parts_for
+from tests.builders.dataset import chair
+
+Breaker = Callable[[BundleParts], BundleParts]
+
+
+def findings_of(parts: BundleParts, job: Job | None = None) -> str:
+    return "\n".join(validate(BundleReader(io.BytesIO(parts.write())), job, chair()))
+
+
+def with_pose(parts: BundleParts, row: slice | int, column: int, value: float, add: bool = False) -> BundleParts:
+    poses = parts.arrays.poses.copy()
+    poses[row, column] = poses[row, column] + value if add else value
+    return parts.with_arrays(poses=poses).measured()
+
+
+def with_actions(parts: BundleParts, row: slice | int, column: int, value: float) -> BundleParts:
+    actions = parts.arrays.actions_continuous.copy()
+    actions[row, column] = value
+    return parts.with_arrays(actions_continuous=actions)
+
+
+def with_image(parts: BundleParts, t: int, which: int, rows: slice, value: float) -> BundleParts:
+    frame = [image.copy() for image in parts.frames[t]]
+    frame[which][rows] = value
+    return parts.with_frame(t, tuple(frame))  # type: ignore[arg-type]
+
+
+def drive_sideways(parts: BundleParts) -> BundleParts:
+    poses = parts.arrays.poses.copy()
+    poses[:, 1], poses[:, 0] = poses[:, 0], 0.03
+    return parts.with_arrays(poses=poses).measured()
+
+
+def freeze_images(parts: BundleParts) -> BundleParts:
+    parts.frames[:] = [parts.frames[0]] * len(parts.frames)
+    return parts
+
+
+def freeze_colour(parts: BundleParts) -> BundleParts:
+    parts.frames[:] = [(parts.frames[0][0], depth, ids) for _, depth, ids in parts.frames]
+    return parts
+
+
+JOB = {
+    "another colour": (lambda p: p.with_job(colour="blue"), "job.colour: the bundle says 'blue'"),
+    "another attempt": (lambda p: p.with_job(attempt=2), "job.attempt: the bundle says 2, the ledger leased 1"),
+    "another scene": (lambda p: p.with_job(scene_sha256="c" * 64), "job.scene_sha256"),
+    "another target": (lambda p: p.with_job(target_id="chair_002"), "job.target_id"),
+    "another run": (lambda p: p.with_job(run="other-1"), "job.run"),
+}
+TABLES = {
+    "wrong id": (lambda p: p.with_meta(episode_id="ep_000009"), "episode_id 'ep_000009'"),
+    "wrong words": (lambda p: p.with_job(instruction="Fly."), "instruction 'Fly.', template train_01 gives"),
+    "no such template": (lambda p: p.with_job(template_id="train_99"), "template_id 'train_99' does not exist"),
+    "wrong pool": (lambda p: p.with_job(split=Split.TEST_PARAPHRASE_OOD), "does not belong to split"),
+    "colourless": (lambda p: p.with_job(template_id="train_06", colour="unknown"), "the colour is unknown"),
+    "unlisted target": (lambda p: p.with_meta(target_instance_id=99), "target_instance_id 99 is not in the instance"),
+    "doubled id": (lambda p: p.with_meta(instances=p.meta.instances * 2), "stands 2 times in the table"),
+    "wrong category": (lambda p: p.with_job(category="sofa"), "the target is a chair in the instance table"),
+    "wrong prim": (lambda p: p.with_meta(target_prim_path="/World/x"), "target_prim_path '/World/x'"),
+    "moved target": (lambda p: p.with_meta(target_centroid_m=(1.6, 0.01, 0.5)).measured(), "lies 0.010000 m from the"),
+}
+ROLLOUT = {
+    "length": (
+        lambda p: p.with_rollout(trajectory_length_m=0.03),
+        "trajectory_length_m 0.030000, the poses give 0.0225",
+    ),
+    "error": (lambda p: p.with_rollout(final_ne_m=0.5), "final_ne_m 0.500000"),
+    "3-d error": (lambda p: p.with_rollout(final_ne_3d_m=0.5), "final_ne_3d_m"),
+    "least error": (lambda p: p.with_rollout(min_ne_m=0.5), "min_ne_m"),
+    "start distance": (lambda p: p.with_rollout(spawn_dist_m=2.0), "spawn_dist_m"),
+    "start pose": (lambda p: p.with_rollout(spawn_pose=(0.1, 0.0, 0.0)), "spawn_pose lies 0.100000 m"),
+    "start heading": (lambda p: p.with_rollout(spawn_pose=(0.0, 0.0, 0.2)), "and 0.200000 rad from pose 0"),
+    "draws": (lambda p: p.with_rollout(spawn_draws=9), "spawn_draws 9, the job allows 8"),
+    "contacts": (lambda p: p.with_rollout(collision_count=13), "collision_count 13 in 12 steps"),
+    "visibility": (lambda p: p.with_rollout(steps_visible=3), "steps_visible 3, but 12 frames show"),
+    "tier": (lambda p: p.with_job(tier=Tier.MID), "spawn distance 1.600 m is outside tier mid"),
+    "no success": (lambda p: p.with_rollout(end_reason=EndReason.TIMEOUT), "only successes are archived"),
+    "far away": (lambda p: with_pose(p, slice(None), 0, -0.05, add=True), "no success: 1.6275 m from the target"),
+    "still rolling": (lambda p: with_pose(p, -1, 0, 0.001, add=True), "no success: 0.0600 m/s in the hold"),
+    "token": (lambda p: p.with_arrays(actions_tokens=np.zeros((12, 2), np.int16)), "is not the nearest grid point"),
+}
+MOTION = {
+    "teleport": (
+        lambda p: with_pose(p, slice(5, None), 0, 0.02, add=True),
+        "displacement in a step beyond the command",
+    ),
+    "backwards": (lambda p: with_pose(p, 4, 0, -0.02), "displacement backwards in a step"),
+    "sideways": (drive_sideways, "displacement sideways in a step"),
+    "turn": (lambda p: with_pose(p, slice(6, None), 6, 0.05), "turn in a step beyond the command"),
+    "no quaternion": (lambda p: with_pose(p, 3, 3, 0.9), "deviation of the quaternion's norm from 1: 0.1 at step 3"),
+    "flying": (lambda p: with_pose(p, 6, 2, 0.3), "height above the first frame: 0.3 m at step 6"),
+    "jump start": (lambda p: with_actions(p, 0, 0, 0.5), "speeding up: 30 m/s2 at step 0, limit 2.5"),
+    "emergency stop": (lambda p: with_actions(p, 7, 0, 0.0), "braking: 17.5 m/s2 at step 7, limit 8"),
+    "jerk": (lambda p: with_actions(p, 2, 1, 1.0), "change of the yaw rate: 60 rad/s2 at step 2"),
+}
+FRAMES = {
+    "frozen": (freeze_images, "depth_front is the same in frames 0 to 4"),
+    "frozen colour": (lambda _: freeze_colour(parts_for(steps=40)), "rgb_front is the same in frames 0 to 21"),
+    "strange id": (lambda p: with_image(p, 3, 2, slice(400, 401), 77), "frame 3: seg_front shows ids [77]"),
+    "strange id below others": (lambda p: with_image(p, 3, 2, slice(400, 401), 5), "seg_front shows ids [5]"),
+    "hollow": (lambda p: with_image(p, 3, 1, slice(400, 405), 0.0), "frame 3: depth and ids disagree"),
+    "too deep": (lambda p: with_image(p, 3, 1, slice(400, 405), 31.0), "frame 3: depth_front: maximum 31.0"),
+    "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: holds NaN"),
+    "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 frames"),
+}
+
+
+def test_smallest_bundle_has_no_findings() -> None:
+    assert findings_of(parts_for(), job_for()) == ""
+
+
+@pytest.mark.parametrize(("breaker", "text"), JOB.values(), ids=JOB)
+def test_bundle_of_another_job_is_refused(breaker: Breaker, text: str) -> None:
+    assert text in findings_of(breaker(parts_for()), job_for())
+
+
+@pytest.mark.parametrize(("breaker", "text"), TABLES.values(), ids=TABLES)
+def test_contradiction_in_the_metadata_is_found(breaker: Breaker, text: str) -> None:
+    assert text in findings_of(breaker(parts_for()))
+
+
+@pytest.mark.parametrize(("breaker", "text"), ROLLOUT.values(), ids=ROLLOUT)
+def test_false_statistics_are_found(breaker: Breaker, text: str) -> None:
+    assert text in findings_of(breaker(parts_for()))
+
+
+@pytest.mark.parametrize(("breaker", "text"), MOTION.values(), ids=MOTION)
+def test_impossible_motion_is_found(breaker: Breaker, text: str) -> None:
+    assert text in findings_of(breaker(parts_for()))
+
+
+@pytest.mark.parametrize(("breaker", "text"), FRAMES.values(), ids=FRAMES)
+def test_impossible_frames_are_found(breaker: Breaker, text: str) -> None:
+    assert text in findings_of(breaker(parts_for()))
+
+
+def test_all_violations_come_at_once() -> None:
+    broken = with_pose(parts_for().with_job(instruction="Fly."), 6, 2, 0.3).with_rollout(steps_visible=1)
+    found = findings_of(broken, job_for(2))
+    assert all(text in found for text in ("job.index", "'Fly.'", "height above", "steps_visible 1"))
+
+
+def test_many_bad_frames_are_counted_not_listed() -> None:
+    parts = parts_for()
+    for t in range(12):
+        for which in (1, 2):
+            parts = with_image(parts, t, which, slice(400, 405), 0.0 if which == 1 else 77)
+    found = validate(BundleReader(io.BytesIO(parts.write())))
+    assert any(text == "and 4 more findings about frames" for text in found)
+
+
+def test_progress_names_every_frame() -> None:
+    seen: list[int] = []
+    validate(BundleReader(io.BytesIO(bundle_bytes())), on_frame=seen.append)
+    assert seen == list(range(12))
+
+
+def test_held_robot_that_reports_contact_passes_the_laws_of_motion() -> None:
+    parts = parts_for()
+    poses = np.repeat(parts.arrays.poses[:1], 12, axis=0)
+    poses[:, 0] = 0.0225
+    held = parts.with_arrays(poses=poses).measured().with_rollout(collision_count=12)
+    assert findings_of(held) == ""

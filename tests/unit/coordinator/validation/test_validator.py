@@ -1,0 +1,95 @@
+"""The sandbox around validation: real children, real limits, hostile bundles."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from coordinator.validation.validator import Limits, Validator
+from schemas.errors import InvalidBundle, TransientError
+from tests.builders.bundle import bundle_bytes, job_for, parts_for
+from tests.builders.dataset import chair
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    path = tmp_path / "ep_000001.part"
+    path.write_bytes(bundle_bytes())
+    return path
+
+
+@pytest.fixture(scope="module")
+def validator() -> Iterator[Validator]:
+    with Validator() as opened:
+        yield opened
+
+
+def test_valid_bundle_gives_the_row_of_the_episode(validator: Validator, bundle: Path) -> None:
+    row = validator.check(bundle, job_for(), chair())
+    assert (row.episode_id, row.num_steps, row.file_bytes) == ("ep_000001", 12, bundle.stat().st_size)
+
+
+def test_all_violations_cross_the_pipe(validator: Validator, tmp_path: Path) -> None:
+    path = tmp_path / "x.part"
+    path.write_bytes(parts_for().with_rollout(steps_visible=3, final_ne_m=9.0).write())
+    with pytest.raises(InvalidBundle) as refused:
+        validator.check(path, job_for(2))
+    text = str(refused.value)
+    assert "job.index" in text
+    assert "steps_visible 3" in text
+    assert "final_ne_m 9" in text
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"\x00" * 5000, bundle_bytes()[:-100]])
+def test_rubbish_is_refused(validator: Validator, tmp_path: Path, damage: bytes) -> None:
+    path = tmp_path / "x.part"
+    path.write_bytes(damage)
+    with pytest.raises(InvalidBundle):
+        validator.check(path, job_for())
+
+
+def test_missing_file_is_refused(validator: Validator, tmp_path: Path) -> None:
+    with pytest.raises(InvalidBundle, match="cannot be read"):
+        validator.check(tmp_path / "nothing", job_for())
+
+
+def test_zip_bomb_is_refused(validator: Validator, tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as bomb:
+        bomb.writestr("meta.json", b"0" * (64 << 20))
+    path = tmp_path / "x.part"
+    path.write_bytes(buffer.getvalue())
+    with pytest.raises(InvalidBundle, match="is compressed by the zip"):
+        validator.check(path, job_for())
+
+
+def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> None:
+    with Validator(limits=Limits(wall_s=0.001)) as validator:
+        with pytest.raises(InvalidBundle, match="2 children died of it"):
+            validator.check(bundle, job_for())
+        with pytest.raises(InvalidBundle, match="validation crashed"):
+            validator.check(bundle, job_for())
+
+
+def test_child_that_cannot_start_is_the_machine_and_not_the_bundle(bundle: Path) -> None:
+    tight = Limits.model_construct(memory_bytes=1 << 20, cpu_s=10, wall_s=10.0)
+    with Validator(limits=tight) as validator, pytest.raises(TransientError, match="does not start"):
+        validator.check(bundle, job_for())
+
+
+def test_closed_validator_says_so(bundle: Path) -> None:
+    validator = Validator()
+    validator.close()
+    with pytest.raises(TransientError, match="closed"):
+        validator.check(bundle, job_for())
+
+
+def test_many_threads_share_the_children(bundle: Path) -> None:
+    with Validator(children=2) as validator, ThreadPoolExecutor(6) as pool:
+        rows = list(pool.map(lambda _: validator.check(bundle, job_for()), range(12)))
+    assert {row.episode_id for row in rows} == {"ep_000001"}

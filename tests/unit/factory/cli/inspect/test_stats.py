@@ -1,0 +1,324 @@
+"""The tables of a dataset: what goes into which group, beside the paper, and in the face of damage."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from coordinator.archive.opening import open_archive
+from coordinator.expansion.builtin import BUILTIN_PLANS
+from coordinator.expansion.file import shrink
+from coordinator.tables.write import write_tables
+from factory.cli.inspect.stats import command
+from factory.stats import Statistics, compute_statistics, measure_dataset
+from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.failed_attempt import FailedAttempt
+from schemas.language import TEMPLATES
+from schemas.plan import ScenePlan
+from schemas.terms import ExpertName, Split, Tier
+from tests.builders.dataset import NOW, failure, make_dataset
+from tests.builders.plan import small_plan
+from tests.builders.statistics import episode_row, rows_of, two_scenes
+
+
+def measure(*args: Any, **more: Any) -> Statistics:
+    return compute_statistics("data", rows_of(*args, **more), compare_paper=True)
+
+
+def failed(reason: str, attempt: int = 1, **changes: Any) -> FailedAttempt:
+    return failure(1, attempt).model_copy(update={"reason": reason, **changes})
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A dataset that the test may damage: three episodes, one failed attempt."""
+    make_dataset(tmp_path / "data", 3)
+    return tmp_path / "data"
+
+
+def row_of(rows: Any, group: str) -> Any:
+    (found,) = [row for row in rows if row.group == group]
+    return found
+
+
+def test_rollouts_are_grouped_by_scene_split_and_tier() -> None:
+    found = measure(
+        [
+            episode_row(1, num_steps=100, trajectory_length_m=1.0, final_ne_m=0.96),
+            episode_row(2, num_steps=200, trajectory_length_m=2.0, final_ne_m=0.98),
+            episode_row(3, num_steps=600, trajectory_length_m=6.0, final_ne_m=0.97, scene="hospital"),
+        ]
+    )
+    office, everything = row_of(found.scenes, "office"), row_of(found.scenes, "all")
+    assert (office.n, office.steps_mean, office.tl_mean_m, office.ne_mean_m) == (2, 150, 1.5, pytest.approx(0.97))
+    assert (everything.n, everything.steps_mean, everything.steps_median) == (3, 300, 200)
+    assert (everything.tl_mean_m, everything.tl_median_m) == (3.0, 2.0)
+    assert row_of(found.splits, "train_id").n == row_of(found.tiers, "near").n == 3
+    assert row_of(found.splits, "test_id").ne_mean_m is None
+    assert row_of(found.scene_tiers, "hospital / near").n == 1
+
+
+def test_the_papers_values_stand_beside_ours() -> None:
+    found = measure([episode_row()])
+    near = row_of(found.tiers, "near")
+    assert (near.paper.steps_mean, near.share, near.paper.share) == (128.5, 1.0, 0.545)
+    assert row_of(found.splits, "test_id").paper.n == 121
+    assert row_of(found.scenes, "all").paper.steps_median == 177
+
+
+def test_categories_are_counted_most_frequent_first() -> None:
+    found = measure([episode_row(1), episode_row(2), episode_row(3, target_category="sofa")])
+    assert [(row.group, row.n) for row in found.categories[:2]] == [("chair", 2), ("sofa", 1)]
+    assert row_of(found.categories, "whiteboard").kind == "held out"
+    assert row_of(found.categories, "monitor").paper.n == 339
+    assert found.three_largest_share == 1.0
+
+
+def test_every_template_has_a_row_and_colour_ones_the_papers_zero() -> None:
+    found = measure([episode_row(1, template_id="train_06")])
+    assert [row.group for row in found.templates] == list(TEMPLATES)
+    row = row_of(found.templates, "train_06")
+    assert (row.n, row.kind, row.paper.n) == (1, "train, colour", 0)
+
+
+def test_only_attempts_that_the_world_decided_count() -> None:
+    failures = [failed("collision"), failed("timeout", 2), failed("crash", 3), failed("expired", 3)]
+    found = measure([episode_row(1, attempt=3), episode_row(2)], failures)
+    office = row_of(found.attempts, "office")
+    assert (office.attempts, office.success.count, office.success.share) == (4, 2, 0.5)
+    assert (office.collision.share, office.timeout.share) == (0.25, 0.25)
+    assert office.reasons == {"collision": 1, "crash": 1, "expired": 1, "timeout": 1}
+    assert (office.first.count, office.first.of) == (1, 2)
+    assert office.paper.rate == (0.8, 0.9)
+
+
+def test_attempts_are_told_by_tier_and_by_scene_and_tier() -> None:
+    failures = [failed("spawn", spawn_tier=Tier.FAR), failed("no_path", scene="hospital", spawn_tier=Tier.FAR)]
+    found = measure([episode_row(1)], failures)
+    assert row_of(found.attempts, "far").attempts == 2
+    assert row_of(found.attempts, "hospital / far").reasons == {"no_path": 1}
+    assert row_of(found.attempts, "office / near").success.share == 1.0
+    assert row_of(found.attempts, "all").attempts == 3
+
+
+def test_cells_show_quota_episodes_and_attempts() -> None:
+    found = measure([episode_row(1)], [failed("collision")], two_scenes(10))
+    (cell,) = [row for row in found.cells if (row.scene, row.split, row.tier) == ("office", "train_id", "near")]
+    assert (cell.archived, cell.attempts) == (1, 2)
+    assert sum(row.planned for row in found.cells) == 20
+
+
+def test_navigation_errors_have_quantiles_and_a_share_within_the_radius() -> None:
+    episodes = [episode_row(n, final_ne_m=value) for n, value in enumerate((0.9, 1.0, 1.1), 1)]
+    row = row_of(measure(episodes).navigation_error, "all")
+    assert (row.quantiles["p00"], row.quantiles["p50"], row.quantiles["p100"]) == (0.9, 1.0, 1.1)
+    assert (row.within_radius.count, row.within_radius.of) == (2, 3)
+    assert row.std == pytest.approx(0.1)
+
+
+def test_correlation_is_told_for_all_scenes_and_tiers() -> None:
+    episodes = [episode_row(n, spawn_dist_m=2.0 + n, trajectory_length_m=1.0 + n) for n in range(1, 5)]
+    found = measure(episodes)
+    assert [fit.group for fit in found.correlation] == ["all", "office", "hospital", "near", "mid", "far"]
+    assert row_of(found.correlation, "all").slope == pytest.approx(1.0)
+    assert "has 0" in row_of(found.correlation, "hospital").remark
+
+
+def test_overlap_counts_instances_that_training_names_too() -> None:
+    test = {"split": Split.TEST_ID}
+    found = measure(
+        [
+            episode_row(1, target_id="chair_001"),
+            episode_row(2, target_id="chair_001", **test),
+            episode_row(3, target_id="chair_001", **test),
+            episode_row(4, target_id="chair_002", **test),
+            episode_row(5, target_id="chair_001", scene="hospital", **test),
+        ]
+    )
+    (office,) = [row for row in found.overlap if (row.scene, row.split) == ("office", "test_id")]
+    assert (office.targets, office.shared, office.share) == (2, 1, 0.5)
+    assert (office.episodes, office.episodes_on_shared) == (3, 2)
+    (everything,) = [row for row in found.overlap if (row.scene, row.split) == ("all", "test_id")]
+    assert (everything.targets, everything.shared) == (3, 1)  # the hospital's chair is another one
+
+
+def test_an_empty_dataset_has_every_table_and_no_mean() -> None:
+    found = measure([], [])
+    assert row_of(found.scenes, "all").n == 0
+    assert row_of(found.scenes, "all").tl_mean_m is None
+    assert found.three_largest_share is None
+    assert row_of(found.attempts, "all").success.share is None
+
+
+def test_a_sound_dataset_leaves_nothing_out(own: Path) -> None:
+    found = measure_dataset(own)
+    assert found.remarks == ()
+    assert (found.episodes, found.planned, found.complete) == (3, 3, True)
+    assert row_of(found.attempts or (), "office").reasons == {"timeout": 1}
+
+
+def test_a_partial_dataset_says_how_much_is_there(tmp_path: Path) -> None:
+    make_dataset(tmp_path / "data", 2, planned=5)
+    found = measure_dataset(tmp_path / "data")
+    assert found.is_sound
+    assert [remark.text for remark in found.remarks] == ["the run is not finished: 2 of 5 planned episodes"]
+
+
+def test_a_dataset_without_an_episode_says_so(tmp_path: Path) -> None:
+    with open_archive(tmp_path / "data") as archive:
+        write_tables(archive, small_plan(3), {}, [], [], NOW)
+    found = measure_dataset(tmp_path / "data")
+    assert found.is_sound
+    assert found.remarks[-1].text == "no episodes; every mean is left out"
+
+
+def test_missing_episodes_are_left_out_and_named(own: Path) -> None:
+    (own / "episodes" / "ep_000002.zip").unlink()
+    found = measure_dataset(own)
+    assert (found.episodes, found.is_sound) == (2, False)
+    assert "1 episodes left out whose file is not there: ep_000002" in found.remarks[0].text
+
+
+def test_truncated_episodes_are_left_out_and_named(own: Path) -> None:
+    path = own / "episodes" / "ep_000003.zip"
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[:1000])
+    found = measure_dataset(own)
+    assert (found.episodes, found.is_sound) == (2, False)
+    assert f"whose file has another size: ep_000003 (1000 bytes, recorded {size})" in found.remarks[0].text
+
+
+def test_cells_that_differ_from_the_plan_are_named(own: Path) -> None:
+    (own / "episodes" / "ep_000002.zip").unlink()
+    texts = [remark.text for remark in measure_dataset(own).remarks]
+    assert "1 cells differ from the plan: office / train_id / near has 2 of 3" in texts
+
+
+def describe(root: Path, **changes: object) -> None:
+    path = root / "dataset_meta.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def resplit(root: Path, splits: list[str]) -> None:
+    table = pq.read_table(root / "metadata.parquet")
+    rows = [row | {"split": split} for row, split in zip(table.to_pylist(), splits, strict=True)]
+    pq.write_table(type(table).from_pylist(rows, schema=table.schema), root / "metadata.parquet")
+
+
+def test_an_instance_on_both_sides_against_the_promise_is_damage(own: Path) -> None:
+    resplit(own, ["train_id", "test_id", "test_id"])
+    describe(own, shared_instances={"office": []})
+    found = measure_dataset(own)
+    assert not found.is_sound
+    assert "1 instances in training and evaluation against the plan: office chair_001" in found.remarks[-1].text
+
+
+def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
+    describe(own, shared_instances={"office": ["chair"]})
+    found = measure_dataset(own)
+    assert found.is_sound
+    assert [remark.text for remark in found.remarks] == [
+        "office has too few of chair to keep training and evaluation apart"
+    ]
+
+
+def test_wrong_rows_are_left_out_and_named(own: Path) -> None:
+    table = pq.read_table(own / "metadata.parquet")
+    values = table.to_pylist()
+    values[1] |= {"final_ne_m": float("nan"), "spawn_tier": "moon"}
+    pq.write_table(type(table).from_pylist(values, schema=table.schema), own / "metadata.parquet")
+    found = measure_dataset(own)
+    assert found.episodes == 2
+    assert "row 2 (ep_000002) has wrong values in final_ne_m, spawn_tier" in found.remarks[0].text
+
+
+def test_rows_that_stand_twice_are_left_out(own: Path) -> None:
+    table = pq.read_table(own / "metadata.parquet")
+    pq.write_table(type(table).from_pylist([*table.to_pylist()] * 2, schema=table.schema), own / "metadata.parquet")
+    found = measure_dataset(own)
+    assert (found.episodes, found.is_sound) == (3, False)
+
+
+@pytest.mark.parametrize("damage", ["gone", "rubbish"])
+def test_without_a_record_of_attempts_the_rest_is_told(own: Path, damage: str) -> None:
+    path = own / "attempts.parquet"
+    path.unlink() if damage == "gone" else path.write_bytes(b"rubbish")
+    found = measure_dataset(own)
+    assert found.attempts is None
+    assert (found.episodes, found.is_sound) == (3, False)
+    assert "attempts are left out" in found.remarks[0].text
+    assert all(cell.attempts is None for cell in found.cells)
+
+
+def test_a_destroyed_table_of_episodes_is_refused_with_the_remedy(own: Path) -> None:
+    (own / "metadata.parquet").write_bytes(b"rubbish")
+    with pytest.raises(ArchiveCorrupt, match="resumed run writes it anew"):
+        measure_dataset(own)
+
+
+def test_a_directory_without_a_dataset_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="holds no dataset"):
+        measure_dataset(tmp_path)
+
+
+def test_command_prints_every_table_beside_the_paper(own: Path) -> None:
+    done = CliRunner().invoke(command, [str(own), "--compare-paper"], standalone_mode=False)
+    assert (done.exception, done.return_value) == (None, 0)
+    for words in ("paper steps", "also in train_id", "first attempts", "slope m/m", "train_18", "80-90 %"):
+        assert words in done.stdout
+
+
+@pytest.mark.parametrize("options", [[], ["--no-compare-paper"]])
+def test_command_prints_the_tables_of_another_plan_without_the_paper(own: Path, options: list[str]) -> None:
+    done = CliRunner().invoke(command, [str(own), *options], standalone_mode=False)
+    assert (done.exception, done.return_value) == (None, 0)
+    for words in ("also in train_id", "first attempts", "slope m/m", "train_18", "three largest categories"):
+        assert words in done.stdout
+    assert "paper" not in done.stdout
+
+
+def test_only_the_plan_paper_and_its_parts_are_compared_by_default() -> None:
+    paper = BUILTIN_PLANS["paper"]
+    parts = [
+        paper,
+        shrink(paper, episodes=60),
+        shrink(paper, scenes=("office",), episodes=2),
+        shrink(paper, expert=ExpertName.PLANNER, seed=3),
+    ]
+    lab = ScenePlan(name="lab", usd="lab.usda", seen=("chair",), held_out=("plant",), episodes=3)
+    others = [
+        BUILTIN_PLANS["demo"],
+        BUILTIN_PLANS["balanced"],
+        two_scenes(),
+        paper.model_copy(update={"scenes": (*paper.scenes, lab)}),
+        paper.model_copy(update={"scenes": (paper.scenes[0].model_copy(update={"seed": 4}),)}),
+        paper.model_copy(update={"tiers": {Tier.NEAR: 1.0}}),
+        paper.model_copy(update={"splits": {Split.TRAIN_ID: 1.0}}),
+        paper.model_copy(update={"name": "mine"}),
+    ]
+    for plan in (*parts, *others):
+        rows = rows_of([episode_row(1)], [failed("collision")], plan)
+        found = compute_statistics("data", rows)
+        published = [row.paper for row in (*found.scenes, *found.tiers, *found.templates, *(found.attempts or ()))]
+        assert found.beside_paper is (plan in parts), plan.name
+        assert any(published) is found.beside_paper
+        assert compute_statistics("data", rows, compare_paper=False).beside_paper is False
+        assert compute_statistics("data", rows, compare_paper=True).beside_paper is True
+
+
+def test_command_prints_json_that_reads_back(own: Path) -> None:
+    done = CliRunner().invoke(command, [str(own), "--json"], standalone_mode=False)
+    found = Statistics.model_validate(json.loads(done.stdout))
+    assert found == measure_dataset(own)
+
+
+def test_command_ends_with_one_on_damage_and_says_what_is_left_out(own: Path) -> None:
+    (own / "episodes" / "ep_000003.zip").unlink()
+    done = CliRunner().invoke(command, [str(own)], standalone_mode=False)
+    assert done.return_value == 1
+    assert "damage: episodes: 1 episodes left out" in done.stderr

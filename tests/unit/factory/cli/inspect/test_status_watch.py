@@ -1,0 +1,88 @@
+"""Watching a run: a coordinator that is away for a moment is asked again, one that stays away ends the watch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+
+import pytest
+
+from coordinator.expansion.file import load_plan
+from factory.cli.common.output import stdout
+from factory.cli.inspect.status import draw_progress, watch_progress
+from factory.cli.run.run import _RunBar
+from schemas.errors import TransientError
+from schemas.wire import Progress, WorkerStatus
+
+
+def progress(archived: int) -> Progress:
+    return Progress(
+        run="demo-1",
+        planned=3,
+        jobs={"archived": archived, "pending": 3 - archived},
+        by_scene={},
+        by_tier={},
+        by_split={},
+        redrawn=0,
+        attempts={},
+        workers=(),
+        episodes_per_hour=None,
+        eta_s=None,
+        finished=archived == 3,
+    )
+
+
+def telling(answers: Iterable[int | None]) -> Callable[[], Progress]:
+    """Returns a source that gives each answer in turn; `None` is silence."""
+    left = iter(answers)
+
+    def source() -> Progress:
+        answer = next(left)
+        if answer is None:
+            raise TransientError("nobody answers")
+        return progress(answer)
+
+    return source
+
+
+def test_jobs_given_back_are_no_failed_attempts(capsys: pytest.CaptureFixture[str]) -> None:
+    tried = progress(1).model_copy(update={"attempts": {"success": 1, "released": 2, "timeout": 3}})
+    stdout.print(draw_progress(tried))
+    assert "failed attempts: 3 timeout; given back: 2; redrawn: 0" in capsys.readouterr().out
+    assert (tried.failures, tried.given_back) == ({"timeout": 3}, 2)
+    assert tried.model_dump()["attempts"] == {"success": 1, "released": 2, "timeout": 3}
+
+
+def test_the_bar_of_a_run_counts_no_job_that_was_given_back() -> None:
+    bar = _RunBar(load_plan("demo"))
+    bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))
+    assert bar.tasks[0].fields["note"].endswith("0 failed attempts")
+
+
+@pytest.mark.parametrize(("archived", "state"), [(1, "alive"), (3, "left")])
+def test_workers_of_a_finished_run_have_left(capsys: pytest.CaptureFixture[str], archived: int, state: str) -> None:
+    beat = datetime(2026, 1, 1, tzinfo=UTC)
+    worker = WorkerStatus(sid="host.1", host="host", slots=1, leased=0, archived=1, last_beat=beat, alive=True)
+    stdout.print(draw_progress(progress(archived).model_copy(update={"workers": (worker,)})))
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "host.1" in line]
+    assert line.split()[-1] == state
+
+
+def test_a_watch_outlives_a_restart(capsys: pytest.CaptureFixture[str]) -> None:
+    watch_progress(telling([1, None, None, 2, None, 3]), pause_s=0.001)
+    assert "3 of 3 episodes archived" in capsys.readouterr().out
+
+
+def test_a_watch_ends_with_the_error_when_the_silence_lasts() -> None:
+    def always_silent() -> Iterable[int | None]:
+        yield 1
+        while True:
+            yield None
+
+    with pytest.raises(TransientError, match="nobody answers"):
+        watch_progress(telling(always_silent()), pause_s=0.001, patience_s=0.05)
+
+
+def test_who_never_answered_is_not_waited_for() -> None:
+    with pytest.raises(TransientError, match="nobody answers"):
+        watch_progress(telling([None, 3]), pause_s=0.001)

@@ -1,0 +1,97 @@
+"""All verbs at once: every option explains itself, every result can be had as JSON, the shell completes what it can."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import click
+import pytest
+from click.shell_completion import ShellComplete
+
+from factory.cli.main import cli, main
+from factory.support.settings import scene_cache
+from schemas.errors import UsageError
+
+SERVERS = {"factory coordinator start", "factory gateway start", "factory worker"}
+"""Run until they are stopped, and print where others connect."""
+
+
+def verbs(command: click.Command = cli, path: str = "factory") -> Iterator[tuple[str, click.Command]]:
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None
+            yield from verbs(found, f"{path} {name}")
+    if not isinstance(command, click.Group) or command.invoke_without_command:
+        yield path, command
+
+
+def complete(*words: str) -> list[tuple[str, str]]:
+    shell = ShellComplete(cli, {}, "factory", "_FACTORY_COMPLETE")
+    return [(item.type, item.value) for item in shell.get_completions(list(words[:-1]), words[-1])]
+
+
+def test_every_option_of_every_verb_says_what_it_is_for() -> None:
+    silent = [
+        f"{path} {parameter.opts[0]}"
+        for path, verb in verbs()
+        for parameter in verb.params
+        if isinstance(parameter, click.Option) and not (parameter.help or parameter.hidden)
+    ]
+    assert silent == []
+
+
+def test_every_verb_that_prints_a_result_prints_it_as_json_too() -> None:
+    without = {path for path, verb in verbs() if "as_json" not in {parameter.name for parameter in verb.params}}
+    assert without == SERVERS | {"factory completion"}
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("status", "da"), [("dir", "da")]),
+        (("verify", "da"), [("dir", "da")]),
+        (("eval", "--data", "da"), [("dir", "da")]),
+        (("run", "pa"), [("plain", "paper")]),
+        (("run", "my_"), [("file", "my_")]),
+        (("scene", "inspect", "hos"), [("plain", "hospital")]),
+        (("scene", "inspect", "my_"), [("file", "my_")]),
+        (("export", "dataset", "--to", "gn"), [("plain", "gnm")]),
+    ],
+)
+def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, ...], found: list[object]) -> None:
+    assert complete(*words) == found
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("lerobt", "no format 'lerobt'; there are paper, .*; did you mean 'lerobot'"),
+        ("rlds", "TFDS builds it .*docs/formats/rlds/README.md"),
+    ],
+)
+def test_a_format_that_is_not_written_is_told_what_is_near_or_where_it_is_made(name: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        cli.main(["export", ".", "--to", name, "-o", "nowhere"], standalone_mode=False)
+
+
+@pytest.mark.parametrize("stroke", [KeyboardInterrupt, click.exceptions.Abort])
+def test_ctrl_c_anywhere_says_how_to_go_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stroke: type[BaseException]
+) -> None:
+    def interrupted(**_: object) -> None:
+        raise stroke
+
+    monkeypatch.setattr(cli, "main", interrupted)
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 130
+    assert "run the same command again to go on" in capsys.readouterr().err
+
+
+def test_the_shell_completes_the_names_of_imported_scenes() -> None:
+    folder = scene_cache()
+    folder.mkdir(parents=True)
+    (folder / "home_lab-0123456789ab.scene.zip").write_bytes(b"")
+    assert complete("scene", "survey", "ho") == [("plain", "hospital"), ("plain", "home_lab")]

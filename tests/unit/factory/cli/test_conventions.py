@@ -1,0 +1,277 @@
+"""One convention for each concept of the command line, and the former spellings, walked over all commands."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+from factory.cli.main import cli, main
+from factory.cli.verbs import VERBS
+
+LINE = 80
+SYNONYMS = {
+    "--output": "-o/--out",
+    "--save": "-o/--out",
+    "--cache": "-o/--out",
+    "--data": "DIR as an argument",
+    "--dataset": "DIR as an argument",
+    "--processes": "--workers",
+    "--threads": "--workers",
+    "--resume": "nothing: a verb that can continue continues",
+    "--overwrite": "--force",
+    "--yes": "--force",
+    "--splits": "--split",
+    "--scenes": "--scene",
+    "--tiers": "--tier",
+    "--wait": "--...-timeout",
+    "--quiet": "--verbose",
+    "--random-seed": "--seed",
+}
+"""Spelling that no visible option may have, and the convention."""
+DIFFERENT = {
+    ("factory gate", "--scene"): "measures one scene",
+    ("factory train bc", "--split"): "learns from one split",
+    ("factory keys ca", "--name"): "has a default",
+    ("factory repair", "--plan"): "an addition to the dataset it works on",
+}
+"""Options that take another kind of value than others of their name, and why."""
+FORMER = {
+    ("factory eval run", "--data"),
+    ("factory train bc", "--data"),
+    ("factory train bc", "--resume"),
+    ("factory view", "--save"),
+    ("factory worker", "--workers"),
+    ("factory worker", "--wait"),
+    ("factory export", "--episodes"),
+    ("factory gate", "--plan"),
+    ("factory bench rollout", "--plan"),
+    ("factory scene build", "--cache"),
+    ("factory scene import", "--cache"),
+}
+"""Spellings that are still accepted."""
+IMPORTED = "import sys; from factory.cli.main import cli, main\n{body}\nprint(*sorted(sys.modules), file=sys.stderr)"
+
+
+def commands(command: click.Command = cli, path: str = "factory") -> Iterator[tuple[str, click.Command]]:
+    yield path, command
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None
+            yield from commands(found, f"{path} {name}")
+
+
+def options(hidden: bool = False) -> Iterator[tuple[str, click.Option]]:
+    for path, command in commands():
+        for parameter in command.params:
+            if isinstance(parameter, click.Option) and parameter.hidden == hidden:
+                yield path, parameter
+
+
+def shown(command: click.Command, path: str) -> str:
+    context = click.Context(command, info_name=path, max_content_width=LINE, terminal_width=LINE)
+    return command.get_help(context)
+
+
+def test_the_table_of_verbs_says_what_each_command_says_of_itself() -> None:
+    said = {
+        name: command.help for name, command in ((n, cli.get_command(click.Context(cli), n)) for n in VERBS) if command
+    }
+    assert {name: (text or "").split("\n\n")[0] for name, text in said.items()} == {
+        name: verb.summary for name, verb in VERBS.items()
+    }
+
+
+@pytest.mark.parametrize(("path", "command"), [found for found in commands() if isinstance(found[1], click.Group)])
+def test_every_command_is_listed_with_its_whole_summary_on_one_line(path: str, command: click.Group) -> None:
+    lines = [line.split(maxsplit=1) for line in shown(command, path).splitlines() if line.startswith("  ")]
+    context = click.Context(command)
+    for name in command.list_commands(context):
+        found = command.get_command(context, name)
+        assert found is not None
+        summary = " ".join((found.help or "").split("\n\n")[0].split())
+        assert summary.endswith(".")
+        if not found.hidden:
+            assert [name, summary] in lines
+
+
+def test_no_line_of_any_help_is_wider_than_80_columns() -> None:
+    wide = [
+        (path, line) for path, command in commands() for line in shown(command, path).splitlines() if len(line) > LINE
+    ]
+    assert wide == []
+
+
+def test_every_option_is_explained_in_a_sentence() -> None:
+    texts = {f"{path} {option.opts[-1]}": (option.help or "").split(" [")[0] for path, option in options()}
+    bad = {name for name, text in texts.items() if not text.endswith(".") or not (text[:1].isupper() or ":" in text)}
+    assert bad == {f"{path} --renderer" for path, option in options() if "--renderer" in option.opts} & bad
+    assert len(texts) > 120
+
+
+def test_every_option_that_takes_a_value_names_it() -> None:
+    silent = {
+        f"{path} {option.opts[-1]}"
+        for path, option in options()
+        if not option.is_flag and option.metavar is None and not isinstance(option.type, click.Choice)
+    }
+    assert silent == set()
+
+
+def test_no_option_has_a_spelling_beside_the_convention() -> None:
+    assert {(path, name) for path, option in options() for name in option.opts if name in SYNONYMS} == set()
+
+
+def test_an_output_is_named_by_o_and_out_everywhere() -> None:
+    spelt = {(path, tuple(option.opts)) for path, option in options() if {"-o", "--out"} & set(option.opts)}
+    assert len(spelt) > 12
+    assert {names for _, names in spelt} == {("-o", "--out")}
+
+
+def test_a_name_means_the_same_in_every_command() -> None:
+    kinds: dict[str, dict[tuple[object, ...], list[str]]] = defaultdict(lambda: defaultdict(list))
+    for path, option in options():
+        name = option.opts[-1]
+        if (path, name) not in DIFFERENT:
+            metavar = option.metavar if name != "--out" else None
+            kinds[name][option.is_flag, option.multiple, metavar, tuple(option.opts)].append(path)
+    assert {name: dict(found) for name, found in kinds.items() if len(found) > 1} == {}
+
+
+def test_a_number_of_things_is_plural_and_a_filter_is_singular() -> None:
+    filters = {option.opts[-1] for _, option in options() if option.multiple}
+    assert not {name for name in filters if name.endswith("s") and name != "--address"}
+
+
+def test_former_spellings_are_accepted_and_not_shown() -> None:
+    assert {(path, name) for path, option in options(hidden=True) for name in option.opts} == FORMER | {
+        ("factory worker", "--until-eof")
+    }
+    for path, name in FORMER:
+        command = next(command for found, command in commands() if found == path)
+        assert not [line for line in shown(command, path).splitlines() if line.lstrip().startswith(f"{name} ")]
+
+
+def parsed(*words: str) -> dict[str, object]:
+    """Returns what a command line sets, former spellings included; runs nothing."""
+    context, rest = cli.make_context("factory", list(words)), list(words)
+    while isinstance(context.command, click.Group):
+        name, command, rest = context.command.resolve_command(context, [*context._protected_args, *context.args])
+        assert command is not None
+        context = command.make_context(name, rest, parent=context)
+    return context.params
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        (("eval", "--data", "D", "--policy", "stop"), ("eval", "D", "--policy", "stop")),
+        (("train", "bc", "--data", "D", "-o", "O", "--resume"), ("train", "bc", "D", "-o", "O")),
+        (("view", "D", "1", "--save", "f.rrd"), ("view", "D", "1", "-o", "f.rrd")),
+        (("worker", "--workers", "3", "--wait", "2"), ("worker", "--cores", "3", "--connect-timeout", "2")),
+        (
+            ("export", "D", "--to", "gnm", "-o", "O", "--episodes", "1-3"),
+            ("export", "D", "--to", "gnm", "-o", "O", "--episode", "1-3"),
+        ),
+        (("gate", "--plan", "demo", "--scene", "office"), ("gate", "demo", "--scene", "office")),
+        (("bench", "rollout", "--plan", "demo"), ("bench", "rollout", "demo")),
+        (("scene", "build", "office", "--cache", "C"), ("scene", "build", "office", "-o", "C")),
+        (("jobs", "list", "D", "--tier", "near", "--tier", "mid"), ("jobs", "list", "D", "--tier", "near,mid")),
+        (("run", "--out", "D"), ("run", "-o", "D")),
+    ],
+)
+def test_a_former_spelling_sets_the_same(former: tuple[str, ...], now: tuple[str, ...]) -> None:
+    assert parsed(*former) == parsed(*now)
+
+
+def test_both_spellings_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(click.UsageError, match="--data is the former spelling of DIR: give only DIR"):
+        cli.main(["eval", "one", "--data", "two", "--policy", "stop"], standalone_mode=False)
+
+
+def run(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> int:
+    """Runs the whole command line in this process; returns the exit code."""
+    monkeypatch.setattr(sys, "argv", ["factory", *words])
+    with pytest.raises(SystemExit) as left:
+        main()
+    return int(left.value.code or 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("stauts",), "No such command 'stauts'; did you mean 'stats' or 'status'?"),
+        (("jobs", "retri"), "No such command 'retri'; did you mean 'retry'?"),
+        (("scene", "imprt"), "No such command 'imprt'; did you mean 'import'?"),
+        (("bench", "rolout"), "No such command 'rolout'; did you mean 'rollout'?"),
+        (("eval", "D", "--policies", "stop"), "No such option '--policies'; did you mean '--policy'"),
+        (("jobs", "list", "D", "--teir", "near"), "No such option '--teir'; did you mean '--tier'"),
+        (("eval", "D", "--dat", "x"), "No such option '--dat'"),
+        (("train", "bc", "D", "-o", "O", "--resum"), "No such option '--resum'"),
+    ],
+)
+def test_a_misspelled_command_or_option_is_answered_with_the_closest_visible_name(
+    words: tuple[str, ...], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(words, monkeypatch) == 2
+    text = capsys.readouterr().err
+    assert said in text
+    assert "--data" not in text
+    assert "--resume" not in text
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "cli.main(['--help'], standalone_mode=False)",
+        "cli.main(['-h'], standalone_mode=False)",
+        "from click.shell_completion import ShellComplete\n"
+        "found = ShellComplete(cli, {}, 'factory', '_FACTORY_COMPLETE').get_completions([], 'st')\n"
+        "assert [item.value for item in found] == ['status', 'stats'], found",
+        "cli.main(['completion', 'bash'], standalone_mode=False)",
+    ],
+)
+def test_help_and_completion_import_no_verb_and_nothing_heavy(body: str) -> None:
+    command = [sys.executable, "-c", IMPORTED.format(body=body)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    loaded = set(done.stderr.split())
+    assert "factory.cli.verbs" in loaded
+    assert {f"factory.cli.{name}" for name in VERBS} & loaded <= {"factory.cli.other.completion"}
+    assert {
+        "pydantic",
+        "numpy",
+        "rich",
+        "sqlalchemy",
+        "zenoh",
+        "pybullet",
+        "PIL",
+        "structlog",
+        "yaml",
+    } & loaded == set()
+
+
+def test_a_module_of_every_verb_is_there_and_none_is_left_out() -> None:
+    folder = Path(cli.callback.__code__.co_filename).parent if cli.callback else Path()
+    found = {
+        path.stem
+        for path in folder.glob("*.py")
+        if "\ncommand = " in path.read_text() or "\ndef command(" in path.read_text()
+    }
+    assert {name for name in found if "_" not in name} == set(VERBS)
+
+
+@pytest.mark.parametrize("words", [("eval", "--help"), ("eval", "D", "--help"), ("eval", "run", "--help")])
+def test_the_help_of_a_verb_with_a_default_shows_its_options(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(words, monkeypatch) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("Usage: factory eval [OPTIONS] DIR\n")
+    assert "--policy POLICY" in text

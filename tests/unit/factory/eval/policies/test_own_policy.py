@@ -1,0 +1,73 @@
+"""What is said when a policy's module, class or package is not there, before anything is driven."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from factory.eval.policies import make_policy, require_at_hand
+from factory.eval.policies.foreign import load_class
+from factory.eval.policies.outside import Outside
+from schemas.errors import UsageError
+
+ROOT = Path(__file__).parents[5]
+MODULE = """
+from pathlib import Path
+class _Base: pass
+class Pilot(_Base): pass
+class Driver(_Base): pass
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory, whose modules are forgotten again."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(sys, "modules", dict(sys.modules))
+    return tmp_path
+
+
+def test_a_missing_module_is_told_where_it_was_looked_for(folder: Path) -> None:
+    said = f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH .*docs/evaluation/my_policy.py is an example"
+    for judge in (require_at_hand, load_class):
+        with pytest.raises(UsageError, match=said) as caught:
+            judge("nowhere_pilot:Policy")
+        assert "frozen" not in str(caught.value)
+
+
+def test_a_missing_class_is_told_those_that_the_module_has(folder: Path) -> None:
+    (folder / "own_pilots.py").write_text(MODULE)
+    with pytest.raises(UsageError, match=r"no class 'pilot'; .*own_pilots.py has Pilot, Driver; did you mean 'Pilot'"):
+        load_class("own_pilots:pilot")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import nowhere_torch", r"cannot be made: ModuleNotFoundError: .*'nowhere_torch' \(broken_pilot.py:1\)"),
+        ("class Policy:\n  def act(self) return 1\n", r"cannot be made: SyntaxError: .*\(broken_pilot.py:2\)"),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_told_by_its_own_line(folder: Path, text: str, said: str) -> None:
+    (folder / "broken_pilot.py").write_text(text)
+    require_at_hand("broken_pilot:Policy")
+    with pytest.raises(UsageError, match=said):
+        load_class("broken_pilot:Policy")
+
+
+def test_a_module_of_the_working_directory_is_found_without_importing_it(folder: Path) -> None:
+    (folder / "loud_pilot.py").write_text("raise SystemExit('imported')")
+    require_at_hand("loud_pilot:Policy")
+
+
+def test_every_page_names_a_class_that_the_example_has(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT / "docs" / "evaluation")
+    pages = [ROOT / "README.md", ROOT / "docs" / "evaluation" / "README.md", Path("my_policy.py")]
+    named = {name for page in pages for name in re.findall(r"my_policy:\w+", page.read_text())}
+    assert named
+    for name in named:
+        make_policy(name, Outside())

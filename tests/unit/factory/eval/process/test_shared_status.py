@@ -1,0 +1,63 @@
+"""The sheet in shared memory: what one process writes, another reads, even when the writer is stuck."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from factory.eval.process.shared_status import Busy, Sheet, State
+
+WRITER = """
+import sys
+from factory.eval.process.shared_status import Busy, Sheet, State
+Sheet(int(sys.argv[1])).write(State(Busy.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4))
+"""
+
+
+def test_what_another_process_wrote_is_read_here() -> None:
+    sheet = Sheet.fresh()
+    try:
+        assert sheet.read().busy is Busy.STARTING
+        command = [sys.executable, "-c", WRITER, str(sheet.descriptor)]
+        subprocess.run(command, pass_fds=(sheet.descriptor,), check=True)
+        assert sheet.read() == State(Busy.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4)
+    finally:
+        sheet.close()
+
+
+BUSY_WRITER = """
+import sys, time
+from factory.eval.process.shared_status import Busy, Sheet, State
+sheet, end = Sheet(int(sys.argv[1])), time.monotonic() + 2
+while time.monotonic() < end:
+    for number in range(1, 1000):
+        sheet.write(State(Busy.ASKING, *[number] * 7))
+"""
+
+
+def test_no_state_is_read_that_is_half_of_one_and_half_of_another() -> None:
+    sheet = Sheet.fresh()
+    try:
+        first, read = sheet.read(), []
+        command = [sys.executable, "-c", BUSY_WRITER, str(sheet.descriptor)]
+        with subprocess.Popen(command, pass_fds=(sheet.descriptor,)) as writer:
+            while writer.poll() is None:
+                read.append(sheet.read())
+        assert writer.returncode == 0
+        changed = [state for state in read if state != first]
+        assert changed
+        assert [state for state in changed if len(set(state[1:])) != 1] == []
+    finally:
+        sheet.close()
+
+
+def test_a_writer_that_died_in_the_middle_leaves_the_state_before() -> None:
+    sheet = Sheet.fresh()
+    try:
+        sheet.write(State(Busy.ASKING, 12.5, 7))
+        assert sheet.read() == State(Busy.ASKING, 12.5, 7)
+        os.pwrite(sheet.descriptor, bytes(16), 0)
+        assert sheet.read() == State(Busy.ASKING, 12.5, 7)
+    finally:
+        sheet.close()

@@ -1,0 +1,62 @@
+"""Under which limit a call of a policy stands: the patient one for a reset and a first answer, else the strict one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from factory.eval.process.shared_status import Busy, Sheet
+from factory.eval.process.status_updates import SheetWatch
+from workers.geometry.pose import Pose
+
+DRIVE: Any = SimpleNamespace(steps=3, contact_steps=1)
+
+
+def at(x: float, distance_m: float) -> Any:
+    return SimpleNamespace(pose=Pose.planar(x, 0.0, 0.0), distance_m=distance_m)
+
+
+@pytest.fixture
+def sheet() -> Iterator[Sheet]:
+    opened = Sheet.fresh()
+    yield opened
+    opened.close()
+
+
+def busy_when_asked(sheet: Sheet, watch: SheetWatch, calls: int) -> list[Busy]:
+    """What stands on the sheet while each call of an episode goes on, its reset first."""
+    watch.begin(Busy.SIMULATING)
+    found = []
+    for _ in range(calls):
+        watch.asks(DRIVE, at(0.0, 2.0))
+        found.append(sheet.read().busy)
+        watch.has_answer()
+    return found
+
+
+def test_only_answers_after_the_first_one_stand_under_the_strict_limit(sheet: Sheet) -> None:
+    watch = SheetWatch(sheet)
+    assert busy_when_asked(sheet, watch, 4) == [Busy.MAKING, Busy.MAKING, Busy.ASKING, Busy.ASKING]
+    assert busy_when_asked(sheet, watch, 3) == [Busy.MAKING, Busy.ASKING, Busy.ASKING]
+    watch.is_warm = False  # over a new connection
+    assert busy_when_asked(sheet, watch, 3) == [Busy.MAKING, Busy.MAKING, Busy.ASKING]
+
+
+def test_an_experts_time_is_the_simulations(sheet: Sheet) -> None:
+    watch = SheetWatch(sheet)
+    watch.is_insider = True
+    assert busy_when_asked(sheet, watch, 4) == [Busy.SIMULATING] * 4
+
+
+def test_the_sheet_says_how_far_the_robot_has_come(sheet: Sheet) -> None:
+    watch = SheetWatch(sheet)
+    watch.begin(Busy.SIMULATING)
+    for x, distance_m in ((0.0, 2.0), (0.5, 1.5), (0.2, 1.8)):
+        watch.asks(DRIVE, at(x, distance_m))
+    state = sheet.read()
+    assert (state.steps, state.contact_steps) == (3, 1)
+    assert (state.start_m, state.least_m, state.now_m) == (2.0, 1.5, 1.8)
+    assert state.driven_m == pytest.approx(0.8)

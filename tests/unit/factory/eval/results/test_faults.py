@@ -1,0 +1,51 @@
+"""What is said of policies that fail as programs: each way once, with its first message."""
+
+from __future__ import annotations
+
+from factory.eval.models.result import EvalEnd, Variant
+from factory.eval.policies.note import PolicyNote
+from factory.eval.results.faults import faults_of
+from factory.eval.results.page import write_page
+from factory.eval.results.phrases import faults_in_words
+from factory.eval.results.score import score_policy
+from tests.builders.eval_results import evaluation_of, result_of
+
+NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="", software={})
+
+
+def test_each_way_of_failing_is_told_once_with_its_first_message() -> None:
+    rows = [
+        result_of(1),
+        result_of(2, success=False, end=EvalEnd.POLICY_INVALID, detail="NaN"),
+        result_of(3, success=False, end=EvalEnd.POLICY_RAISED, detail="ZeroDivisionError: division by zero (p.py:3)"),
+        result_of(4, success=False, end=EvalEnd.POLICY_RAISED, detail="KeyError: 'rgb' (p.py:4)"),
+        result_of(5, success=False),
+    ]
+    assert faults_in_words(score_policy("m:P", rows, NOTE)) == [
+        "m:P: 2 of 5 ended by policy_raised, first in ep_000003: ZeroDivisionError: division by zero (p.py:3)",
+        "m:P: 1 of 5 ended by policy_invalid, first in ep_000002: NaN",
+    ]
+
+
+def test_failures_under_other_words_count_and_those_of_the_world_do_not() -> None:
+    rows = [
+        result_of(1, success=False, end=EvalEnd.COLLISION),
+        result_of(1, success=False, end=EvalEnd.POLICY_HUNG, variant=Variant.EMPTY, instruction=""),
+    ]
+    (fault,) = faults_of(rows)
+    assert (fault.end, fault.drives, fault.of) == (EvalEnd.POLICY_HUNG, 1, 2)
+
+
+def test_only_a_policy_that_failed_everywhere_has_only_failed() -> None:
+    raised = result_of(1, success=False, end=EvalEnd.POLICY_RAISED)
+    assert score_policy("m:P", [raised], NOTE).only_failed
+    assert not score_policy("m:P", [raised, result_of(2, success=False)], NOTE).only_failed
+    assert not score_policy("m:P", [], NOTE).only_failed
+
+
+def test_the_page_quotes_the_failure_without_its_markup() -> None:
+    evaluation = evaluation_of("m:P")
+    raised = result_of(1, success=False, end=EvalEnd.POLICY_RAISED, detail="ValueError: <b>")
+    scores = score_policy("m:P", [raised], NOTE)
+    page = write_page(evaluation.model_copy(update={"policies": (scores,)}), {})
+    assert "ValueError: &lt;b&gt;" in page

@@ -1,0 +1,178 @@
+"""The folder of an authority: what is written, who may read it, what is refused."""
+
+from __future__ import annotations
+
+import ssl
+import stat
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from coordinator.protocol.tls import Guard, read_credentials
+from factory.keys import admit, found, list_hosts, revoke
+from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
+from schemas.errors import UsageError
+from schemas.identity import Role, parse_admitted, spell_admitted, tls_files
+from tests.builders.keys import make_authority
+
+NOW = datetime.now(UTC)
+
+
+@pytest.fixture
+def pki(tmp_path: Path) -> Path:
+    return make_authority(tmp_path / "pki", ("node-1",), ("boss",))
+
+
+def read(path: Path) -> x509.Certificate:
+    return x509.load_pem_x509_certificate(path.read_bytes())
+
+
+def test_secrets_are_for_their_owner_only(pki):
+    keys = sorted(pki.rglob("*.key"))
+    assert [path.relative_to(pki).as_posix() for path in keys] == [
+        "boss/host.key",
+        "ca.key",
+        "hub/host.key",
+        "node-1/host.key",
+    ]
+    assert {stat.S_IMODE(path.stat().st_mode) for path in keys} == {0o600}
+    assert {stat.S_IMODE(path.parent.stat().st_mode) for path in keys} == {0o700}
+    assert not list(pki.rglob("*.part"))
+
+
+def test_a_certificate_names_its_host_and_can_do_one_thing(pki):
+    for name, purpose in (("hub", ExtendedKeyUsageOID.SERVER_AUTH), ("node-1", ExtendedKeyUsageOID.CLIENT_AUTH)):
+        certificate = read(tls_files(pki / name).certificate)
+        (common,) = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        assert common.value == name
+        usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        assert list(usage) == [purpose]
+        assert not certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+        certificate.verify_directly_issued_by(read(pki / "ca.pem"))
+
+
+def test_an_evaluator_can_only_connect_and_lets_nobody_in(tmp_path):
+    folder = make_authority(tmp_path / "pki", evaluators=("desk",))
+    usage = read(tls_files(folder / "desk").certificate).extensions.get_extension_for_class(x509.ExtendedKeyUsage)
+    assert list(usage.value) == [ExtendedKeyUsageOID.CLIENT_AUTH]
+    assert Guard(folder / "hub").admitted() == {"desk": Role.EVALUATOR}
+    desk = Guard(folder / "desk", listens=False)
+    assert (desk.name, desk.admitted()) == ("desk", {})
+    with pytest.raises(UsageError, match=r"hosts\.txt cannot be read"):
+        Guard(folder / "desk")
+
+
+def test_a_coordinator_is_known_under_its_addresses(pki):
+    admit(pki, "hub-2", Role.COORDINATOR, ("10.0.0.1", "hub.example.org"), 1, NOW)
+    names = read(tls_files(pki / "hub-2").certificate).extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    assert names.value.get_values_for_type(x509.DNSName) == ["hub-2", "localhost", "hub.example.org"]
+    assert [str(ip) for ip in names.value.get_values_for_type(x509.IPAddress)] == ["127.0.0.1", "::1", "10.0.0.1"]
+
+
+def test_openssl_accepts_the_key_with_its_certificate(pki):
+    files = tls_files(pki / "hub")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(files.certificate, files.key)
+    context.load_verify_locations(files.ca)
+
+
+def test_every_coordinator_is_told_who_is_admitted(pki):
+    admit(pki, "hub-2", Role.COORDINATOR, (), 1, NOW)
+    admit(pki, "node-2", Role.WORKER, (), 1, NOW)
+    wanted = {"boss": Role.OPERATOR, "node-1": Role.WORKER, "node-2": Role.WORKER}
+    assert Guard(pki / "hub").admitted() == Guard(pki / "hub-2").admitted() == wanted
+    assert revoke(pki, "node-1") == (pki / "hub" / "hosts.txt", pki / "hub-2" / "hosts.txt")
+    assert "node-1" not in Guard(pki / "hub").admitted()
+    assert [(keys.name, keys.role, keys.admitted) for keys in list_hosts(pki)] == [
+        ("boss", "operator", True),
+        ("hub", "coordinator", True),
+        ("hub-2", "coordinator", True),
+        ("node-1", "worker", False),
+        ("node-2", "worker", True),
+    ]
+
+
+def test_a_host_keeps_its_certificate_until_it_is_renewed(pki):
+    files = tls_files(pki / "node-1")
+    before = files.certificate.read_bytes()
+    with pytest.raises(UsageError, match="--renew"):
+        admit(pki, "node-1", Role.WORKER, (), 1, NOW)
+    assert files.certificate.read_bytes() == before
+    admit(pki, "node-1", Role.WORKER, (), 9, NOW, renew=True)
+    assert files.certificate.read_bytes() != before
+    assert abs(read(files.certificate).not_valid_after_utc - NOW - timedelta(days=9)) < timedelta(seconds=2)
+    assert read_credentials(pki / "node-1") == (files, "node-1")
+
+
+def test_an_authority_is_never_replaced(pki):
+    before = (pki / "ca.key").read_bytes()
+    with pytest.raises(UsageError, match="shut every host out"):
+        found(pki, "new", 1, NOW)
+    assert (pki / "ca.key").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["a.b", "A", "", "-a", "a-", "a/b", "..", "x" * 49, "*", "a$*"])
+def test_names_that_could_reach_into_other_keys_or_folders_are_refused(pki, name):
+    with pytest.raises(UsageError, match="no name for a host"):
+        admit(pki, name, Role.WORKER, (), 1, NOW)
+
+
+def test_without_an_authority_nothing_is_issued(tmp_path):
+    for act in (lambda: admit(tmp_path, "a", Role.WORKER, (), 1, NOW), lambda: list_hosts(tmp_path)):
+        with pytest.raises(UsageError, match="factory keys ca"):
+            act()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unknown_hosts_cannot_be_revoked(pki):
+    with pytest.raises(UsageError, match="admitted: boss, node-1"):
+        revoke(pki, "nobody")
+
+
+def test_a_key_that_everybody_can_read_is_not_used(pki):
+    tls_files(pki / "node-1").key.chmod(0o644)
+    with pytest.raises(UsageError, match="chmod 600"):
+        read_credentials(pki / "node-1")
+
+
+def test_an_incomplete_folder_says_what_it_lacks(pki):
+    tls_files(pki / "node-1").ca.unlink()
+    with pytest.raises(UsageError, match=r"lacks ca\.pem"):
+        read_credentials(pki / "node-1")
+    with pytest.raises(UsageError, match="--role coordinator"):
+        Guard(pki / "boss")
+
+
+def test_the_list_of_hosts_is_read_as_it_is_written():
+    admitted = {"a": Role.WORKER, "b-1": Role.OPERATOR}
+    assert parse_admitted(spell_admitted(admitted)) == admitted
+    assert parse_admitted("a\n# b\n\nc operator # d\n") == {"a": Role.WORKER, "c": Role.OPERATOR}
+
+
+@pytest.mark.parametrize("line", ["a coordinator", "a worker b", "a.b", "A worker", "*"])
+def test_a_list_that_cannot_be_understood_admits_nobody(line):
+    with pytest.raises(UsageError, match="line 1"):
+        parse_admitted(line)
+
+
+def test_endpoints_and_tls_go_together_or_are_refused():
+    require_loopback(["tcp/127.0.0.1:7447", "tcp/[::1]:1", "tcp/localhost:0"])
+    require_tls_endpoints(["tls/0.0.0.0:7447", "tls/hub.example.org:7447"])
+    with pytest.raises(UsageError, match="only loopback"):
+        require_loopback(["tcp/0.0.0.0:7447"])
+    with pytest.raises(UsageError, match="--tls"):
+        require_loopback(["tls/127.0.0.1:7447"])
+    require_endpoints(["tcp/10.0.0.1:7447"], with_tls=False)  # through a tunnel of the user's, perhaps
+    require_endpoints(["tls/10.0.0.1:7447"], with_tls=True)
+    with pytest.raises(UsageError, match="--tls"):
+        require_endpoints(["tls/10.0.0.1:7447"], with_tls=False)
+    with pytest.raises(UsageError, match="no endpoint"):
+        require_endpoints(["nonsense"], with_tls=False)
+    with pytest.raises(UsageError, match="write tls/127"):
+        require_tls_endpoints(["tcp/127.0.0.1:7447"])
+    for bad in ("udp/127.0.0.1:7447", "tls/127.0.0.1", "tls/:1", "tls/h:99999"):
+        with pytest.raises(UsageError, match="no endpoint"):
+            require_tls_endpoints([bad])

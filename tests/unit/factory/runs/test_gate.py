@@ -1,0 +1,98 @@
+"""The gate: every first attempt tried once, counted by tier and reason, judged; real processes, no physics."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from factory.runs.gate import Pilot, Trial, judge, run_pilot
+from schemas.errors import WorldError
+from schemas.terms import FailReason, Tier
+from tests.builders.bundle import job_for
+from tests.builders.ledger import room_catalog, room_plan
+
+QUICK = (sys.executable, "-m", "tests.builders.small_simulation", "0.01")
+"""Succeeds or stalls at once, by the number of the job."""
+NOISY_DEATH = (sys.executable, "-c", "raise SystemExit('no renderer')")
+DIES_AT_WORK = (
+    sys.executable,
+    "-c",
+    """import sys; print('{"kind": "ready"}', flush=True); sys.stdin.readline(); sys.exit('broken')""",
+)
+
+
+def pilot_of(count: int, command: tuple[str, ...] = QUICK, processes: int = 2) -> Pilot:
+    return Pilot(tuple(job_for(index) for index in range(1, count + 1)), Path("unused"), command, processes)
+
+
+def try_all(pilot: Pilot) -> list[Trial]:
+    return run_pilot(pilot, threading.Event(), lambda _done: None)
+
+
+def test_pilot_is_the_first_attempt_at_every_episode_of_the_plan() -> None:
+    pilot = Pilot.of(room_plan(5), room_catalog(), (), 1)
+    assert [job.index for job in pilot.jobs] == [1, 2, 3, 4, 5]
+    assert {(job.draw, job.attempt) for job in pilot.jobs} == {(0, 1)}
+
+
+@pytest.mark.parametrize("processes", [1, 3])
+def test_every_job_is_tried_once_and_the_outcome_does_not_depend_on_processes(processes: int) -> None:
+    told: list[int] = []
+    trials = run_pilot(pilot_of(8, processes=processes), threading.Event(), told.append)
+    assert told == list(range(1, 9))
+    assert sorted(trial.job.index for trial in trials) == list(range(1, 9))
+    outcome = {trial.job.index: trial.reason for trial in trials}
+    assert outcome == {trial.job.index: trial.reason for trial in try_all(pilot_of(8, processes=2))}
+    assert set(outcome.values()) == {None, FailReason.COLLISION}
+
+
+def test_no_bundle_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    try_all(pilot_of(3))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_crash_is_a_failed_attempt_and_the_others_go_on() -> None:
+    trials = try_all(pilot_of(2, DIES_AT_WORK, processes=1))
+    assert [trial.reason for trial in trials] == [FailReason.CRASH] * 2
+    assert "broken" in trials[0].detail
+
+
+def test_simulations_that_do_not_start_are_an_error_with_their_last_words() -> None:
+    with pytest.raises(WorldError, match=r"does not start after 3 tries.*no renderer"):
+        try_all(pilot_of(2, NOISY_DEATH, processes=1))
+
+
+def test_a_stopped_pilot_returns_what_it_has() -> None:
+    stop = threading.Event()
+    trials = run_pilot(pilot_of(20, processes=1), stop, lambda done: stop.set() if done == 2 else None)
+    assert len(trials) == 2
+
+
+def test_verdict_counts_by_tier_and_reason() -> None:
+    trials = [
+        Trial(job_for(3, tier=Tier.FAR), FailReason.TIMEOUT, "1000 steps"),
+        Trial(job_for(2, tier=Tier.FAR), FailReason.COLLISION, "stalled"),
+        *(Trial(job_for(index)) for index in range(4, 12)),
+    ]
+    report = judge("office", "proportional", trials, 0.8)
+    assert report.passed
+    assert (report.success.count, report.success.of, report.success.share) == (8, 10, 0.8)
+    assert report.success.low == pytest.approx(0.4902, abs=1e-4)  # Wilson, 8 of 10
+    assert report.by_tier[Tier.FAR].share == 0.0
+    assert Tier.MID not in report.by_tier
+    assert report.reasons == {FailReason.COLLISION: 1, FailReason.TIMEOUT: 1}
+    assert [row.episode_id for row in report.lost] == ["ep_000002", "ep_000003"]
+
+
+@pytest.mark.parametrize(("min_success", "passed"), [(0.5, True), (0.51, False)])
+def test_the_gate_opens_at_the_share_asked_for(min_success: float, passed: bool) -> None:
+    trials = [Trial(job_for(1)), Trial(job_for(2), FailReason.SPAWN, "")]
+    assert judge("office", "proportional", trials, min_success).passed is passed
+
+
+def test_a_pilot_without_trials_does_not_pass() -> None:
+    assert not judge("office", "proportional", [], 0.0).passed

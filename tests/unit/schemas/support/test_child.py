@@ -1,0 +1,80 @@
+"""What a Python process of ours inherits, and that no process is started otherwise."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from schemas.support.child import child_environment, import_path, python_module
+
+ROOT = Path(__file__).parents[4]
+SOURCES = [
+    path for package in ("schemas", "coordinator", "workers", "factory") for path in (ROOT / package).rglob("*.py")
+]
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_what_brings_packages_stays_and_the_working_directory_does_not(elsewhere: Path) -> None:
+    given = {"PATH": "/bin", "VIRTUAL_ENV": "/venv", "PYTHONHOME": "/opt/python", "PYTHONPATH": ":/cluster:.:/site:"}
+    assert child_environment(given) == {**given, "PYTHONPATH": "/cluster:/site"}
+
+
+@pytest.mark.parametrize("name", ["PYTHONSTARTUP", "PYTHONINSPECT", "PYTHONBREAKPOINT"])
+def test_variables_of_an_interactive_session_are_not_inherited(elsewhere: Path, name: str) -> None:
+    assert child_environment({name: "x", "PYTHONPATH": "."}) == {}
+
+
+def test_the_import_path_of_this_process_is_handed_on_without_the_working_directory(elsewhere: Path) -> None:
+    assert import_path(["", str(elsewhere), "/site", "."]) == "/site"
+
+
+def test_a_checkout_that_is_not_installed_still_finds_its_own_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    assert child_environment({}) == {"PYTHONPATH": str(ROOT)}
+    assert str(ROOT) in import_path([str(ROOT)]).split(os.pathsep)
+
+
+def test_a_child_imports_no_file_of_the_working_directory(elsewhere: Path) -> None:
+    for name in ("json", "isal", "click"):
+        (elsewhere / f"{name}.py").write_text("raise SystemExit(7)")
+    done = subprocess.run(python_module("json.tool"), env=child_environment(os.environ), input=b"1", timeout=60)
+    assert done.returncode == 0
+
+
+def test_python_is_started_in_one_way_only() -> None:
+    strays = {
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in SOURCES
+        if path.name not in {"child.py"} or path.parent.name != "schemas"
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and ast.unparse(node) == "sys.executable"
+    }
+    assert {stray.partition(":")[0] for stray in strays} <= {
+        "factory/cli/main.py",  # runs itself again, by its own words
+        "schemas/support/extras.py",  # names it in a message
+    }
+
+
+def test_every_process_is_given_its_environment() -> None:
+    calls = [
+        (path, node)
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in {"subprocess.Popen", "subprocess.run"}
+    ]
+    assert calls
+    bare = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path, node in calls
+        if not any(keyword.arg == "env" for keyword in node.keywords)
+    ]
+    assert not bare

@@ -1,0 +1,44 @@
+"""What experts read off a frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from schemas.config import TaskConfig
+from workers.experts.sight import is_obstacle_near, see
+
+DEPTH = np.full((640, 640), 3.0, np.float32)
+
+
+def test_a_mask_gives_its_size_mean_column_and_median_depth():
+    ids = np.zeros((640, 640), np.uint16)
+    ids[100:110, 200:220] = 7
+    depth = DEPTH.copy()
+    depth[100:110, 200:219] = 2.0
+    sighting = see(ids, depth, 7, 32)
+    assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (200, 210.0, 2.0)
+
+
+def test_a_mask_that_fills_the_image_is_counted_whole():
+    sighting = see(np.full((640, 640), 7, np.uint16), DEPTH, 7, 32)
+    assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (640 * 640, 320.0, 3.0)
+
+
+def test_a_mask_below_the_threshold_counts_as_unseen_at_the_centre():
+    ids = np.zeros((640, 640), np.uint16)
+    ids[0, :31] = 7
+    sighting = see(ids, DEPTH, 7, 32)
+    assert (sighting.pixels, sighting.column, sighting.measure_depth()) == (31, 320.0, 0.0)
+
+
+def test_the_percentile_by_counting_agrees_with_numpy():
+    rng = np.random.default_rng(0)
+    task = TaskConfig()
+    for low in (0.1, 0.2, 0.24, 0.26, 0.4):
+        depth = rng.uniform(low, 3.0, (640, 640)).astype(np.float32)
+        crop = depth[352:608, 160:480]
+        assert is_obstacle_near(depth, task) == (np.percentile(crop, 5) < 0.25)
+
+
+def test_pixels_without_a_surface_are_not_near():
+    assert not is_obstacle_near(np.zeros((640, 640), np.float32), TaskConfig())

@@ -1,0 +1,57 @@
+"""Distances along the floor: straight where it is free, around what stands there, none where nothing connects."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from tests.builders.scene import Box, box_room
+from tests.unit.workers.planning.test_plan_search import FENCE, WALL, crate_of
+from workers.geometry.grid import Grid
+from workers.planning import geodesic_field, geodesic_m
+
+
+def geodesic(start: tuple[float, float], *extra: Box, radius_m: float = 1.0) -> float | None:
+    scene = box_room(extra)
+    return geodesic_m(Grid.from_scene(scene), start, crate_of(scene), radius_m)
+
+
+@pytest.mark.parametrize("start", [(-1.5, 0.0), (2.5, -2.0), (0.4, -2.4), (3.4, -1.1)])
+def test_a_free_straight_line_counts_as_its_length(start):
+    assert geodesic(start) == pytest.approx(math.dist(start, (2.5, 1.3)) - 1.0, abs=1e-6)
+
+
+def test_a_start_inside_the_circle_is_there():
+    assert geodesic((1.8, 1.0)) == 0.0
+
+
+def test_the_way_round_a_wall_is_as_long_as_a_taut_string():
+    """Past the corners at (0.8, -1) and (1, -1), a quarter of a metre off, to the circle around (2.5, 1.3)."""
+    found = geodesic((-1.5, 1.0), WALL)
+    corners = ((-1.5, 1.0), (0.65, -1.2), (1.15, -1.2), (2.5, 1.3))
+    taut = sum(math.dist(a, b) for a, b in itertools.pairwise(corners)) - 1.0
+    assert found == pytest.approx(taut, rel=0.05)
+    assert found > math.dist((-1.5, 1.0), (2.5, 1.3)) - 1.0
+
+
+def test_nothing_connects_two_sides_of_a_fence():
+    assert geodesic((-1.5, 1.0), FENCE) is None
+
+
+def test_a_wall_at_the_target_does_not_let_the_circle_through():
+    """The circle reaches beyond the wall; the far side of it is not the target's."""
+    screen = Box((1.9, -3.0, 0.0), (2.0, 3.0, 2.5))
+    assert geodesic((1.4, 1.3), screen) is None
+
+
+def test_the_field_is_never_shorter_than_the_straight_line():
+    scene = box_room([WALL])
+    grid = Grid.from_scene(scene)
+    field = geodesic_field(grid, crate_of(scene), 1.0).metres
+    rows, columns = np.nonzero(np.isfinite(field))
+    points = grid.centre_of(np.column_stack([rows, columns]))
+    straight = np.linalg.norm(points - np.asarray(crate_of(scene).centroid_m[:2]), axis=1) - 1.0
+    assert (field[rows, columns] >= straight - 0.05).all()

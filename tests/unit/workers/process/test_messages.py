@@ -1,0 +1,42 @@
+"""The pipe between supervisor and simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from schemas.terms import FailReason
+from schemas.wire import MAX_DETAIL_CHARS
+from tests.builders.bundle import job_for
+from workers.process.messages import Order, Report, ReportKind, failure, read_report, to_line
+
+
+def test_order_is_one_line_whatever_the_instruction_says():
+    order = Order(job=job_for(instruction="two\nlines"), scene_path=Path("s"), bundle_path=Path("b"), sid="h-1")
+    line = to_line(order)
+    assert line.count(b"\n") == 1
+    assert Order.model_validate_json(line) == order
+
+
+def test_report_survives_the_pipe():
+    report = failure(FailReason.COLLISION, "0.3 m", 7, 1.5)
+    assert read_report(to_line(report)) == report
+
+
+def test_chatter_on_the_pipe_is_no_report():
+    assert read_report(b"pybullet build time: Jan 29 2025\n") is None
+
+
+def test_long_detail_keeps_both_ends():
+    detail = failure(FailReason.CRASH, "begin" + "x" * 5000 + "end").detail
+    assert len(detail) <= MAX_DETAIL_CHARS
+    assert detail.startswith("begin")
+    assert detail.endswith("end")
+
+
+@pytest.mark.parametrize("kind", [ReportKind.SUCCESS, ReportKind.FAILURE])
+def test_outcome_without_its_facts_is_refused(kind):
+    with pytest.raises(ValidationError):
+        Report(kind=kind)

@@ -1,0 +1,24 @@
+"""What a process that draws on one core finds in its environment."""
+
+from __future__ import annotations
+
+from workers.process.one_core import one_core
+
+
+def test_threads_are_off_and_the_rest_of_the_environment_stays() -> None:
+    assert one_core({"HOME": "/home/ada", "LP_NUM_THREADS": "8"}) == {
+        "HOME": "/home/ada",
+        "LP_NUM_THREADS": "0",
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
+    }
+
+
+def test_other_tunables_of_glibc_stay() -> None:
+    tuned = one_core({"GLIBC_TUNABLES": "glibc.malloc.check=3:glibc.malloc.hugetlb=0"})
+    assert tuned["GLIBC_TUNABLES"] == "glibc.malloc.check=3:glibc.malloc.hugetlb=1"
+
+
+def test_taking_them_twice_changes_nothing() -> None:
+    assert one_core(one_core({})) == one_core({})

@@ -1,0 +1,138 @@
+"""Start poses on the grid: distances stay uniform where bearings are blocked, and every start keeps to its tier."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from schemas.config import TaskConfig
+from schemas.job import Job
+from schemas.terms import ExpertName, Tier
+from tests.builders.bundle import job_for
+from tests.builders.scene import Box, build_scene, room_walls
+from workers.geometry.appearance import Appearance
+from workers.geometry.pose import Pose
+from workers.sim.foresight import foresee
+from workers.sim.scene_renderer import LoadedScene, prepare_scene
+from workers.sim.spawn import draw_poses
+
+CRATE = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category="crate")
+
+
+def lane_room(length_m: float) -> LoadedScene:
+    """A room of two metres' width whose crate stands near one end."""
+    return prepare_scene(build_scene((*room_walls((-1.0, -1.0), (length_m, 1.0)), CRATE)))
+
+
+def crate_job(place: LoadedScene, attempt: int = 1, tier: Tier = Tier.MID, **changes: Any) -> Job:
+    values: dict[str, Any] = {
+        "task": TaskConfig(),
+        "tier": tier,
+        "attempt": attempt,
+        "target_id": place.scene.info.targets[0].target_id,
+    }
+    return job_for(**values | changes)
+
+
+def first_start(place: LoadedScene, job: Job) -> Pose | None:
+    return next(iter(draw_poses(job, place.scene.info.target(job.target_id), place, job.rng())), None)
+
+
+def distances(place: LoadedScene, count: int, **changes: Any) -> list[float]:
+    starts = [first_start(place, crate_job(place, attempt, **changes)) for attempt in range(1, count + 1)]
+    return [math.hypot(start.x, start.y) for start in starts if start is not None]
+
+
+def test_distances_stay_uniform_although_only_a_narrow_lane_leads_to_the_target() -> None:
+    found = distances(lane_room(8.5), 400)
+    assert len(found) == 400
+    assert abs(np.mean(found) - 5.25) < 0.15
+    quarters = np.histogram(found, bins=4, range=(3.5, 7.0))[0]
+    assert quarters.min() >= 75
+
+
+def test_a_distance_that_the_scene_lacks_is_drawn_anew() -> None:
+    found = distances(lane_room(5.6), 60)
+    assert len(found) == 60
+    assert max(found) < 5.2
+
+
+@pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
+def test_near_starts_face_the_target_within_the_heading_noise(expert: ExpertName) -> None:
+    place = lane_room(8.5)
+    for attempt in range(1, 40):
+        job = crate_job(place, attempt, Tier.NEAR, expert=expert)
+        start = first_start(place, job)
+        assert start is not None
+        assert 1.5 <= math.hypot(start.x, start.y) <= 3.5
+        off = math.remainder(math.atan2(-start.y, -start.x) - start.yaw, 2 * math.pi)
+        assert abs(off) <= job.spawn.heading_noise_rad + 1e-9
+
+
+@pytest.mark.parametrize("expert", [ExpertName.PROPORTIONAL, ExpertName.PLANNER])
+def test_no_start_lies_beneath_a_shelf_on_legs(expert: ExpertName) -> None:
+    shelf = Box((2.0, -1.0, 1.5), (3.0, 1.0, 1.7), category="shelf")
+    room = (*room_walls((-1.0, -1.0), (8.5, 1.0)), CRATE)
+    for place, is_beneath in (
+        (prepare_scene(build_scene(room)), True),
+        (prepare_scene(build_scene((*room, shelf))), False),
+    ):
+        jobs = [crate_job(place, attempt, Tier.NEAR, expert=expert) for attempt in range(1, 40)]
+        starts = [start for job in jobs if (start := first_start(place, job)) is not None]
+        assert len(starts) == 39
+        assert any(2.0 < start.x < 3.0 for start in starts) == is_beneath
+
+
+def test_there_is_no_start_where_the_tier_has_no_floor() -> None:
+    place = lane_room(3.4)
+    assert first_start(place, crate_job(place)) is None
+
+
+def test_the_same_attempt_starts_at_the_same_pose() -> None:
+    place = lane_room(8.5)
+    assert first_start(place, crate_job(place, 3)) == first_start(place, crate_job(place, 3))
+    assert first_start(place, crate_job(place, 3)) != first_start(place, crate_job(place, 4))
+
+
+def pillared_room() -> LoadedScene:
+    """An open room whose crate is ringed by pillars a metre and a half apart: some ways between them are tight."""
+    angles = 2 * np.pi * np.arange(10) / 10
+    spots = [(2.4 * math.cos(angle), 2.4 * math.sin(angle)) for angle in angles]
+    pillars = [Box((x - 0.15, y - 0.15, 0.0), (x + 0.15, y + 0.15, 2.0)) for x, y in spots]
+    return prepare_scene(build_scene((*room_walls((-9.0, -9.0), (9.0, 9.0)), CRATE, *pillars)))
+
+
+def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
+    target = place.scene.info.target(job.target_id)
+    x, y, yaw = foresee(start, (0.0, 0.0), job, Appearance(place.scene, target.instance_id, job.camera)).T
+    return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
+
+
+def test_straight_drivers_start_where_the_way_is_foreseen_to_be_free() -> None:
+    place = pillared_room()
+    job = crate_job(place)
+    ring = 2 * np.pi * np.arange(720) / 720
+    points = 5.0 * np.stack([np.cos(ring), np.sin(ring)], axis=1)
+    lines = place.grid.are_lines_free(points, 0.97 * points / 5.0, job.spawn.approach_clearance_m)
+    off = job.spawn.heading_noise_rad
+    drives = [is_drive_free(place, job, (x, y, math.atan2(-y, -x) + off)) for x, y in points[lines]]
+    assert 0 < sum(drives) < len(drives)  # so that there is something to choose
+    for attempt in range(1, 60):
+        tried = crate_job(place, attempt)
+        start = first_start(place, tried)
+        assert start is not None
+        assert is_drive_free(place, tried, (start.x, start.y, start.yaw))
+
+
+def test_where_no_way_is_wide_the_one_with_most_room_is_taken() -> None:
+    walls = (Box((1.2, -1.0, 0.0), (8.0, -0.45, 2.0)), Box((1.2, 0.45, 0.0), (8.0, 1.0, 2.0)))
+    place = prepare_scene(build_scene((*room_walls((-1.0, -1.0), (8.5, 1.0)), CRATE, *walls)))
+    jobs = [crate_job(place, attempt) for attempt in range(1, 20)]
+    starts = [first_start(place, job) for job in jobs]
+    found = [(start.x, start.y, start.yaw) for start in starts if start is not None]
+    assert len(found) == len(jobs)
+    assert not all(is_drive_free(place, job, start) for job, start in zip(jobs, found, strict=True))
+    assert np.abs([y for _, y, _ in found]).mean() < 0.05  # along the middle of the lane

@@ -1,0 +1,1 @@
+"""Connects a host to its coordinator: leases, heartbeat, spool, worker loops."""

@@ -1,0 +1,259 @@
+"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool (DESIGN 9).
+
+Never decides what to do about silence: an answer that did not come is `None`, whatever the reason.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from types import TracebackType
+from typing import Self, TypeVar
+
+import structlog
+import zenoh
+from pydantic import ValidationError
+
+from schemas.base import Model
+from schemas.identity import TlsFiles
+from schemas.keys import (
+    BundleChunk,
+    Chunk,
+    Verb,
+    alive_key,
+    any_hello_key,
+    bundle_key,
+    parse_bundle_chunk,
+    scene_selector,
+    verb_key,
+)
+from schemas.support.repeated import Repeated
+from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
+
+__all__ = ["Link", "ReadChunk"]
+
+R = TypeVar("R", bound=Model)
+ReadChunk = Callable[[BundleChunk], bytes]
+"""Returns bytes of a spooled bundle; `KeyError` when there is no such bundle."""
+
+_CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
+_LEASE_MS = 5000
+_MAX_PACKET_BYTES = 4 << 20
+_ASK_TIMEOUT_S = 2.0
+_CHUNK_FIELDS = ("job", "fence", "off", "n")
+
+log = structlog.get_logger(__name__)
+
+
+class Link:
+    """A session that can be opened again and again; a context manager.
+
+    Args:
+        endpoints: where a coordinator or gateways of it may listen; any one will do, and each opening begins with
+            another, so that many workers spread over them.
+        host: this machine's name, under which every verb is asked.
+        tls: to connect with; `None` for plain TCP.
+    """
+
+    def __init__(self, endpoints: Sequence[str], host: str, tls: TlsFiles | None = None) -> None:
+        self.endpoints = tuple(endpoints)
+        self._host = host
+        self._tls = tls
+        self.last_error = ""
+        """Why the last opening failed."""
+        self._session: zenoh.Session | None = None
+        self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
+        self._serving: tuple[str, str, ReadChunk] | None = None
+        self._run = ""
+        self._guard = threading.Lock()
+        self._refused, self._unreadable = Repeated(log, "refused"), Repeated(log, "spool_unreadable")
+        self._closings = 0
+        self._answered = time.monotonic()
+
+    @property
+    def silence_s(self) -> float:
+        """Seconds since anything was last answered, or since the session was opened."""
+        return time.monotonic() - self._answered
+
+    @property
+    def via(self) -> str | None:
+        """Zenoh's id of the router that the session is connected to now: a gateway of that id pulls what waits here."""
+        session = self._session
+        try:
+            routers = session.info.routers_zid() if session is not None else []
+        except zenoh.ZError:  # closed meanwhile
+            return None
+        return str(routers[0]) if routers else None
+
+    def open(self) -> bool:
+        """Opens a new session in place of any old one; gives up after two seconds and returns whether it is open."""
+        self.close()
+        opening = self._closings
+        try:
+            session = zenoh.open(_config(random.sample(self.endpoints, len(self.endpoints)), self._tls))
+        except zenoh.ZError as error:
+            self.last_error = str(error).split(" at /")[0]  # without zenoh's source paths
+            log.debug("connect_failed", endpoints=self.endpoints, error=str(error))
+            return False
+        with self._guard:
+            is_wanted = opening == self._closings
+            if is_wanted:
+                self._session = session
+                self._answered = time.monotonic()
+        if not is_wanted:  # closed by another thread meanwhile
+            session.close()
+            return False
+        self._declare()
+        return True
+
+    def greet(self, hello: Hello) -> tuple[HelloReply | Refusal, ...]:
+        """Introduces this worker to whoever answers and returns all answers; several runs may share a network."""
+        found: list[HelloReply | Refusal] = []
+        for payload in self._get(any_hello_key(self._host), hello.model_dump_json(), _ASK_TIMEOUT_S):
+            reply = _parse(payload, HelloReply)
+            if reply is not None:
+                found.append(reply)
+        return tuple(found)
+
+    def join(self, run: str) -> None:
+        """Chooses the run that all further questions are about."""
+        self._run = run
+
+    def ask(self, verb: Verb, message: Model, kind: type[R], timeout_s: float = _ASK_TIMEOUT_S) -> R | None:
+        """Asks the coordinator; `None` means unknown: it may have heard or not, so repeat with the same ids."""
+        key = verb_key(self._run, self._host, verb)
+        for payload in self._get(key, message.model_dump_json(), timeout_s):
+            reply = _parse(payload, kind)
+            if isinstance(reply, Refusal):
+                self._refused.fail(reply.error, verb=str(verb))
+            elif reply is not None:
+                self._refused.succeed()
+                return reply
+        return None
+
+    def fetch_scene(self, sha256: str, chunk: Chunk) -> bytes | None:
+        """Returns the bytes of a chunk of a compiled scene, or `None` when they did not come."""
+        for payload in self._get(scene_selector(self._run, sha256, chunk), None, _ASK_TIMEOUT_S):
+            if len(payload) <= chunk.length:
+                return payload.to_bytes()
+        return None
+
+    def serve(self, sid: str, read: ReadChunk) -> None:
+        """From now on, in this session and later ones, answers for the spool and is seen alive under `sid`."""
+        self._serving = (self._run, sid, read)
+        self._declare()
+
+    def close(self) -> None:
+        """Closes the session; questions under way end unanswered."""
+        with self._guard:
+            session, self._session = self._session, None
+            self._declared = []
+            self._closings += 1
+        if session is not None and not session.is_closed():
+            session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _declare(self) -> None:
+        session = self._session
+        if session is None or self._serving is None:
+            return
+        run, sid, read = self._serving
+        key = bundle_key(run, sid)
+        try:
+            # the queryable first: who sees the token may ask at once
+            queryable = session.declare_queryable(key, lambda query: _answer(query, key, read, self._unreadable))
+            token = session.liveliness().declare_token(alive_key(run, sid))
+        except zenoh.ZError:
+            if not session.is_closed():  # else closed by another thread meanwhile: nothing is to be served any more
+                raise
+            return
+        self._declared = [queryable, token]
+
+    def _get(self, selector: str, payload: str | None, timeout_s: float) -> Iterator[zenoh.ZBytes]:
+        session = self._session
+        if session is None:
+            return
+        try:
+            replies = session.get(
+                selector,
+                zenoh.handlers.FifoChannel(16),
+                payload=payload,
+                timeout=timeout_s,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+            for reply in replies:
+                if reply.ok is not None and len(reply.ok.payload) <= MAX_MESSAGE_BYTES:
+                    self._answered = time.monotonic()
+                    yield reply.ok.payload
+                elif reply.err is not None:
+                    log.debug("answered_with_error", selector=selector, error=reply.err.payload.to_bytes()[:200])
+        except zenoh.ZError as error:  # the session was closed under our hands
+            log.debug("ask_failed", selector=selector, error=str(error))
+
+
+def _answer(query: zenoh.Query, key: str, read: ReadChunk, unreadable: Repeated) -> None:
+    with query:
+        try:
+            asked = parse_bundle_chunk({name: query.parameters.get(name) or "" for name in _CHUNK_FIELDS})
+            query.reply(key, read(asked))
+            unreadable.succeed()
+        except (ValueError, KeyError) as error:
+            query.reply_err(f"no such bytes: {error}")
+        except OSError as error:
+            unreadable.fail(error)
+            query.reply_err("the spool cannot be read")
+
+
+def _parse(payload: zenoh.ZBytes, kind: type[R]) -> R | Refusal | None:
+    data = payload.to_bytes()
+    for model in (kind, Refusal):
+        try:
+            return model.model_validate_json(data)
+        except ValidationError:
+            continue
+    log.warning("reply_unintelligible", expected=kind.__name__, size=len(data))
+    return None
+
+
+def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
+    values = {
+        "mode": '"client"',
+        "listen/endpoints": "[]",
+        "connect/endpoints": json.dumps(list(endpoints)),
+        # finite, and repeated by us: an endless connect cannot be interrupted by a signal
+        "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
+        "connect/exit_on_failure": "true",
+        # a close waits for a reconnect under way, and a frozen router answers none: ten seconds by default
+        "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
+        "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
+        "scouting/multicast/enabled": "false",
+        "scouting/gossip/enabled": "false",
+        "transport/shared_memory/enabled": "false",  # loses queries under load (notes/zenoh.md A7)
+        "transport/link/tx/lease": str(_LEASE_MS),
+        "transport/link/rx/max_message_size": str(_MAX_PACKET_BYTES),
+        "queries_default_timeout": "5000",
+    }
+    if tls is not None:
+        values |= {
+            "transport/link/protocols": '["tls"]',
+            "transport/link/tls/root_ca_certificate": json.dumps(str(tls.ca)),
+            "transport/link/tls/enable_mtls": "true",
+            "transport/link/tls/verify_name_on_connect": "true",
+            "transport/link/tls/close_link_on_expiration": "true",
+            "transport/link/tls/connect_private_key": json.dumps(str(tls.key)),
+            "transport/link/tls/connect_certificate": json.dumps(str(tls.certificate)),
+        }
+    config = zenoh.Config()
+    for name, value in values.items():
+        config.insert_json5(name, value)
+    return config

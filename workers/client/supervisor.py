@@ -1,0 +1,208 @@
+"""The worker of a host: finds the run, keeps a slot a core and one heartbeat going, and leaves in good order.
+
+Simulates nothing itself and never forks once the link is open: simulations are processes of their own.
+"""
+
+from __future__ import annotations
+
+import random
+import socket
+import threading
+import time
+from enum import Enum
+
+import structlog
+
+from schemas.errors import WorldError
+from schemas.wire import HelloReply, Refusal, Trade
+from workers.client.backoff import Backoff
+from workers.client.heartbeat import Heartbeat, make_hello
+from workers.client.host import Host, Phase, make_sid, tidy_host
+from workers.client.link import Link
+from workers.client.scene_cache import SceneCache
+from workers.client.settings import WorkerSettings
+from workers.client.slot import Slot
+from workers.client.spool import Spool, folder_of
+
+__all__ = ["Ending", "Supervisor", "run_worker"]
+
+_POLL_S = 0.2
+_DRAIN_S = 3.5
+_JOIN_S = 2.0
+_FAREWELL_S = 5.0
+"""How long the coordinator of a finished run is asked what to do with bundles that wait: it may be gone."""
+
+log = structlog.get_logger(__name__)
+
+
+class Ending(Enum):
+    """Why a worker has no more to do for a run."""
+
+    FINISHED = "finished"  # every job of the run has reached its end, or the coordinator sends workers away
+    STOPPED = "stopped"  # it was told to stop
+    MOVED = "moved"  # another run has come: in its place, or an evaluation that goes first
+
+
+def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threading.Event | None = None) -> int:
+    """Works until the run is finished or `stop` is set; then gives back what is under way, within five seconds.
+
+    Args:
+        settings: of this worker.
+        stop: leave in good order: give jobs back, let waiting bundles be fetched for a moment.
+        at_once: do not even wait for that.
+
+    Returns:
+        The exit status, 0.
+
+    Raises:
+        WorldError: no coordinator was found in `wait_s`, it refuses this worker, or simulations do not start.
+    """
+    at_once = at_once or threading.Event()
+    name = tidy_host(settings.host or socket.gethostname())
+    sid = make_sid(name)
+    settled: str | None = None
+    with Link(settings.connect, name, settings.tls) as link:
+        while True:
+            terms = _meet(link, settings, name, sid, stop, settled)
+            if terms is None:
+                return 0
+            link.join(terms.run)
+            ending = _work_for(terms, link, settings, name, sid, stop, at_once)
+            log.info("worker_left", run=terms.run, why=ending.value)
+            is_settled = ending is Ending.FINISHED and terms.trade is Trade.EVALUATION
+            if not is_settled and ending is not Ending.MOVED:
+                return 0
+            settled = terms.run if is_settled else None
+            sid = make_sid(name)
+
+
+def _work_for(
+    terms: HelloReply,
+    link: Link,
+    settings: WorkerSettings,
+    name: str,
+    sid: str,
+    stop: threading.Event,
+    at_once: threading.Event,
+) -> Ending:
+    folder = folder_of(settings.spool_dir, terms.run)
+    with Spool(folder, settings.spool_limit, settings.max_spool_bytes, settings.min_free_bytes) as spool:
+        host = Host(
+            settings=settings,
+            name=name,
+            sid=sid,
+            run=terms.run,
+            trade=terms.trade,
+            command=settings.command_for(terms.trade),
+            lease_ttl_s=terms.lease_ttl_s,
+            link=link,
+            spool=spool,
+            scenes=SceneCache(settings.scene_dir, settings.max_scene_bytes),
+            rng=random.Random(sid),  # noqa: S311 - jitter
+        )
+        return Supervisor(host, stop, at_once).run()
+
+
+class Supervisor:
+    """Slots and heartbeat of one worker for one run."""
+
+    def __init__(self, host: Host, stop: threading.Event, at_once: threading.Event) -> None:
+        self._host = host
+        self._phase: Phase = host.phase
+        self._stop, self._at_once = stop, at_once
+        slots = [Slot(host) for _ in range(host.settings.cores)]
+        self._slots = [threading.Thread(target=slot.run, name=f"slot-{n}") for n, slot in enumerate(slots)]
+        self._heartbeat = Heartbeat(host)
+        self._heart = threading.Thread(target=self._heartbeat.run, name="heartbeat")
+
+    def run(self) -> Ending:
+        """Works until there is no more to do or to wait for.
+
+        Raises:
+            WorldError: this machine cannot work, e.g. because simulations do not start.
+        """
+        host = self._host
+        host.link.serve(host.sid, lambda asked: host.spool.read(asked.job_id, asked.fence, *asked.chunk))
+        log.info("worker_started", run=host.run, sid=host.sid, cores=host.settings.cores, spooled=len(host.spool))
+        threads = [*self._slots, self._heart]
+        for thread in threads:
+            thread.start()
+        try:
+            while not self._is_over():
+                self._heed_stop()
+        finally:
+            self._phase.stop(0.0)
+            host.link.close()  # ends every question under way
+            for thread in threads:
+                thread.join(_JOIN_S)
+        if self._phase.error is not None:
+            raise self._phase.error
+        if self._phase.moved.is_set():
+            return Ending.MOVED
+        return Ending.STOPPED if self._stop.is_set() else Ending.FINISHED
+
+    def _heed_stop(self) -> None:
+        # never a bare wait(): the signal may be handled on another thread and this one would sleep on
+        if not self._phase.stopping.is_set() and self._stop.wait(_POLL_S):
+            log.info("draining", by="stop", spooled=len(self._host.spool))
+            self._phase.stop(_DRAIN_S)
+        elif self._phase.stopping.is_set():
+            self._at_once.wait(_POLL_S / 4)
+
+    def _is_over(self) -> bool:
+        if self._at_once.is_set():
+            return True
+        if self._phase.left_s == 0.0 or self._phase.finished_s > _FAREWELL_S:
+            return True
+        if any(slot.is_alive() for slot in self._slots):
+            return False
+        if self._phase.stopping.is_set() and not self._heartbeat.is_answered:
+            return True  # nobody there to fetch what waits: it keeps until the next start
+        return len(self._host.spool) == 0
+
+
+def _meet(
+    link: Link, settings: WorkerSettings, name: str, sid: str, stop: threading.Event, settled: str | None
+) -> HelloReply | None:
+    """Looks for the run until it answers, `wait_s` is over or the worker is stopped (`None`).
+
+    A worker that has settled an evaluation goes back to the collection it interrupted, if there is one (else `None`).
+    """
+    hello, pause, begun = make_hello(sid, name, settings.cores), Backoff(0.2, 2.0), time.monotonic()
+    is_open = False
+    while not stop.is_set():
+        is_open = is_open or link.open()
+        if is_open:
+            terms = _choose(link.greet(hello), settings, settled)
+            if terms is not None:
+                return terms
+        if settled is not None:
+            return None
+        if time.monotonic() - begun > settings.wait_s:
+            where = ", ".join(settings.connect)
+            refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
+            found = f" ({link.last_error})" if link.last_error else ""
+            raise WorldError(
+                f"no coordinator at {where} within {settings.wait_s:g} s{found}{refused}: start one with `factory "
+                "coordinator start`, give its endpoint with --connect, or wait longer with --connect-timeout"
+            )
+        stop.wait(pause.fail())
+    return None
+
+
+def _choose(
+    replies: tuple[HelloReply | Refusal, ...], settings: WorkerSettings, settled: str | None
+) -> HelloReply | None:
+    """Returns the terms to work under; evaluations go first, in the order of their names, for they are short."""
+    greetings = (reply for reply in replies if isinstance(reply, HelloReply) and reply.run != settled)
+    terms = sorted((reply for reply in greetings if settings.run in {None, reply.run}), key=lambda reply: reply.run)
+    short = [reply for reply in terms if reply.trade is Trade.EVALUATION]
+    if short:
+        return short[0]
+    if len(terms) > 1:
+        runs = ", ".join(reply.run for reply in terms)
+        raise WorldError(f"{len(terms)} runs answer ({runs}): --connect to an endpoint of one of them only")
+    refusals = [reply.error for reply in replies if isinstance(reply, Refusal)]
+    if not terms and refusals:
+        raise WorldError(f"the coordinator refuses this worker: {refusals[0]}")
+    return terms[0] if terms else None

@@ -1,0 +1,1 @@
+"""Poses, camera projection, occupancy grid and velocity limits. Pure."""

@@ -1,0 +1,213 @@
+"""The occupancy grid: where the robot's footprint fits, which straight lines are free, which floor is connected.
+
+Pure geometry over arrays in the world frame, metres and radians; never draws, plans a path or touches physics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import distance_transform_edt, label
+
+from schemas.scene import CompiledScene, Target
+from schemas.support import portable
+
+__all__ = [
+    "BODY_CENTRE_M",
+    "CONNECT_CLEARANCE_M",
+    "DISC_OFFSETS_M",
+    "DISC_RADIUS_M",
+    "Grid",
+    "are_within",
+    "body_centre",
+    "straight_end",
+]
+
+DISC_OFFSETS_M = (-0.46, -0.2335, -0.01)
+"""Centres of the three discs that cover the footprint, x in base_link (notes/scenes.md 5.1)."""
+DISC_RADIUS_M = 0.29
+BODY_CENTRE_M = -0.2335
+"""Centre of the footprint, x in base_link."""
+HALF_WIDTH_M = 0.25
+FRONT_M = 0.14
+"""Foremost point of the footprint, x in base_link."""
+CONNECT_CLEARANCE_M = 0.36
+"""Clearance of the body centre that lets the robot pass: half its width and a hand's breadth."""
+FREE, OCCUPIED, HIDING = 0, 1, 2
+"""Values of `CompiledScene.occupancy`; `HIDING` also blocks the sight of what stands behind."""
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Occupancy of the robot's height band; cell (row, column) covers y, x from the origin; outside is occupied."""
+
+    occupancy: NDArray[np.uint8]
+    """(H, W) 0 free, 1 occupied, 2 occupied and hiding what is behind."""
+    origin_m: tuple[float, float]
+    """World x, y of the outer corner of cell (0, 0)."""
+    resolution_m: float
+
+    @classmethod
+    def from_scene(cls, scene: CompiledScene) -> Self:
+        """Returns the grid of a compiled scene."""
+        return cls(scene.occupancy, scene.info.grid_origin_m, scene.info.grid_resolution_m)
+
+    @cached_property
+    def clearance(self) -> Floats:
+        """(H, W) distance in metres from each cell's centre to the nearest occupied cell's centre; 0 on those."""
+        walled = np.pad(self.occupancy == FREE, 1)
+        field: Floats = distance_transform_edt(walled)[1:-1, 1:-1] * self.resolution_m
+        return field
+
+    def cell_of(self, xy: ArrayLike) -> NDArray[np.int64]:
+        """Returns (row, column) of the cells that hold the points (..., 2); they may lie outside of the grid."""
+        column_row = np.floor((np.asarray(xy, float) - self.origin_m) / self.resolution_m).astype(np.int64)
+        return column_row[..., ::-1]
+
+    def centre_of(self, cells: ArrayLike) -> Floats:
+        """Returns world x, y of the centres of cells (..., 2) given as (row, column)."""
+        row_column = np.asarray(cells, float)
+        return np.asarray(self.origin_m) + (row_column[..., ::-1] + 0.5) * self.resolution_m
+
+    def values_at(self, field: NDArray[np.generic], xy: ArrayLike, outside: float) -> NDArray[np.generic]:
+        """Looks a field (H, W) up at points (..., 2); `outside` is the value beyond the grid."""
+        cells = self.cell_of(xy)
+        rows, columns = cells[..., 0], cells[..., 1]
+        height, width = field.shape
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        found = field[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+        return np.where(inside, found, field.dtype.type(outside))
+
+    def clearance_at(self, xy: ArrayLike) -> Floats:
+        """Returns the clearance in metres at points (..., 2); 0 outside of the grid."""
+        return self.values_at(self.clearance, xy, 0.0).astype(np.float64)
+
+    def are_poses_free(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike, margin_m: float = 0.0) -> Bools:
+        """Tells for arrays of base_link poses whether the footprint and `margin_m` around it are free."""
+        return self._least_clearance(x, y, yaw) >= DISC_RADIUS_M + margin_m
+
+    def room_at_poses(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
+        """Returns for base_link poses the free space around the footprint, metres; negative in an obstacle."""
+        return self._least_clearance(x, y, yaw) - DISC_RADIUS_M
+
+    def _least_clearance(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
+        x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
+        along = np.asarray(DISC_OFFSETS_M)
+        discs = np.stack(
+            [
+                x[..., None] + along * portable.cos(yaw)[..., None],
+                y[..., None] + along * portable.sin(yaw)[..., None],
+            ],
+            axis=-1,
+        )
+        return np.asarray(self.clearance_at(discs).min(axis=-1))
+
+    def is_pose_free(self, x: float, y: float, yaw: float, margin_m: float = 0.0) -> bool:
+        """Whether the footprint of a base_link pose and `margin_m` around it are free."""
+        return bool(self.are_poses_free(x, y, yaw, margin_m))
+
+    def are_lines_free(self, starts: ArrayLike, ends: ArrayLike, clearance_m: float) -> Bools:
+        """Tells for segments (N, 2) -> (N, 2) of the base_link whether the robot can drive along them.
+
+        The swept body, from its front at the end pose on back, must keep `clearance_m` of free space on both sides.
+        Three tracks of discs cover that band; they are sampled at half the grid's resolution.
+        """
+        a, b = np.atleast_2d(np.asarray(starts, float)), np.atleast_2d(np.asarray(ends, float))
+        a, b = np.broadcast_arrays(a, b)
+        step = b - a
+        length = np.linalg.norm(step, axis=1)
+        side = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.maximum(length, 1e-9)[:, None]
+        half_width = HALF_WIDTH_M + clearance_m
+        radius = max(FRONT_M, half_width / 3)
+        free = np.ones(len(a), bool)
+        for offset in (0.0, half_width - radius, radius - half_width):
+            rest = np.flatnonzero(free)
+            shift = offset * side[rest]
+            free[rest] = self._are_tracks_free(a[rest] + shift, b[rest] + shift, radius)
+        return free
+
+    def is_line_free(self, start: ArrayLike, end: ArrayLike, clearance_m: float) -> bool:
+        """Whether the robot can drive straight from `start` to `end` with `clearance_m` free on both sides."""
+        return bool(self.are_lines_free(start, end, clearance_m)[0])
+
+    def _are_tracks_free(self, a: Floats, b: Floats, radius: float) -> Bools:
+        """Whether discs of `radius` metres fit all along the segments."""
+        owner, points = self._samples(a, b)
+        blocked = self.clearance_at(points) < radius
+        free = np.ones(len(a), bool)
+        free[owner[blocked]] = False
+        return free
+
+    def _samples(self, a: Floats, b: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Points on the segments at half the resolution or closer, ends included, and the segment of each."""
+        counts = np.ceil(np.linalg.norm(b - a, axis=1) / (self.resolution_m / 2)).astype(np.int64) + 1
+        owner = np.repeat(np.arange(len(a)), counts)
+        rank = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+        share = rank / np.maximum(counts[owner] - 1, 1)
+        return owner, a[owner] + (b - a)[owner] * share[:, None]
+
+    def have_sight(self, xy: ArrayLike, target: Target) -> Bools:
+        """Tells for points (N, 2) whether nothing tall stands between them and a target.
+
+        Tall is what fills the robot's height band and stands above its camera and a person's head alike: walls and
+        full racks, not desks. The target's own box and one cell around it never hide it.
+        """
+        points = np.atleast_2d(np.asarray(xy, float))
+        centre = np.asarray(target.centroid_m[:2])
+        owner, samples = self._samples(points, np.broadcast_to(centre, points.shape))
+        reach = np.asarray(target.size_m[:2]) / 2 + self.resolution_m
+        own = (np.abs(samples - centre) <= reach).all(axis=1)
+        hidden = ~own & (self.values_at(self.occupancy, samples, FREE) == HIDING)
+        seen = np.ones(len(points), bool)
+        seen[owner[hidden]] = False
+        return seen
+
+    def has_sight(self, xy: ArrayLike, target: Target) -> bool:
+        """Whether nothing tall stands between a point and a target."""
+        return bool(self.have_sight(xy, target)[0])
+
+    def connected_floor(self, seed_xy: ArrayLike | None = None, clearance_m: float = CONNECT_CLEARANCE_M) -> Bools:
+        """Returns (H, W) the connected cells on which the body centre has `clearance_m`.
+
+        Args:
+            seed_xy: a point of the wanted component; `None`, or a seed on no floor, takes the largest component.
+            clearance_m: clearance that the body centre needs, metres.
+        """
+        parts, count = label(self.clearance >= clearance_m, structure=np.ones((3, 3)))
+        if count == 0:
+            return np.zeros(self.occupancy.shape, bool)
+        wanted = 0 if seed_xy is None else int(self.values_at(parts, seed_xy, 0))
+        if wanted == 0:
+            wanted = int(np.bincount(parts.ravel())[1:].argmax()) + 1
+        floor: Bools = parts == wanted
+        return floor
+
+
+def straight_end(spawn_xy: ArrayLike, centroid_xy: ArrayLike, radius_m: float) -> Floats:
+    """Returns where the straight line from the spawn enters the success circle, (..., 2).
+
+    A spawn inside the circle is its own end.
+    """
+    spawn, centroid = np.asarray(spawn_xy, float), np.asarray(centroid_xy, float)
+    away = spawn - centroid
+    distance = np.linalg.norm(away, axis=-1, keepdims=True)
+    return np.where(distance > radius_m, centroid + away * (radius_m / np.maximum(distance, 1e-9)), spawn)
+
+
+def are_within(points: Floats, boxes: Floats) -> Bools:
+    """Tells for (N, 2) points whether each lies within any of the rectangles (K, 2, 2), lower and upper corner."""
+    inside: Bools = (points[:, None] > boxes[:, 0]) & (points[:, None] < boxes[:, 1])
+    return np.asarray((inside[..., 0] & inside[..., 1]).any(axis=1))
+
+
+def body_centre(x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
+    """Returns the body centre (..., 2) of base_link poses, world frame, metres."""
+    x, y, yaw = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float), np.asarray(yaw, float))
+    return np.stack([x + BODY_CENTRE_M * portable.cos(yaw), y + BODY_CENTRE_M * portable.sin(yaw)], axis=-1)

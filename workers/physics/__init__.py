@@ -1,0 +1,1 @@
+"""The PyBullet world: robot, colliders, stepping."""

@@ -1,0 +1,301 @@
+"""The door to PyBullet: the only module that imports it, typed, one private DIRECT client an object.
+
+Quaternions are (w, x, y, z) on this side of the door. It never decides what is simulated: worlds and renderers do.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType, TracebackType
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.errors import WorldError
+from schemas.support.extras import require_package
+from workers.physics.mesh_lists import MeshLists, as_lists, take_back
+
+__all__ = [
+    "BulletClient",
+    "CameraImage",
+    "Contact",
+    "Placement",
+    "bullet_version",
+]
+
+_UNLIT = {"shadow": 0, "lightAmbientCoeff": 1.0, "lightDiffuseCoeff": 0.0, "lightSpecularCoeff": 0.0}
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Points stdout and stderr at nothing: PyBullet's C code prints its build time past Python's streams."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(1), os.dup(2)]
+    try:
+        with Path(os.devnull).open("wb") as nothing:
+            os.dup2(nothing.fileno(), 1)
+            os.dup2(nothing.fileno(), 2)
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)  # C keeps what it printed until its buffer is full
+        for descriptor, copy in enumerate(kept, 1):
+            os.dup2(copy, descriptor)
+            os.close(copy)
+
+
+def _import_pybullet() -> ModuleType:
+    require_package("pybullet", "simulation")
+    with _silence():
+        import pybullet
+    return pybullet  # type: ignore[no-any-return]
+
+
+_p = _import_pybullet()
+
+
+class Contact(NamedTuple):
+    """One contact point of a body."""
+
+    other: int
+    """Id of the body it meets."""
+    distance_m: float
+    """Gap between the surfaces in metres; negative where they overlap."""
+
+
+class Placement(NamedTuple):
+    """Pose of a frame in the world: metres and quaternion (w, x, y, z)."""
+
+    position: Vector
+    orientation: Quaternion
+
+
+class CameraImage(NamedTuple):
+    """What the TinyRenderer saw; rows from the top."""
+
+    rgba: NDArray[np.uint8]
+    """(H, W, 4)."""
+    depth: NDArray[np.float32]
+    """(H, W) OpenGL's window depth, 0 at the near plane to 1 at the far plane."""
+    bodies: NDArray[np.int32]
+    """(H, W) body id, -1 for nothing."""
+
+
+def bullet_version() -> str:
+    """Returns the version of PyBullet's interface."""
+    return version("pybullet")
+
+
+class BulletClient:
+    """One physics server within this process; bodies, shapes and textures belong to it and die with it."""
+
+    def __init__(self) -> None:
+        self._id: int = _p.connect(_p.DIRECT)
+        if self._id < 0:
+            raise WorldError("PyBullet gave no physics client; close worlds that are no longer used")
+        self._inertial: dict[int, tuple[Vector, tuple[float, float, float, float]]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Frees the client; closing twice is harmless."""
+        if self._id >= 0:
+            _p.disconnect(physicsClientId=self._id)
+            self._id = -1
+
+    # Physics ---------------------------------------------------------------------------------------------------
+
+    def set_engine(self, period_s: float, substeps: int, iterations: int) -> None:
+        """Sets gravity, the period of one `step` in seconds, its substeps and the iterations of the solver."""
+        _p.setGravity(0, 0, -9.81, physicsClientId=self._id)
+        _p.setPhysicsEngineParameter(
+            fixedTimeStep=period_s,
+            numSubSteps=substeps,
+            numSolverIterations=iterations,
+            deterministicOverlappingPairs=1,
+            enableConeFriction=1,
+            physicsClientId=self._id,
+        )
+
+    def add_plane(self, height_m: float) -> int:
+        """Adds an endless floor at a height and returns its body id."""
+        shape = _p.createCollisionShape(_p.GEOM_PLANE, physicsClientId=self._id)
+        return self._add_static(height_m, collision=shape)
+
+    def add_collider(self, mesh: MeshLists) -> int:
+        """Adds a static concave mesh in world coordinates, metres, and returns its body id.
+
+        Raises:
+            WorldError: Bullet refuses the mesh.
+        """
+        try:
+            shape = _p.createCollisionShape(
+                _p.GEOM_MESH,
+                vertices=mesh.vertices,
+                indices=mesh.indices,
+                flags=_p.GEOM_FORCE_CONCAVE_TRIMESH,
+                physicsClientId=self._id,
+            )
+        except _p.error as error:
+            size = f"{len(mesh.vertices)} vertices, {len(mesh.indices) // 3} triangles"
+            raise WorldError(f"PyBullet refuses a collider of {size}; rebuild the scene: {error}") from error
+        return self._add_static(0.0, collision=shape)
+
+    def add_urdf(self, urdf: str) -> int:
+        """Adds the body that a URDF text describes, its root link at the origin, and returns its body id."""
+        with tempfile.NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
+            file.write(urdf)
+            file.flush()
+            body: int = _p.loadURDF(file.name, flags=_p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=self._id)
+        info = _p.getDynamicsInfo(body, -1, physicsClientId=self._id)
+        self._inertial[body] = (info[3], info[4])
+        return body
+
+    def links(self, body: int) -> dict[str, int]:
+        """Returns the index of every link but the root, which is -1, by name."""
+        count = _p.getNumJoints(body, physicsClientId=self._id)
+        infos = (_p.getJointInfo(body, joint, physicsClientId=self._id) for joint in range(count))
+        return {info[12].decode(): info[0] for info in infos}
+
+    def set_surface(self, body: int, link: int, friction: float) -> None:
+        """Gives a link its sliding friction and takes away all damping, bounce and rolling resistance."""
+        _p.changeDynamics(
+            body,
+            link,
+            lateralFriction=friction,
+            spinningFriction=0,
+            rollingFriction=0,
+            restitution=0,
+            linearDamping=0,
+            angularDamping=0,
+            jointDamping=0,
+            physicsClientId=self._id,
+        )
+
+    def set_collision_group(self, body: int, link: int, group: int, meets: int) -> None:
+        """Puts a link into a collision group; two links collide when each one's `meets` holds the other's group."""
+        _p.setCollisionFilterGroupMask(body, link, group, meets, physicsClientId=self._id)
+
+    def drive_joints(self, body: int, joints: Sequence[int], speeds_rps: Sequence[float], torque_nm: float) -> None:
+        """Sets the wanted speeds of joints, rad/s, and the largest torque of their motors, N m."""
+        _p.setJointMotorControlArray(
+            body,
+            joints,
+            _p.VELOCITY_CONTROL,
+            targetVelocities=speeds_rps,
+            forces=[torque_nm] * len(joints),
+            physicsClientId=self._id,
+        )
+
+    def place_base(self, body: int, placement: Placement) -> None:
+        """Puts the root link frame of a URDF body somewhere, with everything at rest and all joints at zero."""
+        w, x, y, z = placement.orientation
+        position, rotation = _p.multiplyTransforms(placement.position, (x, y, z, w), *self._inertial[body])
+        _p.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=self._id)
+        _p.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self._id)
+        for joint in range(_p.getNumJoints(body, physicsClientId=self._id)):
+            _p.resetJointState(body, joint, 0, 0, physicsClientId=self._id)
+
+    def base_placement(self, body: int) -> Placement:
+        """Returns the pose of the root link frame of a URDF body, not that of its centre of mass."""
+        centre = _p.getBasePositionAndOrientation(body, physicsClientId=self._id)
+        position, (x, y, z, w) = _p.multiplyTransforms(*centre, *_p.invertTransform(*self._inertial[body]))
+        return Placement(position, (w, x, y, z))
+
+    def step(self) -> None:
+        """Simulates one period."""
+        _p.stepSimulation(physicsClientId=self._id)
+
+    def detect_collisions(self) -> None:
+        """Finds the contacts of the present poses without moving anything."""
+        _p.performCollisionDetection(physicsClientId=self._id)
+
+    def contacts(self, body: int) -> list[Contact]:
+        """Returns the contacts of a body with all others, as of the last step or detection."""
+        points = _p.getContactPoints(bodyA=body, physicsClientId=self._id)
+        return [Contact(point[2], point[8]) for point in points]
+
+    # TinyRenderer ----------------------------------------------------------------------------------------------
+
+    def add_visual(self, positions: NDArray[np.float32], uvs: NDArray[np.float32], rgb: Vector) -> int:
+        """Adds something to see: un-welded triangles of one colour, of at most `MESH_TRIANGLES`.
+
+        Args:
+            positions: (3n, 3) metres, counter-clockwise seen from outside.
+            uvs: (3n, 2) texture coordinates.
+            rgb: colour that multiplies the texture, 0 to 1.
+
+        Returns:
+            The body id, which the camera image shows.
+        """
+        lists = [as_lists(each) for each in (positions, _corner_normals(positions), uvs)]
+        indices = list(range(len(positions)))
+        shape = _p.createVisualShape(
+            _p.GEOM_MESH,
+            vertices=lists[0],
+            indices=indices,
+            normals=lists[1],
+            uvs=lists[2],
+            rgbaColor=(*rgb, 1.0),
+            physicsClientId=self._id,
+        )
+        indices.clear()
+        for each in lists:
+            take_back(each)
+        return self._add_static(0.0, visual=shape)
+
+    def load_texture(self, path: Path) -> int:
+        """Loads an 8-bit PNG and returns its texture id; its first row is v = 1."""
+        texture: int = _p.loadTexture(str(path), physicsClientId=self._id)
+        return texture
+
+    def set_texture(self, body: int, texture: int) -> None:
+        """Dresses a body in a texture."""
+        _p.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self._id)
+
+    def camera_image(
+        self, size: int, view: NDArray[np.float64], projection: NDArray[np.float64], *, is_lit: bool = False
+    ) -> CameraImage:
+        """Renders a `size` x `size` image by OpenGL matrices for columns; `is_lit` with PyBullet's light and shadow."""
+        _, _, rgba, depth, bodies = _p.getCameraImage(
+            size,
+            size,
+            view.T.ravel().tolist(),
+            projection.T.ravel().tolist(),
+            **({} if is_lit else _UNLIT),
+            renderer=_p.ER_TINY_RENDERER,
+            physicsClientId=self._id,
+        )
+        return CameraImage(
+            np.asarray(rgba, np.uint8).reshape(size, size, 4),
+            np.asarray(depth, np.float32).reshape(size, size),
+            np.asarray(bodies, np.int32).reshape(size, size),
+        )
+
+    def _add_static(self, height_m: float, collision: int = -1, visual: int = -1) -> int:
+        body: int = _p.createMultiBody(0, collision, visual, (0, 0, height_m), physicsClientId=self._id)
+        return body
+
+
+def _corner_normals(positions: NDArray[np.float32]) -> NDArray[np.float32]:
+    corners = positions.reshape(-1, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.repeat(normals, 3, axis=0)

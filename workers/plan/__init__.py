@@ -1,9 +1,0 @@
-"""Planning on the occupancy grid: forward-only paths, their following, and distances along the floor."""
-
-from __future__ import annotations
-
-from workers.plan.distance import geodesic_field, geodesic_m
-from workers.plan.lattice import Waypoint, pose_table
-from workers.plan.search import plan_path
-
-__all__ = ["Waypoint", "geodesic_field", "geodesic_m", "plan_path", "pose_table"]

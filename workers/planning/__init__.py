@@ -1,0 +1,9 @@
+"""Planning on the occupancy grid: forward-only paths, their following, and distances along the floor."""
+
+from __future__ import annotations
+
+from workers.planning.distance import geodesic_field, geodesic_m
+from workers.planning.lattice import Waypoint, pose_table
+from workers.planning.search import plan_path
+
+__all__ = ["Waypoint", "geodesic_field", "geodesic_m", "plan_path", "pose_table"]

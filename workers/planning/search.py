@@ -1,0 +1,146 @@
+"""Hybrid A* with forward moves only: from a start pose to where a target is reached, around what stands between.
+
+Deterministic and pure: the same grid, start, target and settings give the same path; an expansion limit, no clock.
+"""
+
+from __future__ import annotations
+
+import functools
+import heapq
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import PlannerConfig
+from schemas.scene import Target
+from workers.geometry.grid import DISC_RADIUS_M, Grid
+from workers.planning.distance import FloorGraph, arrival_cells
+from workers.planning.lattice import MOVES, PoseTable, Waypoint, heading_of, pose_table, yaw_at
+
+__all__ = ["plan_path"]
+
+_CELL_M = 0.1
+"""Two poses of one heading closer than this, cell by cell, count as one."""
+_TURN_COST_M, _SPOT_TURN_COST_M = 0.02, 0.06
+"""What turning by one heading costs, in metres of way: on an arc, and on the spot, where the robot must stop."""
+_WIDE_M, _NARROW_COST = 0.6, 0.8
+"""Clearance from which on a way is no longer than it is, and what a way without any costs more, as a share."""
+
+
+def plan_path(
+    grid: Grid, start: Waypoint, target: Target, radius_m: float, config: PlannerConfig
+) -> tuple[Waypoint, ...] | None:
+    """Returns poses at most 0.2 m apart, from the start to inside the success circle with sight of the target.
+
+    Consecutive poses are joined by a forward arc or, where they share a point, by a turn on the spot. The wide
+    margins are tried first, then the tight ones.
+
+    Args:
+        grid: of the scene.
+        start: pose of base_link.
+        target: to reach.
+        radius_m: success radius; the path ends a margin within.
+        config: margins and limits.
+
+    Returns:
+        The path, or `None` when there is none or the search gave up.
+    """
+    tries = (
+        (config.margin_m, config.arrival_margin_m),
+        (config.tight_margin_m, config.arrival_margin_m),
+        (config.tight_margin_m, config.tight_arrival_margin_m),
+    )
+    for margin, arrival_margin in tries:
+        table = pose_table(grid, margin)
+        if table.holds(*start):
+            arrival = arrival_cells(grid, target, radius_m - arrival_margin)
+            path = _search(table, margin, start, arrival, config.max_expansions)
+            if path is not None:
+                return path
+    return None
+
+
+@functools.lru_cache(maxsize=2)
+def _weights(grid: Grid) -> NDArray[np.float64]:
+    """(H, W) how much longer a way through a cell counts than it is; narrow places are avoided, not forbidden."""
+    lack = np.clip((_WIDE_M - grid.clearance) / (_WIDE_M - DISC_RADIUS_M), 0.0, 1.0)
+    weights: NDArray[np.float64] = 1.0 + _NARROW_COST * lack**2
+    return weights
+
+
+@functools.lru_cache(maxsize=4)
+def _floor_graph(grid: Grid, margin_m: float) -> FloorGraph:
+    return FloorGraph.over(pose_table(grid, margin_m).floor, grid.resolution_m, _weights(grid))
+
+
+def _search(
+    table: PoseTable, margin_m: float, start: Waypoint, arrival: NDArray[np.bool_], max_expansions: int
+) -> tuple[Waypoint, ...] | None:
+    grid = table.grid
+    to_go = _floor_graph(grid, margin_m).distances(arrival).metres
+    if not math.isfinite(float(grid.values_at(to_go, start[:2], np.inf))):
+        return None
+    nodes = _expand(table, to_go, start, arrival, max_expansions)
+    return None if nodes is None else (start, *nodes)
+
+
+Node = tuple[float, float, int, int]
+"""x, y, heading, number of the node before."""
+
+
+def _expand(
+    table: PoseTable, to_go: NDArray[np.float64], start: Waypoint, arrival: NDArray[np.bool_], max_expansions: int
+) -> list[Waypoint] | None:
+    """The search itself. A free pose keeps more than a step from the grid's rim, so that no index leaves it."""
+    grid, flags, ahead, goal = table.grid, table.flags, to_go.ravel().tolist(), arrival.tobytes()
+    weights = _weights(grid).ravel().tolist()
+    (left, low), per_cell = grid.origin_m, 1.0 / grid.resolution_m
+    width, area = int(grid.occupancy.shape[1]), grid.occupancy.size
+
+    def cell(x: float, y: float) -> int:
+        return int((y - low) * per_cell) * width + int((x - left) * per_cell)
+
+    def key(x: float, y: float, heading: int) -> tuple[int, int, int]:
+        return int((x - left) / _CELL_M), int((y - low) / _CELL_M), heading
+
+    first = heading_of(start.yaw)
+    cost_at = {key(start.x, start.y, first): 0.0}
+    heap = [(ahead[cell(start.x, start.y)], 0, 0.0, start.x, start.y, first, -1)]
+    nodes: list[Node] = []
+    pushed = 0
+    while heap and len(nodes) < max_expansions:
+        _, _, cost, x, y, heading, before = heapq.heappop(heap)
+        if cost > cost_at[key(x, y, heading)]:
+            continue
+        nodes.append((x, y, heading, before))
+        if goal[cell(x, y)]:
+            return _trace(nodes)
+        for mid_x, mid_y, end_x, end_y, turned, length, turn in MOVES[heading]:
+            spot = cell(x + end_x, y + end_y)
+            if not flags[turned * area + spot]:
+                continue
+            if length:
+                if not flags[heading * area + cell(x + mid_x, y + mid_y)]:
+                    continue
+                price = cost + length * weights[spot] + turn * _TURN_COST_M
+            else:
+                price = cost + turn * _SPOT_TURN_COST_M
+            place = key(x + end_x, y + end_y, turned)
+            if price < cost_at.get(place, math.inf) - 1e-9 and ahead[spot] < math.inf:
+                cost_at[place] = price
+                pushed += 1
+                entry = (price + ahead[spot], pushed, price, x + end_x, y + end_y, turned, len(nodes) - 1)
+                heapq.heappush(heap, entry)
+    return None
+
+
+def _trace(nodes: list[Node]) -> list[Waypoint]:
+    """The poses on the way to the last node, in order; the first is the start with its heading rounded."""
+    path: list[Waypoint] = []
+    number = len(nodes) - 1
+    while number >= 0:
+        x, y, heading, number_before = nodes[number]
+        path.append(Waypoint(x, y, yaw_at(heading)))
+        number = number_before
+    return path[::-1]

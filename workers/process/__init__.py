@@ -1,0 +1,1 @@
+"""Starts simulation processes and exchanges JSON lines with them."""

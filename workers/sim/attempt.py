@@ -1,0 +1,167 @@
+"""One attempt at a job: find a start, drive, and seal the bundle; or say why not.
+
+A pure function of the job and the scene up to provenance; a failed attempt is a value, never an exception.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import BinaryIO
+
+from schemas.bundle import BundleWriter, EpisodeArrays
+from schemas.episode import EpisodeMeta, Provenance, Rollout, Route
+from schemas.job import Job
+from schemas.measure import measure_track
+from schemas.scene import SceneInfo, Target
+from schemas.terms import EndReason, FailReason
+from workers.experts import Expert, make_expert
+from workers.geometry.pose import Pose
+from workers.physics.world import World
+from workers.planning import Waypoint, geodesic_m
+from workers.sim.rollout import Drive, drive
+from workers.sim.scene_renderer import LoadedScene, Stage
+from workers.sim.spawn import draw_poses, is_spawn_firm
+
+__all__ = ["Failure", "Outcome", "Success", "run_attempt"]
+
+_FAIL_REASON = {EndReason.COLLISION: FailReason.COLLISION, EndReason.TIMEOUT: FailReason.TIMEOUT}
+_NO_DIGEST = "0" * 32
+
+
+@dataclass(frozen=True)
+class Success:
+    """The bundle is complete."""
+
+    meta: EpisodeMeta
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The world said no; what was written is rubbish."""
+
+    reason: FailReason
+    detail: str
+    steps: int
+
+
+Outcome = Success | Failure
+
+
+def run_attempt(job: Job, stage: Stage, out: BinaryIO, sid: str, on_step: Callable[[int], None]) -> Outcome:
+    """Simulates one attempt and streams its bundle into `out`.
+
+    Args:
+        job: what to do; seeds every draw.
+        stage: gives the renderer and the scene, which must have been loaded.
+        out: a seekable file opened for writing.
+        sid: session id of the worker, for the provenance.
+        on_step: told the number of steps done, after each.
+    """
+    place = stage.loaded(job.scene_sha256)
+    target = place.scene.info.target(job.target_id)
+    rng = job.rng()
+    stage.renderer.load(place.scene, job.camera)  # not beside a world: uploading and Bullet both want room for a while
+    for draws, start in enumerate(draw_poses(job, target, place, rng), 1):
+        with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
+            if not is_spawn_firm(world, start, job):
+                continue
+            expert = make_expert(job)
+            planned = expert.begin(world.pose(), place.grid, target)
+            if planned is None:
+                return Failure(FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_words(start)}", 0)
+            return _drive_and_seal(job, target, place, stage, world, expert, planned, draws, out, sid, on_step)
+    detail = f"no firm start for {job.target_id} in tier {job.tier} within {job.spawn.physics_draws} draws"
+    return Failure(FailReason.SPAWN, detail, 0)
+
+
+def _words(pose: Pose) -> str:
+    return f"({pose.x:.2f}, {pose.y:.2f}) m, yaw {pose.yaw:.2f} rad"
+
+
+def _drive_and_seal(
+    job: Job,
+    target: Target,
+    place: LoadedScene,
+    stage: Stage,
+    world: World,
+    expert: Expert,
+    planned: tuple[Waypoint, ...],
+    draws: int,
+    out: BinaryIO,
+    sid: str,
+    on_step: Callable[[int], None],
+) -> Outcome:
+    """Drives from where the robot stands and completes the bundle, or says why the world refused."""
+    start = world.pose()
+    writer = BundleWriter(out, stage.lap)
+    stage.lap("start")
+    done = drive(
+        job,
+        target,
+        world,
+        stage.renderer,
+        expert,
+        lambda frame: writer.add_frame(frame.rgb, frame.depth, frame.ids),
+        on_step,
+        stage.lap,
+    )
+    if done.end_reason is not EndReason.SUCCESS:
+        writer.abandon()
+        return Failure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
+    reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task.success_radius_m)
+    stage.lap("route")
+    route = Route(geodesic_m=reach_m, planned=planned)
+    provenance = Provenance(created_at=datetime.now(UTC), worker=sid, fingerprint=stage.fingerprint)
+    meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
+    sealed = writer.finish(done.arrays, meta)
+    stage.lap("bundle")
+    return Success(sealed)
+
+
+def describe_episode(
+    job: Job, target: Target, info: SceneInfo, done: Drive, route: Route, draws: int, provenance: Provenance
+) -> EpisodeMeta:
+    """Returns the metadata of a successful drive, digests still open."""
+    return EpisodeMeta(
+        episode_id=job.episode_id,
+        job=job,
+        target_prim_path=target.prim_path,
+        target_instance_id=target.instance_id,
+        target_centroid_m=target.centroid_m,
+        phrase_is_unique=_is_unique(job, info),
+        rollout=_summarise(done.arrays, target, done, draws),
+        route=route,
+        instances=info.instances,
+        frame_digests=(),
+        content_digest=_NO_DIGEST,
+        provenance=provenance,
+    )
+
+
+def _is_unique(job: Job, info: SceneInfo) -> bool:
+    says_colour = job.colour != "unknown" and job.colour in job.instruction.split()
+    alike = [
+        target
+        for target in info.targets
+        if target.category == job.category and (not says_colour or target.colour == job.colour)
+    ]
+    return len(alike) == 1
+
+
+def _summarise(arrays: EpisodeArrays, target: Target, done: Drive, draws: int) -> Rollout:
+    track = measure_track(arrays.poses, target.centroid_m)
+    return Rollout(
+        end_reason=done.end_reason,
+        num_steps=len(arrays.poses),
+        spawn_pose=track.spawn_pose,
+        spawn_dist_m=track.spawn_dist_m,
+        spawn_draws=draws,
+        trajectory_length_m=track.trajectory_length_m,
+        final_ne_m=track.final_ne_m,
+        final_ne_3d_m=track.final_ne_3d_m,
+        min_ne_m=track.min_ne_m,
+        collision_count=done.contact_steps,
+        steps_visible=done.steps_visible,
+    )

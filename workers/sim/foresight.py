@@ -1,0 +1,59 @@
+"""How a driver that heads straight for its target will move, told without physics and without drawing.
+
+A unicycle that turns by the column of the target's mask, else by the bearing, under the proportional expert's gains and
+the robot's slew limits. Pure; it chooses starts and never says how a drive ends.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.job import Job
+from workers.geometry.appearance import Appearance
+from workers.geometry.slew import Twist, slew
+
+__all__ = ["foresee"]
+
+_HZ = 20
+"""Poses a second; at full speed they lie one cell of the grid apart."""
+_LOOK_EVERY = 3
+"""Poses; a look costs more than all the rest."""
+
+
+def foresee(
+    start: tuple[float, float, float], goal: tuple[float, float], job: Job, appearance: Appearance | None = None
+) -> NDArray[np.float64]:
+    """Returns the poses (N, 3) x, y, yaw that a straight driver passes from `start` to the success circle.
+
+    Args:
+        start: x, y in metres and yaw in radians of base_link, at rest.
+        goal: x, y of the target's centroid, metres.
+        job: gives gains, limits, the success radius and the time.
+        appearance: of the target, whose mask's middle is what is driven at; without it the centroid is.
+    """
+    gains, robot = job.gains, job.robot
+    x, y, yaw = start
+    twist = Twist(0.0, 0.0)
+    poses = [start]
+    pixels = column = 0.0
+    for step in range(job.task.max_steps * _HZ // job.task.control_hz):
+        distance = math.hypot(goal[0] - x, goal[1] - y)
+        if distance <= job.task.success_radius_m:
+            break
+        if appearance is not None and step % _LOOK_EVERY == 0:
+            pixels, column = appearance.look(x, y, yaw)
+        error = (
+            -column
+            if pixels >= gains.min_mask_px
+            else math.remainder(math.atan2(goal[1] - y, goal[0] - x) - yaw, 2 * math.pi)
+        )
+        turn = min(max(gains.yaw_gain * error, -robot.max_yaw_rate_rps), robot.max_yaw_rate_rps)
+        twist = slew(twist, Twist(min(gains.speed_gain * distance, robot.max_speed_mps), turn), robot, 1.0 / _HZ)
+        yaw += twist.w_rps / _HZ
+        x += twist.v_mps * math.cos(yaw) / _HZ
+        y += twist.v_mps * math.sin(yaw) / _HZ
+        poses.append((x, y, yaw))
+    return np.array(poses)

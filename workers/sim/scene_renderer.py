@@ -1,0 +1,92 @@
+"""What a simulation process keeps between jobs: the open renderer and the scenes it has loaded, keyed by content hash.
+
+A cache and nothing else: an attempt never depends on what ran before it.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from schemas.fingerprint import Fingerprint
+from schemas.scene import CompiledScene, decode_scene
+from schemas.support.stage_timer import Lap, no_lap
+from schemas.terms import RendererKind
+from workers.geometry.grid import Grid, body_centre
+from workers.physics.world import ColliderMesh
+from workers.render import Renderer
+from workers.render.choose import open_renderer
+from workers.sim.fingerprint import make_fingerprint
+
+__all__ = ["LoadedScene", "Stage", "prepare_scene"]
+
+_KEPT_SCENES = 2
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene with what is derived from it once."""
+
+    scene: CompiledScene
+    grid: Grid
+    collider: ColliderMesh
+
+    def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
+        """Tells for base_link poses whether the body centre stands on the connected floor."""
+        return self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0).astype(bool)
+
+    @functools.cached_property
+    def taken(self) -> NDArray[np.float64]:
+        """(K, 2, 2) lower and upper corners x, y of what targets take up: nobody starts beneath a shelf."""
+        return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
+
+
+class Stage:
+    """Opens the renderer; loads scenes on demand and keeps the few used last."""
+
+    def __init__(self, renderer_kind: RendererKind = "auto", lap: Lap = no_lap, apart: bool = False) -> None:
+        """Opens the renderer.
+
+        Args:
+            renderer_kind: which one.
+            lap: told the end of every stage of every attempt.
+            apart: whether the renderer runs in a process of its own, as `open_renderer` says.
+        """
+        self.lap = lap
+        self.renderer: Renderer = open_renderer(renderer_kind, lap=lap, apart=apart)
+        self.fingerprint: Fingerprint = make_fingerprint(self.renderer.description)
+        self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
+
+    def load(self, path: Path, sha256: str) -> LoadedScene:
+        """Returns the scene of that digest, read from `path` unless it is at hand."""
+        if sha256 not in self._loaded:
+            with path.open("rb") as file:
+                self._loaded[sha256] = prepare_scene(decode_scene(file))
+            while len(self._loaded) > _KEPT_SCENES:
+                self._loaded.popitem(last=False)
+        self._loaded.move_to_end(sha256)
+        return self._loaded[sha256]
+
+    def loaded(self, sha256: str) -> LoadedScene:
+        """Returns a scene that `load` has brought; `KeyError` when it has not."""
+        return self._loaded[sha256]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.renderer.close()
+
+
+def prepare_scene(scene: CompiledScene) -> LoadedScene:
+    """Derives the grid and the collider lists of a scene."""
+    return LoadedScene(scene, Grid.from_scene(scene), ColliderMesh.from_scene(scene))

@@ -1,0 +1,179 @@
+"""Where an attempt starts: tiered draws on the occupancy grid, then a check in physics (paper Sec. III-D).
+
+Draws come from the attempt's generator only; the grid part is pure.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.job import Job
+from schemas.scene import Target
+from schemas.support import portable
+from schemas.terms import TIER_RANGE_M, ExpertName, Tier
+from workers.geometry.appearance import Appearance
+from workers.geometry.grid import are_within, straight_end
+from workers.geometry.pose import Pose
+from workers.physics.world import World
+from workers.planning import geodesic_field, pose_table
+from workers.sim.foresight import foresee
+from workers.sim.scene_renderer import LoadedScene
+
+ARRIVAL_RADIUS_M = 0.97
+"""Where the robot comes to rest within the success circle, metres from the centroid."""
+_CLOSEST_FAR_M = 1.5
+"""Least distance to the target's centroid of the planner's far starts, metres."""
+_BEARINGS = 384
+"""Bearings that are tried at a distance before it is given up."""
+_FORESEEN = 32
+"""Starts of a straight driver whose drive is foreseen before the one with the most room along its way is taken."""
+_FORESEEN_MARGIN_M = 0.10
+"""Free space around the footprint along a foreseen drive; with less, drives scrape along what they pass."""
+
+Bools = NDArray[np.bool_]
+Poses = NDArray[np.float64]
+"""(N, 3) x, y in metres and yaw in radians, world frame."""
+Start = tuple[float, float, float]
+"""x, y in metres and yaw in radians of base_link, world frame."""
+
+__all__ = ["draw_poses", "is_spawn_firm"]
+
+
+def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Pose]:
+    """Yields start poses that fit on the grid, at most `job.spawn.physics_draws` of them.
+
+    Near and mid: a uniform distance, then bearings at that distance until one fits, facing the target within the
+    heading noise; another distance only when none of `_BEARINGS` fits. What is blocked thus costs bearings and not
+    distances, whose distribution stays the paper's. Far: a surveyed floor point and a uniform heading. Experts that
+    drive straight get starts whose straight line to the success circle is free, and among these rather one from which
+    the turn towards the target and the way to it are foreseen to touch nothing; the planner gets any start on the
+    connected floor and, far, one whose way is not too long.
+
+    Args:
+        job: gives tier, expert and spawn settings.
+        target: the object to approach.
+        place: the scene with its grid.
+        rng: the attempt's generator; consumed in a fixed order.
+    """
+    z = place.scene.info.floor_height_m
+    for _ in range(job.spawn.physics_draws):
+        found = _draw_on_grid(job, target, place, rng)
+        if found is None:
+            return
+        yield Pose.planar(*found, z=z)
+
+
+def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
+    """Places the robot, lets it stand for the warm-up steps, and says whether it stayed (DESIGN 3.12).
+
+    The paper's displacement test alone misses overlaps of a few centimetres, hence the penetration test before it.
+    """
+    spawn = job.spawn
+    world.place(pose.x, pose.y, pose.yaw)
+    if world.deepest_penetration() > spawn.max_penetration_m:
+        return False
+    for _ in range(spawn.warmup_steps):
+        world.step()
+    after = world.pose()
+    return math.hypot(after.x - pose.x, after.y - pose.y) <= spawn.max_displacement_m
+
+
+def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Start | None:
+    fitting = _draw_fitting(job, target, place, rng)
+    first = next(fitting, None)
+    if first is None or job.expert is ExpertName.PLANNER:
+        return first
+    some = itertools.chain((first,), itertools.islice(fitting, _FORESEEN - 1))
+    appearance = Appearance(place.scene, target.instance_id, job.camera)
+    best, most_m = first, -math.inf
+    for start in some:
+        room_m = _room_along_drive(job, target, place, start, appearance)
+        if room_m >= _FORESEEN_MARGIN_M:
+            return start
+        if room_m > most_m:
+            best, most_m = start, room_m
+    return best
+
+
+def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Start]:
+    """Yields starts that may begin an episode: near and mid those at the first distance that has any."""
+    surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
+    if surveyed is not None and len(surveyed) == 0:
+        return
+    for _ in range(job.spawn.grid_draws):
+        poses = _draw_around(job, target, rng) if surveyed is None else _draw_among(surveyed, rng)
+        fits = np.flatnonzero(_can_start(job, target, place, poses))
+        for x, y, yaw in poses[fits]:
+            yield float(x), float(y), float(yaw)
+        if surveyed is None and len(fits):
+            return
+
+
+def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
+    """Poses (N, 3) at one distance, in the order in which they are to be tried."""
+    distance = rng.uniform(*TIER_RANGE_M[job.tier])
+    bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
+    noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
+    yaw = bearing + math.pi + noise
+    x = target.centroid_m[0] + distance * portable.cos(bearing)
+    y = target.centroid_m[1] + distance * portable.sin(bearing)
+    return np.stack([x, y, portable.arctan2(portable.sin(yaw), portable.cos(yaw))], axis=1)
+
+
+def _draw_among(points: NDArray[np.float32], rng: np.random.Generator) -> Poses:
+    x, y = points[int(rng.integers(len(points)))]
+    return np.array([[x, y, rng.uniform(-math.pi, math.pi)]])
+
+
+def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    if job.expert is ExpertName.PLANNER:
+        return _points_within_reach(job, target, place)
+    column = place.scene.info.targets.index(target)
+    return place.scene.spawns[place.scene.spawn_sees[:, column] > 0]
+
+
+def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
+    """Surveyed points from which the way along the floor is short enough to be driven within the step limit."""
+    points = place.scene.spawns
+    way = geodesic_field(place.grid, target, job.task.success_radius_m).metres
+    is_short = place.grid.values_at(way, points, np.inf).astype(np.float64) <= job.planner.max_path_m
+    is_outside = np.linalg.norm(points - np.asarray(target.centroid_m[:2]), axis=1) >= _CLOSEST_FAR_M
+    return np.asarray(points[is_short & is_outside])
+
+
+def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
+    """Tells for poses (N, 3) whether an episode of the job may start there; each test sees those left by the former."""
+    tests: list[Callable[[Poses], Bools]] = [
+        lambda at: place.grid.are_poses_free(at[:, 0], at[:, 1], at[:, 2], job.spawn.margin_m),
+        lambda at: place.are_connected(at[:, 0], at[:, 1], at[:, 2]),
+        lambda at: ~are_within(at[:, :2], place.taken),
+    ]
+    is_planner = job.expert is ExpertName.PLANNER
+    if is_planner:
+        table = pose_table(place.grid, job.planner.tight_margin_m)
+        tests.append(lambda at: np.array([table.holds(*pose) for pose in at], bool))
+    if job.tier is not Tier.FAR:  # far points were chosen by their way
+        tests.append(lambda at: place.grid.have_sight(at[:, :2], target))
+        if not is_planner:
+            tests.append(lambda at: _is_way_free(job, target, place, at[:, :2]))
+    rest = np.arange(len(poses))
+    for passes in tests:
+        rest = rest[passes(poses[rest])]
+    return np.isin(np.arange(len(poses)), rest)
+
+
+def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[np.float64]) -> Bools:
+    ends = straight_end(starts, target.centroid_m[:2], ARRIVAL_RADIUS_M)
+    return place.grid.are_lines_free(starts, ends, job.spawn.approach_clearance_m)
+
+
+def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
+    """Returns the least free space around the footprint along the foreseen drive, metres."""
+    x, y = target.centroid_m[:2]
+    drive = foresee(start, (x, y), job, appearance)
+    return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())
