@@ -16,7 +16,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from coordinator.ledger import claims
 from coordinator.ledger.writer import Writer
-from coordinator.log_limit import LogLimit, describe_error
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.load import Load
@@ -27,7 +26,7 @@ from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
 from schemas.keys import Verb
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import LogLimit, Repeated, describe_error
 from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 __all__ = ["Front"]
@@ -157,9 +156,7 @@ class Front(Closing):
         inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
 
     def _log(self, write: Callable[..., None], event: str, inquiry: Inquiry, **fields: object) -> None:
-        left_out = self._limit.admit(f"{event} {inquiry.host}")
-        if left_out is not None:
-            write(event, host=inquiry.host, verb=inquiry.verb, left_out=left_out, **fields)
+        self._limit.write(write, event, inquiry.host, host=inquiry.host, verb=inquiry.verb, **fields)
 
     def _note_operator(self, request: AdminRequest) -> None:
         log.info("operator", action=request.action, episodes=len(request.indices) or "all")

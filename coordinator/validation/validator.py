@@ -16,7 +16,8 @@ import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +32,7 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
+from schemas.support.log_limit import LogLimit
 
 __all__ = ["HEADER", "MAX_FINDINGS", "MAX_FINDING_CHARS", "Limits", "Task", "Validator", "Verdict"]
 
@@ -39,6 +41,8 @@ log = structlog.get_logger(__name__)
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
 """Of one verdict; a child that ran a hostile bundle is believed no further."""
 _TRIES = 2
+_LONGEST_PAUSE_S = 60.0
+"""Between two log lines about children that died."""
 _STARTUP_S = 60.0
 _MOST_ANSWER_CHARS = 4 << 20
 _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP})
@@ -74,13 +78,21 @@ class Verdict(Model):
 class Validator(Closing):
     """A pool of validating children; `check` may be called from many threads and waits for a free child.
 
+    Args:
+        children: how many.
+        limits: of each.
+        clock: monotonic seconds, by which log lines are limited.
+
     Raises:
         TransientError: a child cannot be started.
     """
 
-    def __init__(self, children: int = 1, limits: Limits | None = None) -> None:
+    def __init__(
+        self, children: int = 1, limits: Limits | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._limits = limits or Limits()
         self._is_told = False
+        self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
         self._free: queue.SimpleQueue[_Child] = queue.SimpleQueue()
         self._all = [_Child(self._limits) for _ in range(children)]
         for child in self._all:
@@ -107,7 +119,7 @@ class Validator(Closing):
                 verdict = self._ask(child, task, path)
                 if verdict is not None:
                     return _summary_or_raise(verdict)
-                log.warning("validator_died", file=str(path), how=child.last_words)
+                self._limit.write(log.warning, "validator_died", file=str(path), how=child.last_words)
         raise InvalidBundle("validation crashed", [f"{path.name}: {_TRIES} children died of it ({child.last_words})"])
 
     def _ask(self, child: _Child, task: Task, path: Path) -> Verdict | None:
