@@ -34,7 +34,7 @@ from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit
 
-__all__ = ["HEADER", "MAX_FINDINGS", "MAX_FINDING_CHARS", "Limits", "Task", "Validator", "Verdict"]
+__all__ = ["HEADER", "MAX_FINDINGS", "MAX_FINDING_CHARS", "Limits", "Task", "Validator", "Verdict", "sandbox_of"]
 
 log = structlog.get_logger(__name__)
 
@@ -91,7 +91,7 @@ class Validator(Closing):
         self, children: int = 1, limits: Limits | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._limits = limits or Limits()
-        self._is_told = False
+        self._layers: tuple[str, ...] = ()
         self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
         self._free: queue.SimpleQueue[_Child] = queue.SimpleQueue()
         self._all = [_Child(self._limits) for _ in range(children)]
@@ -125,10 +125,15 @@ class Validator(Closing):
     def _ask(self, child: _Child, task: Task, path: Path) -> Verdict | None:
         with _opened(path) as bundle:
             verdict = child.ask(task, bundle)
-        if child.layers and not self._is_told:
-            self._is_told = True
+        if child.layers and not self._layers:
+            self._layers = child.layers
             _tell_sandbox(child.layers)
         return verdict
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """What confines its processes, e.g. `rlimits` and `seccomp`; empty before the first bundle."""
+        return self._layers
 
     @contextlib.contextmanager
     def _child(self) -> Iterator[_Child]:
@@ -261,6 +266,11 @@ def _opened(path: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def sandbox_of(judge: object) -> tuple[str, ...]:
+    """Returns what confines the processes of a judge; empty before the first bundle, or without processes."""
+    return judge.layers if isinstance(judge, Validator) else ()
 
 
 def _tell_sandbox(layers: Sequence[str]) -> None:
