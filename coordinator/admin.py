@@ -14,8 +14,8 @@ from coordinator.ledger import hosts, operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
 from coordinator.ledger.reading.look import damage_translated, look_into, require_sound
+from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import OPERATOR, ask_admin
-from coordinator.protocol.beacon import sight
 from schemas.errors import TransientError, UsageError
 from schemas.identity import TlsFiles
 from schemas.wire import AdminAction, AdminReply, AdminRequest
@@ -49,7 +49,7 @@ def administer(
     url = ledger_url_of(root, ledger_url)
     with look_into(url) as connection:
         read_info(connection)  # says no before anything is created
-    beacon = sight(root)
+    beacon = read_address(root)
     if beacon is not None:
         with contextlib.suppress(TransientError):  # a killed coordinator leaves its beacon behind: the lock tells
             return ask_admin([_from_here(endpoint) for endpoint in beacon.endpoints], request, name, tls)

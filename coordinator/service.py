@@ -29,7 +29,7 @@ from coordinator.ledger.reading.look import Connection, damage_translated
 from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
-from coordinator.protocol.beacon import light, quench
+from coordinator.protocol.address_file import remove_address, write_address
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.front import Front
 from coordinator.protocol.protocol import Terms
@@ -163,8 +163,8 @@ class Coordinator(Closing):
             stack.enter_context(Housekeeper({"write_tables": (settings.checkpoint_s, self._write_tables)}))
             self.vitals = self._measured()
             """How it does."""
-            light(root, plan.run, router.endpoints)
-            stack.callback(quench, root)
+            write_address(root, plan.run, router.endpoints)
+            stack.callback(remove_address, root)
             self._stack = stack.pop_all()
         log.info("coordinator_started", run=plan.run, endpoints=router.endpoints, directory=str(store or root))
 

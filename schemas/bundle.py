@@ -16,13 +16,13 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from schemas.encoding.arrays import DEPTH_FRAME, EPISODE_ARRAYS, FRAME_SIZE_PX, IDS_FRAME, RGB_FRAME, ArraySpec
-from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.digest import content_digest, frame_digest
 from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, encode_npy_zst
 from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import BUNDLE_FORMAT, MAX_FRAMES, EpisodeMeta
 from schemas.errors import InvalidBundle
-from schemas.support.stage_timer import Lap, no_lap
+from schemas.support.stage_timer import StageTimer, no_stage_timer
 
 __all__ = ["MAX_BUNDLE_BYTES", "MAX_FRAMES", "BundleReader", "BundleWriter", "EpisodeArrays", "member_names"]
 
@@ -32,7 +32,7 @@ _RGB_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX, 3)
 _IMAGE_SHAPE = (FRAME_SIZE_PX, FRAME_SIZE_PX)
 _KEPT_FREE_BYTES = 30 << 20
 _DEPTH_BYTES = 4 * FRAME_SIZE_PX * FRAME_SIZE_PX + 4096
-_LIMITS = Limits(members=3 * MAX_FRAMES + len(EPISODE_ARRAYS) + 1, member_bytes=4 << 20)
+_LIMITS = ContainerLimits(members=3 * MAX_FRAMES + len(EPISODE_ARRAYS) + 1, member_bytes=4 << 20)
 
 
 def _frame_names(t: int) -> tuple[str, str, str]:
@@ -64,7 +64,7 @@ class EpisodeArrays:
 class BundleWriter:
     """Streams frames into a file as they are made, so that memory does not grow with the episode."""
 
-    def __init__(self, file: BinaryIO, lap: Lap = no_lap) -> None:
+    def __init__(self, file: BinaryIO, lap: StageTimer = no_stage_timer) -> None:
         """Begins a bundle.
 
         Args:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from schemas.base import Finite, Fraction, Line, Model, NonNegative, Positive
 
@@ -42,6 +42,8 @@ class TaskConfig(Model):
 class RobotConfig(Model):
     """A robot with the measures of the Nova Carter (notes/scenes.md section 3; DESIGN 3.5, 3.6)."""
 
+    model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
+
     wheel_radius_m: Positive = 0.14
     track_m: Positive = 0.4132
     """Distance between the wheels. The paper says 0.52 m, which no public source of the robot supports."""
@@ -53,8 +55,8 @@ class RobotConfig(Model):
     """Slew limit of the speed command while slowing down, m/s2."""
     max_yaw_acceleration_rps2: Positive = 3.2
     """Slew limit of the yaw rate command, rad/s2."""
-    motor_force: Positive = 40.0
-    """Largest wheel motor torque, N m."""
+    motor_torque: Annotated[Positive, Field(alias="motor_force")] = 40.0
+    """Largest wheel motor torque, N m. Files name it `motor_force`."""
     physics_substeps: Annotated[int, Field(ge=1, le=16)] = 4
     solver_iterations: Annotated[int, Field(ge=10, le=500)] = 100
 

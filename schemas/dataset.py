@@ -1,7 +1,4 @@
-"""One row of `metadata.parquet`: what a reader must know of an archived episode without opening it.
-
-Copies from the episode's metadata; measures nothing and opens nothing.
-"""
+"""Rows of the tables of a dataset: archived episodes and failed attempts. Models; opens no table."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from schemas.base import Bytes, Count, Finite, Line, Model, Name, NonNegative, O
 from schemas.episode import EpisodeMeta
 from schemas.terms import EndReason, ExpertName, Split, Tier
 
-__all__ = ["PUBLISHED_COLUMNS", "EpisodeSummary", "Receipt", "file_name_of", "summary_of"]
+__all__ = ["PUBLISHED_COLUMNS", "BundleReceipt", "EpisodeSummary", "FailedAttempt", "file_name_of", "summary_of"]
 
 _MAX_SOFTWARE_CHARS = 1 << 18
 """As JSON, whatever characters the names and versions of a fingerprint have."""
@@ -37,7 +34,7 @@ PUBLISHED_COLUMNS = (
 """The columns of the published data set, in its order; every other column stands behind them."""
 
 
-class Receipt(Protocol):
+class BundleReceipt(Protocol):
     """What the ledger must know of a bundle that was found good; an `EpisodeSummary` is one."""
 
     @property
@@ -132,6 +129,29 @@ class EpisodeSummary(Model):
     """Package versions as JSON with sorted keys."""
     geodesic_m: NonNegative | None
     """Shortest way along the floor from the spawn to the success circle, metres; null where there is none."""
+
+
+class FailedAttempt(Model):
+    """One row of `attempts.parquet`: an attempt that brought no episode."""
+
+    episode_id: Name
+    draw: Annotated[int, Field(ge=0)]
+    attempt: Annotated[int, Field(ge=1)]
+    scene: Name
+    spawn_tier: Tier
+    split: Split
+    target_category: Name
+    target_id: Name
+    reason: str
+    """A fail reason of `schemas.terms`, or how the lease ended."""
+    detail: str = ""
+    """Measured values, in words."""
+    steps: Annotated[int, Field(ge=0)] = 0
+    """Simulated before the end."""
+    seconds: NonNegative = 0.0
+    """Wall time spent."""
+    worker: str = ""
+    at: datetime
 
 
 def file_name_of(episode_id: str) -> str:

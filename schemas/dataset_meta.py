@@ -15,13 +15,13 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 
 from schemas.base import Fraction, Model, Sha256
+from schemas.dataset_files import META_FILE
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 
 __all__ = [
     "DATASET_FORMAT",
-    "META_FILE",
     "DatasetMeta",
     "GateOutcome",
     "git_commit",
@@ -31,7 +31,6 @@ __all__ = [
 
 DATASET_FORMAT = 1
 """Version of the dataset's directory. A reader opens its own version and older ones; a newer one it refuses by name."""
-META_FILE = "dataset_meta.json"
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
 

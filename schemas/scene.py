@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from schemas.base import Count, Finite, Line, Model, Name, NonNegative, Positive, PrimPath, Text
 from schemas.encoding.arrays import ArraySpec
-from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.encoding.ndarray import decode_npy_zst, encode_npy_zst
 from schemas.errors import InvalidBundle
 from schemas.terms import Tier
@@ -43,7 +43,7 @@ MAX_LIGHT_MAP_PX = 2048
 MAX_INSTANCES = 65535
 """Ids that the id image has room for."""
 MAX_SCENE_BYTES = 512 << 20
-_LIMITS = Limits(members=64, member_bytes=MAX_SCENE_BYTES)
+_LIMITS = ContainerLimits(members=64, member_bytes=MAX_SCENE_BYTES)
 
 Vector3 = tuple[Finite, Finite, Finite]
 Tiers = Annotated[tuple[Tier, ...], Field(max_length=len(Tier))]

@@ -76,7 +76,7 @@ class FailReason(StrEnum):
     RELEASED = "released"  # the worker gave the job back unharmed (drain)
 
     @property
-    def is_of_the_world(self) -> bool:
+    def is_task_failure(self) -> bool:
         """Whether the attempt failed by its own seed and world, so that repeating it would fail again."""
         return self in {FailReason.SPAWN, FailReason.COLLISION, FailReason.TIMEOUT, FailReason.NO_PATH}
 

@@ -17,19 +17,12 @@ from schemas.job import episode_id
 from schemas.storage.place import Place
 
 __all__ = [
-    "EPISODES",
-    "LEDGER_FILE",
-    "QUARANTINE",
-    "SCENES",
-    "STAGING",
     "Archive",
     "Staged",
     "index_of_file",
     "scene_file",
 ]
 
-EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quarantine"
-LEDGER_FILE = "ledger.db"
 _EPISODE_FILE = re.compile(r"ep_(\d{6,7})\.zip")
 
 

@@ -11,11 +11,12 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, index_of_file, scene_file
+from coordinator.archive.contract import index_of_file, scene_file
 from coordinator.archive.listing import Listing
 from coordinator.archive.staged import Staged
 from coordinator.archive.staging import Staging
 from schemas.dataset import file_name_of
+from schemas.dataset_files import EPISODES, QUARANTINE, SCENES
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.storage.disk import copy_hashed, set_aside, sync_directory, sync_file, translated, world_error

@@ -12,8 +12,8 @@ import shutil
 import time
 from pathlib import Path
 
-from coordinator.archive.contract import STAGING
 from coordinator.archive.staged import Staged
+from schemas.dataset_files import STAGING
 from schemas.errors import WorldError
 from schemas.job import episode_id
 from schemas.storage.disk import translated, world_error

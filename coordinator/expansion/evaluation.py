@@ -13,10 +13,10 @@ from typing import NamedTuple
 from coordinator.expansion.draw import PlannedJob
 from schemas.wire import Attachment
 
-__all__ = ["Errands", "Parcel"]
+__all__ = ["Errands", "EvalPayload"]
 
 
-class Parcel(NamedTuple):
+class EvalPayload(NamedTuple):
     """What the simulation of a job is told and given beside the job."""
 
     text: str
@@ -29,7 +29,7 @@ class Errands:
 
     planned: tuple[PlannedJob, ...]
     """The jobs that a new ledger is begun with."""
-    find: Callable[[int], Parcel]
+    find: Callable[[int], EvalPayload]
     """Returns what goes with a job, by its index."""
     files: Mapping[str, Path] = field(default_factory=dict)
     """What is attached, by SHA-256."""

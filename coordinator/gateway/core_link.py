@@ -12,7 +12,7 @@ from typing import TypeVar
 import structlog
 from pydantic import ValidationError
 
-from coordinator.protocol.node import Node
+from coordinator.protocol.node import ZenohNode
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
 from schemas.keys import Verb, verb_key
@@ -37,7 +37,7 @@ class CoreLink:
         name: of the gateway; with TLS the name in its certificate.
     """
 
-    def __init__(self, node: Node, name: str) -> None:
+    def __init__(self, node: ZenohNode, name: str) -> None:
         self._node = node
         self._name = name
         self.run = _ANY_RUN

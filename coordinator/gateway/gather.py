@@ -14,17 +14,18 @@ from pathlib import Path
 from sqlalchemy import Engine, select
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import EPISODES, Archive
+from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.keepers import all_keepers, bring_home
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.look import require_sound
 from coordinator.ledger.tables import episodes
-from coordinator.recovery.mend import Patient
+from coordinator.recovery.mend import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.base import Model
+from schemas.dataset_files import EPISODES
 from schemas.errors import UsageError, WorldError
 from schemas.job import episode_id
 from schemas.storage.object_path import ObjectPath
@@ -33,7 +34,7 @@ from schemas.storage.place import digest_of
 __all__ = ["GatherReport", "Missing", "gather"]
 
 _COPY_BYTES = 1 << 20
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 class Missing(Model):
@@ -71,12 +72,12 @@ class _Wanted:
 
 
 def gather(
-    patient: Patient,
+    patient: RepairInput,
     sources: Sequence[Path],
     now: datetime,
     *,
     requeue_missing: bool = False,
-    tell: Tell = lambda _done, _all: None,
+    tell: ProgressCallback = lambda _done, _all: None,
 ) -> GatherReport:
     """Takes home what lies at gateways, as far as it is found.
 

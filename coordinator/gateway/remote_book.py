@@ -8,7 +8,7 @@ from coordinator.archive.contract import Archive
 from coordinator.gateway.core_link import CoreLink
 from coordinator.protocol.protocol import Pull
 from coordinator.protocol.relay import Archived, Hold, Inventory, InventoryReply, Refused
-from schemas.dataset import Receipt
+from schemas.dataset import BundleReceipt
 from schemas.keys import Verb
 from schemas.wire import Ack, cut_detail
 
@@ -40,7 +40,7 @@ class RemoteBook:
         strays = self._core.ask(Verb.INVENTORY, told, InventoryReply).strays
         return all(stray.index != index for stray in strays)
 
-    def own(self, pull: Pull, receipt: Receipt) -> bool:
+    def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
         """See `Book`; insists, for the file is durable and nobody else may decide what becomes of it."""
         told = Archived.model_validate({"summary": receipt, "lease": pull.lease})
         return self._core.insist(Verb.ARCHIVED, told, Ack, self._stop).accepted

@@ -20,9 +20,9 @@ from coordinator.gateway.stock import take_stock
 from coordinator.gateway.title import holds_title, require_title, write_title
 from coordinator.housekeeper import Housekeeper
 from coordinator.meters import Meters
-from coordinator.protocol.node import Node
+from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.protocol import Pull
-from coordinator.protocol.relay import MAX_ORDERS, Duty, Join, JoinReply, Order, Orders
+from coordinator.protocol.relay import MAX_ORDERS, Duty, Join, JoinReply, Orders, RelayOrder
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
@@ -129,10 +129,10 @@ class Gateway(Closing):
         """Asks for no more, stops pulling at the next chunk and releases the directory."""
         self._stack.close()
 
-    def _open_node(self, listen: Sequence[str]) -> Node:
+    def _open_node(self, listen: Sequence[str]) -> ZenohNode:
         guard, lease_s = self._guard, self._settings.transport_lease_s
         files = guard.files if guard is not None else None
-        return Node(
+        return ZenohNode(
             listen,
             lambda endpoints, admitted: router_config(endpoints, lease_s, files, admitted, self._connect),
             guard.admitted if guard is not None else dict,
@@ -186,5 +186,5 @@ class Gateway(Closing):
             log.warning("admission_changed", remedy="none; workers reconnect within seconds")
 
 
-def _pull_of(order: Order) -> Pull:
+def _pull_of(order: RelayOrder) -> Pull:
     return Pull(order.lease, order.sid, order.sha256, order.size, order.job, order.target)

@@ -10,9 +10,18 @@ from typing import Any
 from sqlalchemy import Row, bindparam, case, or_, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, is_in, lease_parameters, record_attempt
-from coordinator.ledger.prepared import Prepared
-from coordinator.ledger.states import OPEN_STATES, Event, State
+from coordinator.ledger.moves import (
+    FREED,
+    JOB,
+    UNDER_LEASE,
+    JobRow,
+    Transition,
+    is_in,
+    lease_parameters,
+    record_attempt,
+)
+from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.states import OPEN_STATES, Event, JobState
 from coordinator.ledger.tables import events, jobs
 from schemas.keys import host_of
 from schemas.wire import Beat, Lease
@@ -31,7 +40,7 @@ __all__ = [
     "shorten",
 ]
 
-HELD_STATES = (State.LEASED, State.SUBMITTED)
+HELD_STATES = (JobState.LEASED, JobState.SUBMITTED)
 GRACE = 1.5
 """Leases that are granted after a restart, in lease times: nobody could beat while the coordinator was away."""
 _EXPIRED = "expired"
@@ -43,7 +52,7 @@ _LONGEST_REST_S = 600.0
 BY_TOKEN = select(*JOB).where(jobs.c.token == bindparam("of_token"))
 NEXT_ID = (
     select(jobs.c.id)
-    .where(jobs.c.state == State.PENDING, jobs.c.not_before <= bindparam("now"))
+    .where(jobs.c.state == JobState.PENDING, jobs.c.not_before <= bindparam("now"))
     .order_by(jobs.c.not_before, jobs.c.id)
     .limit(1)
 )
@@ -66,10 +75,10 @@ _CLAIMED_BEFORE = (
     .order_by(jobs.c.id)
     .limit(_SWEEP_ROWS)
 )
-_HOLDER = Prepared(BY_TOKEN)
+_HOLDER = PreparedStatement(BY_TOKEN)
 _LONGER = case((jobs.c.lease_until < bindparam("until"), bindparam("until")), else_=jobs.c.lease_until)
-_EXTEND = Prepared(update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=_LONGER))
-_CLAIM = Move(
+_EXTEND = PreparedStatement(update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=_LONGER))
+_CLAIM = Transition(
     Event.CLAIMED,
     jobs.c.id == NEXT_ID.scalar_subquery(),
     fence=jobs.c.fence + 1,
@@ -77,7 +86,7 @@ _CLAIM = Move(
     sid=bindparam("by"),
     lease_until=bindparam("until"),
 )
-_EXPIRE = Move(
+_EXPIRE = Transition(
     Event.EXPIRED,
     *UNDER_LEASE,
     jobs.c.lease_until < bindparam("now"),
@@ -145,7 +154,7 @@ def beat(connection: Connection, beat: Beat, now: datetime, ttl_s: float) -> Bea
     if held:
         until = now.timestamp() + ttl_s
         _extend_all(connection, [(lease, steps.get(lease, rows[lease.job_id].step)) for lease in held], until, beat.sid)
-    waiting = [rows[lease.job_id] for lease in spool if rows[lease.job_id].state == State.SUBMITTED]
+    waiting = [rows[lease.job_id] for lease in spool if rows[lease.job_id].state == JobState.SUBMITTED]
     return BeatOutcome(
         lost=tuple(item.lease for item in beat.live if item.lease not in held),
         drop=tuple(lease for lease in beat.spool if lease not in held),
@@ -179,7 +188,7 @@ def grant_grace(connection: Connection, now: datetime, ttl_s: float) -> int:
         How many leases there are.
     """
     far = now.timestamp() + _LONGEST_REST_S
-    resting = update(jobs).where(jobs.c.state == State.PENDING, jobs.c.not_before > far)
+    resting = update(jobs).where(jobs.c.state == JobState.PENDING, jobs.c.not_before > far)
     connection.execute(resting.values(not_before=0.0))
     held = update(jobs).where(is_in(*HELD_STATES))
     return connection.execute(held.values(lease_until=now.timestamp() + GRACE * ttl_s)).rowcount

@@ -14,8 +14,8 @@ from sqlalchemy import Row, bindparam, func, insert, inspect, or_, select, updat
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.moves import JobRow, is_in
-from coordinator.ledger.prepared import Prepared
-from coordinator.ledger.states import State
+from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, hosts, jobs, workers
 from schemas.keys import host_of
 from schemas.terms import FailReason
@@ -43,8 +43,8 @@ _ABSENT_S = 300.0
 """Silence after which a host counts no more among those that could try a job."""
 _HARM = tuple(reason.value for reason in FailReason if reason.is_of_the_worker)
 
-_FIND = Prepared(select(*hosts.c).where(hosts.c.host == bindparam("name")))
-_RELIEVE = Prepared(
+_FIND = PreparedStatement(select(*hosts.c).where(hosts.c.host == bindparam("name")))
+_RELIEVE = PreparedStatement(
     update(hosts)
     .where(hosts.c.host == bindparam("name"), hosts.c.strikes > 0, hosts.c.barred_at.is_(None))
     .values(strikes=hosts.c.strikes // 2, resumes_at=0.0)
@@ -168,7 +168,7 @@ def _is_of_job(connection: Connection, host: str, row: JobRow, job: JobRow, now:
 
 def _holds_job(connection: Connection, host: str) -> bool:
     theirs = or_(jobs.c.sid == host, jobs.c.sid.like(f"{host}.%"))
-    held = select(func.count()).select_from(jobs).where(is_in(State.LEASED, State.SUBMITTED), theirs)
+    held = select(func.count()).select_from(jobs).where(is_in(JobState.LEASED, JobState.SUBMITTED), theirs)
     return connection.execute(held).scalar_one() > 0
 
 

@@ -13,12 +13,12 @@ from typing import Any
 from sqlalchemy import Boolean, ColumnElement, bindparam, insert, or_, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.prepared import Prepared
-from coordinator.ledger.states import Event, State, sources, target
+from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.states import Event, JobState, sources, target
 from coordinator.ledger.tables import attempts, events, jobs
 from schemas.wire import Lease
 
-__all__ = ["FREED", "JOB", "UNDER_LEASE", "JobRow", "Move", "is_in", "lease_parameters", "record_attempt"]
+__all__ = ["FREED", "JOB", "UNDER_LEASE", "JobRow", "Transition", "is_in", "lease_parameters", "record_attempt"]
 
 JobRow = Any
 """A row of `jobs` with the columns of `JOB`."""
@@ -38,8 +38,8 @@ UNDER_LEASE: tuple[ColumnElement[bool], ...] = (
 )
 """The condition that a lease is the one in force; its parameters are `lease_parameters`."""
 
-_INSERT_EVENT = Prepared(insert(events))
-_INSERT_ATTEMPT = Prepared(insert(attempts))
+_INSERT_EVENT = PreparedStatement(insert(events))
+_INSERT_ATTEMPT = PreparedStatement(insert(attempts))
 
 
 def lease_parameters(lease: Lease) -> dict[str, Any]:
@@ -47,12 +47,12 @@ def lease_parameters(lease: Lease) -> dict[str, Any]:
     return {"of_job": lease.job_id, "of_fence": lease.fence, "of_token": lease.token}
 
 
-def is_in(*states: State) -> ColumnElement[bool]:
+def is_in(*states: JobState) -> ColumnElement[bool]:
     """Returns the condition that a job is in one of the states."""
     return or_(*(jobs.c.state == state for state in states))  # IN could not be run with many rows of parameters
 
 
-class Move:
+class Transition:
     """One kind of move, built once: the event, whom it may find, and what it sets.
 
     Args:
@@ -65,7 +65,9 @@ class Move:
         self.event = event
         self._name = event.value
         changes = {"state": target(event), "changed_at": bindparam("now")} | values
-        self._update = Prepared(update(jobs).where(*where, is_in(*sources(event))).values(changes).returning(*JOB))
+        self._update = PreparedStatement(
+            update(jobs).where(*where, is_in(*sources(event))).values(changes).returning(*JOB)
+        )
 
     def make(
         self, connection: Connection, parameters: Mapping[str, Any], now: datetime, *, by: str = "", detail: str = ""

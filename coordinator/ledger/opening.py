@@ -18,13 +18,13 @@ from pydantic import TypeAdapter
 from sqlalchemy import Engine, Row, insert, inspect, select
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import LEDGER_FILE
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand
 from coordinator.ledger.engine import sqlite_url
-from coordinator.ledger.states import State
+from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
 from schemas.base import Sha256
+from schemas.dataset_files import LEDGER_FILE
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.terms import Split, Tier
@@ -182,7 +182,7 @@ def holds_run(connection: Connection) -> bool:
 
 def insert_planned(connection: Connection, planned: Iterable[PlannedJob], now: datetime, attempt: int = 1) -> None:
     """Adds draws as pending jobs whose first attempt has the given number."""
-    start = {"state": State.PENDING, "attempt": attempt, "changed_at": now.timestamp()}
+    start = {"state": JobState.PENDING, "attempt": attempt, "changed_at": now.timestamp()}
     rows: Iterator[dict[str, Any]] = (_row_of(job) | start for job in planned)
     while batch := list(islice(rows, _INSERT_ROWS)):
         connection.execute(insert(jobs), batch)

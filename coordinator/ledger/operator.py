@@ -9,8 +9,8 @@ from typing import Any
 from sqlalchemy import bindparam, select
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.moves import FREED, Move
-from coordinator.ledger.states import Event, IllegalMove, State, next_state, sources
+from coordinator.ledger.moves import FREED, Transition
+from coordinator.ledger.states import Event, IllegalMove, JobState, next_state, sources
 from coordinator.ledger.tables import jobs
 from schemas.wire import AdminReply
 
@@ -18,8 +18,8 @@ __all__ = ["cancel", "retry"]
 
 _BATCH = 5000
 _AS_SEEN = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
-_RETRY = Move(Event.RETRIED, *_AS_SEEN, **FREED, misses=0, crashes=0, losses=0, not_before=0.0, reason="")
-_CANCEL = Move(Event.CANCELLED, *_AS_SEEN, **FREED, reason="cancelled by an operator")
+_RETRY = Transition(Event.RETRIED, *_AS_SEEN, **FREED, misses=0, crashes=0, losses=0, not_before=0.0, reason="")
+_CANCEL = Transition(Event.CANCELLED, *_AS_SEEN, **FREED, reason="cancelled by an operator")
 
 
 def retry(connection: Connection, indices: Sequence[int], now: datetime) -> AdminReply:
@@ -30,7 +30,7 @@ def retry(connection: Connection, indices: Sequence[int], now: datetime) -> Admi
         indices: episodes; empty means every failed one.
         now: of the wish.
     """
-    wanted = _current(connection, indices, (State.FAILED,))
+    wanted = _current(connection, indices, (JobState.FAILED,))
     return _move_all(connection, _RETRY, indices, wanted, now)
 
 
@@ -46,7 +46,7 @@ def cancel(connection: Connection, indices: Sequence[int], now: datetime) -> Adm
     return _move_all(connection, _CANCEL, indices, wanted, now)
 
 
-def _current(connection: Connection, indices: Sequence[int], states: Sequence[State]) -> list[Any]:
+def _current(connection: Connection, indices: Sequence[int], states: Sequence[JobState]) -> list[Any]:
     """Returns the current draw of the named episodes, or of all in the given states when none is named."""
     columns = (jobs.c.id, jobs.c.idx, jobs.c.state, jobs.c.fence)
     current = select(*columns).where(jobs.c.superseded.is_(False)).order_by(jobs.c.idx)
@@ -59,14 +59,14 @@ def _current(connection: Connection, indices: Sequence[int], states: Sequence[St
 
 
 def _move_all(
-    connection: Connection, how: Move, named: Iterable[int], rows: Iterable[Any], now: datetime
+    connection: Connection, how: Transition, named: Iterable[int], rows: Iterable[Any], now: datetime
 ) -> AdminReply:
     changed: list[int] = []
     refused = dict.fromkeys(named, "the plan has no episode of that number")
     for row in rows:
         refused.pop(row.idx, None)
         try:
-            next_state(State(row.state), how.event)
+            next_state(JobState(row.state), how.event)
         except IllegalMove as error:
             refused[row.idx] = str(error)
             continue

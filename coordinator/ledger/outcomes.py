@@ -16,12 +16,12 @@ from sqlalchemy.engine import Connection
 from coordinator.expansion.draw import PlannedJob
 from coordinator.ledger import hosts
 from coordinator.ledger.claims import HELD_STATES
-from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Move, lease_parameters, record_attempt
+from coordinator.ledger.moves import FREED, JOB, UNDER_LEASE, JobRow, Transition, lease_parameters, record_attempt
 from coordinator.ledger.opening import insert_planned, planned_of
-from coordinator.ledger.prepared import Prepared
-from coordinator.ledger.states import Event, State
+from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, episodes, jobs, keepers, workers
-from schemas.dataset import Receipt
+from schemas.dataset import BundleReceipt
 from schemas.keys import host_of
 from schemas.plan import Budget
 from schemas.wire import Done, Fail, Lease
@@ -41,13 +41,13 @@ _CRASHES_ALONE = hosts.STRIKES + 2
 before any of them comes so far."""
 
 
-_UNDER_LEASE = Prepared(select(*JOB).where(*UNDER_LEASE))
+_UNDER_LEASE = PreparedStatement(select(*JOB).where(*UNDER_LEASE))
 _PAUSED: dict[str, Any] = {
     "attempt": bindparam("next_attempt"),
     "not_before": bindparam("until"),
     "reason": bindparam("why"),
 }
-_ANNOUNCE = Move(
+_ANNOUNCE = Transition(
     Event.ANNOUNCED,
     *UNDER_LEASE,
     sha256=bindparam("announced"),
@@ -56,9 +56,9 @@ _ANNOUNCE = Move(
     lease_until=bindparam("until"),
 )
 _IS_ANNOUNCED = (jobs.c.idx == bindparam("index"), jobs.c.sha256 == bindparam("announced"))
-_ARCHIVE = Move(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
-_ADOPT = Move(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
-_LOSE = Move(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
+_ARCHIVE = Transition(Event.ARCHIVED, *UNDER_LEASE, *_IS_ANNOUNCED, lease_until=None, losses=0)
+_ADOPT = Transition(Event.ADOPTED, jobs.c.id == bindparam("of_job"), *_IS_ANNOUNCED, lease_until=None, losses=0)
+_LOSE = Transition(Event.LOST, jobs.c.idx == bindparam("index"), jobs.c.superseded.is_(False), **FREED, not_before=0.0)
 _MISSED: dict[str, Any] = {
     **FREED,
     **_PAUSED,
@@ -66,15 +66,17 @@ _MISSED: dict[str, Any] = {
     "losses": 0,
     "superseded": bindparam("has_successor"),
 }
-_MISS = Move(Event.MISSED, *UNDER_LEASE, **_MISSED)
-_EXHAUST = Move(Event.EXHAUSTED, *UNDER_LEASE, **_MISSED)
+_MISS = Transition(Event.MISSED, *UNDER_LEASE, **_MISSED)
+_EXHAUST = Transition(Event.EXHAUSTED, *UNDER_LEASE, **_MISSED)
 _HURTING: dict[str, Any] = {**FREED, **_PAUSED, "crashes": jobs.c.crashes + 1}
-_HURT = Move(Event.HURT, *UNDER_LEASE, **_HURTING)
-_QUARANTINE = Move(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
-_RELEASE = Move(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))
-_INSERT_EPISODE = Prepared(insert(episodes))
-_CREDIT = Prepared(update(workers).where(workers.c.sid == bindparam("by")).values(archived=workers.c.archived + 1))
-_AT_HOME = Prepared(
+_HURT = Transition(Event.HURT, *UNDER_LEASE, **_HURTING)
+_QUARANTINE = Transition(Event.QUARANTINED, *UNDER_LEASE, **_HURTING)
+_RELEASE = Transition(Event.RELEASED, *UNDER_LEASE, **FREED, not_before=bindparam("until"))
+_INSERT_EPISODE = PreparedStatement(insert(episodes))
+_CREDIT = PreparedStatement(
+    update(workers).where(workers.c.sid == bindparam("by")).values(archived=workers.c.archived + 1)
+)
+_AT_HOME = PreparedStatement(
     select(episodes.c.idx)
     .outerjoin(keepers, keepers.c.idx == episodes.c.idx)
     .where(keepers.c.idx.is_(None), episodes.c.idx == bindparam("index"))
@@ -94,23 +96,23 @@ def announce(connection: Connection, done: Done, now: datetime, ttl_s: float) ->
     """Notes that a bundle can be pulled; repeating it is harmless."""
     lease = lease_parameters(done.lease)
     known = _UNDER_LEASE.first(connection, lease)
-    if known is None or known.state not in (*HELD_STATES, State.ARCHIVED) or not _is_of_same_host(known, done.sid):
+    if known is None or known.state not in (*HELD_STATES, JobState.ARCHIVED) or not _is_of_same_host(known, done.sid):
         return Announced(False, None)
-    if known.state == State.ARCHIVED:
+    if known.state == JobState.ARCHIVED:
         return Announced(True, None)
-    if (known.state, known.sha256, known.size, known.sid) == (State.SUBMITTED, done.sha256, done.size, done.sid):
+    if (known.state, known.sha256, known.size, known.sid) == (JobState.SUBMITTED, done.sha256, done.size, done.sid):
         return Announced(True, known)
     bundle = {"announced": done.sha256, "bytes": done.size, "by": done.sid, "until": now.timestamp() + ttl_s}
     row = _ANNOUNCE.make(connection, lease | bundle, now, by=done.sid)
     return Announced(row is not None, row)
 
 
-def archive(connection: Connection, lease: Lease, summary: Receipt, now: datetime) -> bool:
+def archive(connection: Connection, lease: Lease, summary: BundleReceipt, now: datetime) -> bool:
     """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
     return _own(connection, _ARCHIVE, lease_parameters(lease), summary, now)
 
 
-def adopt(connection: Connection, job_id: int, summary: Receipt, now: datetime) -> bool:
+def adopt(connection: Connection, job_id: int, summary: BundleReceipt, now: datetime) -> bool:
     """Records an episode that was published before the coordinator died; its digest must be the announced one."""
     return _own(connection, _ADOPT, {"of_job": job_id}, summary, now)
 
@@ -142,7 +144,7 @@ def fail(
         return _was_reported(connection, report)
     if not _is_of_same_host(row, report.sid):
         return False
-    if report.reason.is_of_the_world:
+    if report.reason.is_task_failure:
         return _miss(connection, row, report, now, budget, successor)
     if report.reason.is_of_the_worker:
         return _hurt(connection, row, report, now, budget, blames_hosts=blames_hosts)
@@ -165,7 +167,9 @@ def is_owned(connection: Connection, index: int) -> bool:
     return _AT_HOME.first(connection, {"index": index}) is not None
 
 
-def _own(connection: Connection, how: Move, job: Mapping[str, Any], summary: Receipt, now: datetime) -> bool:
+def _own(
+    connection: Connection, how: Transition, job: Mapping[str, Any], summary: BundleReceipt, now: datetime
+) -> bool:
     """Moves the job to its end and records attempt and episode; returns whether the move was still possible."""
     announced = {"index": summary.index, "announced": summary.file_sha256}
     row = how.make(connection, {**job, **announced}, now)
@@ -246,7 +250,7 @@ def _release(connection: Connection, row: JobRow, report: Fail, now: datetime) -
 
 def _settle(
     connection: Connection,
-    how: Move,
+    how: Transition,
     row: JobRow,
     report: Fail,
     now: datetime,

@@ -15,7 +15,7 @@ from sqlalchemy import Boolean, Delete, Dialect, Insert, Select, Update
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DBAPIError
 
-__all__ = ["Prepared"]
+__all__ = ["PreparedStatement"]
 
 
 class _Spelling(NamedTuple):
@@ -28,7 +28,7 @@ class _Spelling(NamedTuple):
     """The parameters as they stand; `None` where the driver takes them by name."""
 
 
-class Prepared:
+class PreparedStatement:
     """A statement to be run often with other parameters.
 
     Args:

@@ -18,12 +18,11 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
-from coordinator.ledger.moves import FREED, Move
+from coordinator.ledger.moves import FREED, Transition
 from coordinator.ledger.opening import insert_planned, planned_of
-from coordinator.ledger.states import Event, State
+from coordinator.ledger.states import Event, JobState
 from coordinator.ledger.tables import attempts, jobs
-from schemas.dataset import Receipt
-from schemas.failed_attempt import FailedAttempt
+from schemas.dataset import BundleReceipt, FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import FailReason
@@ -35,7 +34,7 @@ REPAIRER = "repair"
 """Stands in the ledger where otherwise a worker's session id does."""
 _LEASE_S = 60.0
 _SEATED = (jobs.c.id == bindparam("of_job"), jobs.c.fence == bindparam("of_fence"))
-_TAKE = Move(
+_TAKE = Transition(
     Event.CLAIMED,
     *_SEATED,
     fence=jobs.c.fence + 1,
@@ -44,19 +43,22 @@ _TAKE = Move(
     lease_until=bindparam("until"),
     attempt=bindparam("next_attempt"),
 )
-_EXHAUST = Move(
+_EXHAUST = Transition(
     Event.EXHAUSTED, *_SEATED, **FREED, superseded=bindparam("has_successor"), reason=bindparam("why"), losses=0
 )
-_FREE: Mapping[State, Move] = MappingProxyType(
+_FREE: Mapping[JobState, Transition] = MappingProxyType(
     {
-        **{held: Move(Event.RELEASED, *_SEATED, **FREED, not_before=0.0) for held in (State.LEASED, State.SUBMITTED)},
         **{
-            ended: Move(Event.RETRIED, *_SEATED, **FREED, not_before=0.0, reason="")
-            for ended in (State.FAILED, State.CANCELLED)
+            held: Transition(Event.RELEASED, *_SEATED, **FREED, not_before=0.0)
+            for held in (JobState.LEASED, JobState.SUBMITTED)
+        },
+        **{
+            ended: Transition(Event.RETRIED, *_SEATED, **FREED, not_before=0.0, reason="")
+            for ended in (JobState.FAILED, JobState.CANCELLED)
         },
     }
 )
-_WORLD = frozenset(reason.value for reason in FailReason if reason.is_of_the_world)
+_WORLD = frozenset(reason.value for reason in FailReason if reason.is_task_failure)
 _TOLD = "as attempts.parquet tells"
 
 
@@ -78,7 +80,7 @@ def obstacle_to(connection: Connection, index: int, draw: int, attempt: int, *, 
     row = current_job(connection, index)
     if row is None:
         return "the plan has no such episode"
-    if row.state == State.ARCHIVED and not replaces:
+    if row.state == JobState.ARCHIVED and not replaces:
         return "the ledger owns another file"
     if row.draw > draw:
         return f"the ledger has given up draw {draw} of it"
@@ -91,7 +93,7 @@ def record_whole(
     connection: Connection,
     plan: Plan,
     catalog: Catalog,
-    receipt: Receipt,
+    receipt: BundleReceipt,
     now: datetime,
     at: tuple[int, int],
     *,
@@ -151,7 +153,7 @@ def recall(
         told = by_episode.get(episode_id(index))
         row = current_job(connection, index) if told else None
         if told and row is not None:
-            end = (row.draw, row.attempt) if row.state == State.ARCHIVED else whole.get(index)
+            end = (row.draw, row.attempt) if row.state == JobState.ARCHIVED else whole.get(index)
             _recall_episode(connection, plan, catalog, row, [one for one in told if _is_before(one, end)], now)
 
 
@@ -170,7 +172,7 @@ def _recall_episode(
     connection: Connection, plan: Plan, catalog: Catalog, row: Row[Any], told: list[FailedAttempt], now: datetime
 ) -> None:
     settled = list(_following(row, told))
-    if settled and row.state != State.ARCHIVED:
+    if settled and row.state != JobState.ARCHIVED:
         _catch_up(connection, plan, catalog, row.idx, settled, now)
     _insert_attempts(connection, row.idx, told)
 
@@ -201,7 +203,7 @@ def _catch_up(
     if is_used and draw == last.draw:
         _exhaust(connection, row, now, has_successor=False)
     else:
-        row = _made(_FREE[State.LEASED], connection, row, {}, now)
+        row = _made(_FREE[JobState.LEASED], connection, row, {}, now)
         connection.execute(update(jobs).where(jobs.c.id == row.id).values(misses=misses))
 
 
@@ -240,8 +242,8 @@ def _seat(
 ) -> Row[Any]:
     """Brings an episode to a draw that waits in the queue and returns its job; a later attempt is noted on the way."""
     row = _required(current_job(connection, index))
-    if row.state != State.PENDING:
-        row = _made(_FREE[State(row.state)], connection, row, {}, now)
+    if row.state != JobState.PENDING:
+        row = _made(_FREE[JobState(row.state)], connection, row, {}, now)
     while row.draw < draw:
         row = _take(connection, row, max(row.attempt, attempt), now)
         _exhaust(connection, row, now, has_successor=True)
@@ -264,7 +266,7 @@ def _exhaust(connection: Connection, row: Row[Any], now: datetime, *, has_succes
     _made(_EXHAUST, connection, row, {"has_successor": has_successor, "why": f"given up before, {_TOLD}"}, now)
 
 
-def _made(how: Move, connection: Connection, row: Row[Any], values: Mapping[str, Any], now: datetime) -> Row[Any]:
+def _made(how: Transition, connection: Connection, row: Row[Any], values: Mapping[str, Any], now: datetime) -> Row[Any]:
     which = {"of_job": row.id, "of_fence": row.fence}
     return _required(how.make(connection, {**which, **values}, now, by=REPAIRER, detail="by factory repair"))
 

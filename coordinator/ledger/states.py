@@ -11,10 +11,20 @@ from types import MappingProxyType
 
 from schemas.errors import FactoryError
 
-__all__ = ["OPEN_STATES", "TRANSITIONS", "Event", "IllegalMove", "State", "diagram", "next_state", "sources", "target"]
+__all__ = [
+    "OPEN_STATES",
+    "TRANSITIONS",
+    "Event",
+    "IllegalMove",
+    "JobState",
+    "diagram",
+    "next_state",
+    "sources",
+    "target",
+]
 
 
-class State(StrEnum):
+class JobState(StrEnum):
     """Where one draw of one episode stands."""
 
     PENDING = "pending"  # waits for a worker
@@ -47,35 +57,35 @@ class IllegalMove(FactoryError):
     """An event that the state does not know: the caller's picture of the job is wrong."""
 
 
-_HELD = (State.LEASED, State.SUBMITTED)
+_HELD = (JobState.LEASED, JobState.SUBMITTED)
 
 TRANSITIONS = MappingProxyType(
     {
-        (State.PENDING, Event.CLAIMED): State.LEASED,
-        (State.PENDING, Event.CANCELLED): State.CANCELLED,
-        (State.LEASED, Event.ANNOUNCED): State.SUBMITTED,
-        (State.LEASED, Event.MISSED): State.PENDING,
-        (State.LEASED, Event.EXHAUSTED): State.FAILED,
-        **{(held, Event.RELEASED): State.PENDING for held in _HELD},
-        **{(held, Event.EXPIRED): State.PENDING for held in _HELD},
-        **{(held, Event.HURT): State.PENDING for held in _HELD},
-        **{(held, Event.QUARANTINED): State.FAILED for held in _HELD},
-        **{(held, Event.CANCELLED): State.CANCELLED for held in _HELD},
-        (State.SUBMITTED, Event.ANNOUNCED): State.SUBMITTED,
-        (State.SUBMITTED, Event.ARCHIVED): State.ARCHIVED,
-        (State.SUBMITTED, Event.ADOPTED): State.ARCHIVED,
-        (State.ARCHIVED, Event.LOST): State.PENDING,
-        (State.FAILED, Event.RETRIED): State.PENDING,
-        (State.CANCELLED, Event.RETRIED): State.PENDING,
+        (JobState.PENDING, Event.CLAIMED): JobState.LEASED,
+        (JobState.PENDING, Event.CANCELLED): JobState.CANCELLED,
+        (JobState.LEASED, Event.ANNOUNCED): JobState.SUBMITTED,
+        (JobState.LEASED, Event.MISSED): JobState.PENDING,
+        (JobState.LEASED, Event.EXHAUSTED): JobState.FAILED,
+        **{(held, Event.RELEASED): JobState.PENDING for held in _HELD},
+        **{(held, Event.EXPIRED): JobState.PENDING for held in _HELD},
+        **{(held, Event.HURT): JobState.PENDING for held in _HELD},
+        **{(held, Event.QUARANTINED): JobState.FAILED for held in _HELD},
+        **{(held, Event.CANCELLED): JobState.CANCELLED for held in _HELD},
+        (JobState.SUBMITTED, Event.ANNOUNCED): JobState.SUBMITTED,
+        (JobState.SUBMITTED, Event.ARCHIVED): JobState.ARCHIVED,
+        (JobState.SUBMITTED, Event.ADOPTED): JobState.ARCHIVED,
+        (JobState.ARCHIVED, Event.LOST): JobState.PENDING,
+        (JobState.FAILED, Event.RETRIED): JobState.PENDING,
+        (JobState.CANCELLED, Event.RETRIED): JobState.PENDING,
     }
 )
 """(state, event) -> state. What is not listed does not happen. An event leads to one state from wherever it starts."""
 
-OPEN_STATES = (State.PENDING, State.LEASED, State.SUBMITTED)
+OPEN_STATES = (JobState.PENDING, JobState.LEASED, JobState.SUBMITTED)
 """States that change without an operator."""
 
 
-def next_state(state: State, event: Event) -> State:
+def next_state(state: JobState, event: Event) -> JobState:
     """Returns where the event leads.
 
     Raises:
@@ -88,12 +98,12 @@ def next_state(state: State, event: Event) -> State:
         raise IllegalMove(f"a job that is {state} cannot be {event}; only from: {fitting}") from None
 
 
-def sources(event: Event) -> tuple[State, ...]:
+def sources(event: Event) -> tuple[JobState, ...]:
     """Returns the states in which an event can find a job."""
     return tuple(state for (state, listed) in TRANSITIONS if listed is event)
 
 
-def target(event: Event) -> State:
+def target(event: Event) -> JobState:
     """Returns the one state that an event leads to."""
     (state,) = {after for (_, listed), after in TRANSITIONS.items() if listed is event}
     return state
@@ -101,11 +111,11 @@ def target(event: Event) -> State:
 
 def diagram() -> str:
     """Returns the table as a mermaid state diagram."""
-    moves: dict[tuple[State, State], list[Event]] = {}
+    moves: dict[tuple[JobState, JobState], list[Event]] = {}
     for (before, event), after in TRANSITIONS.items():
         moves.setdefault((before, after), []).append(event)
     lines = [f"    {before} --> {after}: {', '.join(events)}" for (before, after), events in moves.items()]
-    return "\n".join(["stateDiagram-v2", f"    [*] --> {State.PENDING}", *lines])
+    return "\n".join(["stateDiagram-v2", f"    [*] --> {JobState.PENDING}", *lines])
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import bindparam, delete, func, insert, select, update
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.prepared import Prepared
+from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.tables import workers
 from schemas.wire import Hello
 
@@ -21,9 +21,9 @@ _SILENT_S = 300.0
 
 _OLDEST = func.min(workers.c.last_beat).label("oldest")
 _KNOWN: Any = select(func.count().label("known"), _OLDEST).select_from(workers)
-_OF_ALL = Prepared(_KNOWN)
-_OF_HOST = Prepared(_KNOWN.where(workers.c.host == bindparam("name")))
-_HEARD = Prepared(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
+_OF_ALL = PreparedStatement(_KNOWN)
+_OF_HOST = PreparedStatement(_KNOWN.where(workers.c.host == bindparam("name")))
+_HEARD = PreparedStatement(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
 
 
 def introduce(connection: Connection, hello: Hello, now: datetime) -> bool:

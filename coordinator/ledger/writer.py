@@ -194,7 +194,7 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
     return result
 
 
-def _say(event: str, error: SQLAlchemyError | WorldError, **fields: object) -> None:
+def _say(event: str, error: SQLAlchemyError | WorldError, **fields: Any) -> None:
     """Logs what the database said, without the parameters of the statement: tokens are among them."""
     _LIMIT.write(log.error, event, error=describe_error(getattr(error, "orig", None) or error), **fields)
 

@@ -19,7 +19,7 @@ from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.load import Load
-from coordinator.protocol.protocol import Answer, Request, Terms, parse, serve
+from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, JoinReply
 from coordinator.protocol.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
@@ -124,7 +124,7 @@ class Front(Closing):
         future = self._writer.submit(lambda connection: do(connection, request, self._terms, self._clock()))
         future.add_done_callback(partial(self._reply, inquiry, request, octets))
 
-    def _reply(self, inquiry: Inquiry, request: Request, octets: int, future: Future[Answer]) -> None:
+    def _reply(self, inquiry: Inquiry, request: ParsedRequest, octets: int, future: Future[ProtocolAnswer]) -> None:
         """Answers in the one answering thread; nothing that goes wrong with a request may reach the next."""
         self._load.leave(request.host, octets)
         error = future.exception()
@@ -138,7 +138,7 @@ class Front(Closing):
         except Exception as unforeseen:  # noqa: BLE001 - see above
             self._fail(inquiry, unforeseen)
 
-    def _answer(self, inquiry: Inquiry, request: Request, answer: Answer) -> None:
+    def _answer(self, inquiry: Inquiry, request: ParsedRequest, answer: ProtocolAnswer) -> None:
         if isinstance(request.message, AdminRequest):
             self._note_operator(request.message)
         if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
@@ -181,7 +181,7 @@ class Front(Closing):
             inquiry.answer(future.result())
 
 
-def _changes_tables(request: Request, answer: Answer) -> bool:
+def _changes_tables(request: ParsedRequest, answer: ProtocolAnswer) -> bool:
     """Returns whether a gateway has brought or lost an episode."""
     if isinstance(request.message, Archived):
         return answer.reply == Ack(accepted=True)

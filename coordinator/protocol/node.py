@@ -21,7 +21,7 @@ from schemas.keys import Chunk, bundle_selector
 from schemas.support.closing import Closing
 from schemas.wire import Lease
 
-__all__ = ["Admitted", "Configure", "Node"]
+__all__ = ["Admitted", "Configure", "ZenohNode"]
 
 Admitted = Mapping[str, Role]
 Configure = Callable[[Sequence[str], Admitted], zenoh.Config]
@@ -37,7 +37,7 @@ _REOPEN_PAUSE_S = 0.2
 log = structlog.get_logger(__name__)
 
 
-class Node(Closing):
+class ZenohNode(Closing):
     """An open router session; a context manager.
 
     Args:

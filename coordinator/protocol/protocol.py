@@ -47,7 +47,7 @@ from schemas.wire import (
     Trade,
 )
 
-__all__ = ["Answer", "Pull", "Request", "Terms", "fail_attempt", "parse", "serve"]
+__all__ = ["ParsedRequest", "ProtocolAnswer", "Pull", "Terms", "fail_attempt", "parse", "serve"]
 
 M = TypeVar("M", bound=Model)
 _SMALL_MESSAGE_BYTES = 16 << 10
@@ -98,7 +98,7 @@ class Pull:
 
 
 @dataclass(frozen=True)
-class Answer:
+class ProtocolAnswer:
     """The reply to send after COMMIT, and what has become due by then."""
 
     reply: Model
@@ -106,17 +106,19 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Request:
+class ParsedRequest:
     """A message that has passed all checks that need no ledger."""
 
     host: str
     message: Model
 
 
-Handler = Callable[[Connection, Any, str, Terms, datetime], Answer]
+Handler = Callable[[Connection, Any, str, Terms, datetime], ProtocolAnswer]
 
 
-def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]] | None = None) -> Request | Refusal:
+def parse(
+    verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]] | None = None
+) -> ParsedRequest | Refusal:
     """Reads a message as it came; everything wrong with it ends in a refusal that says so.
 
     Args:
@@ -142,7 +144,7 @@ def parse(verb: str, host: str, payload: bytes, known: Mapping[Verb, type[Model]
     sid = getattr(message, "sid", None)
     if known is _MESSAGES and sid is not None and not sid_belongs_to(sid, host):
         return Refusal(error=f"{verb}: session {sid!r} is not of host {host!r}; session ids begin with their host")
-    return Request(host, message)
+    return ParsedRequest(host, message)
 
 
 def _mistakes(error: ValidationError) -> str:
@@ -154,7 +156,7 @@ def _mistakes(error: ValidationError) -> str:
     return "; ".join(f"{'.'.join(map(str, item['loc']))[:_SHOWN_CHARS]}: {item['msg']}" for item in found)
 
 
-def serve(connection: Connection, request: Request, terms: Terms, now: datetime) -> Answer:
+def serve(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:
     """Does what a request asks, within the caller's transaction."""
     return _HANDLERS[type(request.message)](connection, request.message, request.host, terms, now)
 
@@ -171,28 +173,30 @@ def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: dateti
     )
 
 
-def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: datetime) -> Answer:
+def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
     if hello.host != host:
-        return Answer(Refusal(error=f"hello: says it is host {hello.host!r} under the key of {host!r}"))
+        return ProtocolAnswer(Refusal(error=f"hello: says it is host {hello.host!r} under the key of {host!r}"))
     if hello.version != terms.version:
-        return Answer(
+        return ProtocolAnswer(
             Refusal(
                 error=f"hello: worker {hello.sid} runs minivla-factory {hello.version}, the coordinator "
                 f"{terms.version}; episodes of two versions may differ: install the same version on both"
             )
         )
     if not workers.introduce(connection, hello, now):
-        return Answer(
+        return ProtocolAnswer(
             Refusal(
                 error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} sessions that were heard of lately, or all "
                 f"hosts together have {workers.SESSIONS}: stop some, or wait some minutes"
             )
         )
     trade = Trade.COLLECTION if terms.errands is None else Trade.EVALUATION
-    return Answer(HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade))
+    return ProtocolAnswer(
+        HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade)
+    )
 
 
-def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> Answer:
+def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
     may_start = terms.has_room() and not terms.is_draining()
     pause_s = hosts.pause_of(connection, host, now)
     may_start = may_start and pause_s == 0
@@ -200,15 +204,15 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         if terms.errands is None:
-            return Answer(ClaimReply(job=job, lease=lease_of(row)))
+            return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row)))
         text, attachment = terms.errands.find(row.idx)
-        return Answer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
+        return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
     workers.note_alive(connection, claim.sid, host, now)
     finished = not claims.has_open_jobs(connection)
-    return Answer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))
+    return ProtocolAnswer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))
 
 
-def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> Answer:
+def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
     workers.note_alive(connection, beat.sid, host, now)
     outcome = claims.beat(connection, beat, now, terms.lease_ttl_s)
     waiting = tuple(lease_of(row) for row in outcome.waiting)
@@ -220,33 +224,33 @@ def _beat(connection: Connection, beat: Beat, host: str, terms: Terms, now: date
         drain=terms.is_draining(),
         finished=is_idle and not claims.has_open_jobs(connection),
     )
-    return Answer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
+    return ProtocolAnswer(reply, tuple(_pull_of(row, beat.sid, beat.via, terms) for row in outcome.waiting))
 
 
-def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+def _done(connection: Connection, done: Done, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
     accepted, waiting = outcomes.announce(connection, done, now, terms.lease_ttl_s)
     pulls = (_pull_of(waiting, done.sid, done.via, terms),) if waiting is not None else ()
-    return Answer(Ack(accepted=accepted), pulls)
+    return ProtocolAnswer(Ack(accepted=accepted), pulls)
 
 
-def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
-    return Answer(Ack(accepted=fail_attempt(connection, fail, terms, now)))
+def _fail(connection: Connection, fail: Fail, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
+    return ProtocolAnswer(Ack(accepted=fail_attempt(connection, fail, terms, now)))
 
 
-def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
+def _admin(connection: Connection, request: AdminRequest, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
     match request.action:
         case AdminAction.RETRY:
-            return Answer(operator.retry(connection, request.indices, now))
+            return ProtocolAnswer(operator.retry(connection, request.indices, now))
         case AdminAction.CANCEL:
-            return Answer(operator.cancel(connection, request.indices, now))
+            return ProtocolAnswer(operator.cancel(connection, request.indices, now))
         case AdminAction.RELEASE:
-            return Answer(hosts.release(connection, request.hosts))
+            return ProtocolAnswer(hosts.release(connection, request.hosts))
         case AdminAction.DRAIN:
-            return Answer(AdminReply(changed=()))
+            return ProtocolAnswer(AdminReply(changed=()))
 
 
-def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> Answer:  # noqa: ARG001
-    return Answer(Ack(accepted=True))
+def _ping(connection: Connection, ping: Ping, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:  # noqa: ARG001
+    return ProtocolAnswer(Ack(accepted=True))
 
 
 def _pull_of(row: Row[Any], sid: str, via: str | None, terms: Terms) -> Pull:

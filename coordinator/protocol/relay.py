@@ -26,9 +26,9 @@ __all__ = [
     "InventoryReply",
     "Join",
     "JoinReply",
-    "Order",
     "Orders",
     "Refused",
+    "RelayOrder",
     "Stray",
 ]
 
@@ -60,7 +60,7 @@ class Duty(Model):
     """Hosts of which it has bundles enough."""
 
 
-class Order(Model):
+class RelayOrder(Model):
     """A bundle to pull, with all that validating it needs."""
 
     lease: Lease
@@ -74,7 +74,7 @@ class Order(Model):
 class Orders(Model):
     """What to pull; given out once, and again when the worker announces it again."""
 
-    orders: Annotated[tuple[Order, ...], Field(max_length=MAX_ORDERS)] = ()
+    orders: Annotated[tuple[RelayOrder, ...], Field(max_length=MAX_ORDERS)] = ()
 
 
 class Hold(Model):

@@ -18,9 +18,9 @@ from coordinator.ledger import claims, keepers, outcomes
 from coordinator.ledger.moves import JobRow
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import current_job, record_whole
-from coordinator.ledger.states import OPEN_STATES, State
+from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import jobs
-from coordinator.protocol.protocol import Answer, Pull, Request, Terms, fail_attempt
+from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Pull, Terms, fail_attempt
 from coordinator.protocol.relay import (
     MAX_LOST,
     Archived,
@@ -30,9 +30,9 @@ from coordinator.protocol.relay import (
     InventoryReply,
     Join,
     JoinReply,
-    Order,
     Orders,
     Refused,
+    RelayOrder,
     Stray,
 )
 from schemas.base import Model
@@ -55,16 +55,17 @@ _DRAW = select(jobs).where(jobs.c.idx == bindparam("index"), jobs.c.draw == bind
 _CURRENT = select(jobs).where(jobs.c.idx.in_(bindparam("indices", expanding=True)), jobs.c.superseded.is_(False))
 
 
-def serve_gateway(connection: Connection, request: Request, terms: Terms, now: datetime) -> Answer:
+def serve_gateway(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:
     """Does what a gateway asks, within the caller's transaction."""
-    return Answer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
+    return ProtocolAnswer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
 
 
 def orders_for(pulls: tuple[Pull, ...]) -> Orders:
     """Returns orders as they are sent."""
     return Orders(
         orders=tuple(
-            Order(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target) for p in pulls
+            RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target)
+            for p in pulls
         )
     )
 
@@ -124,7 +125,7 @@ def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: d
     row = current_job(connection, summary.index)
     if row is None or row.state not in OPEN_STATES or row.draw != summary.draw or row.attempt > summary.attempt:
         return False
-    if row.state == State.SUBMITTED and row.sha256 == summary.file_sha256:
+    if row.state == JobState.SUBMITTED and row.sha256 == summary.file_sha256:
         return outcomes.adopt(connection, row.id, summary, now)
     at = (summary.draw, summary.attempt)
     return record_whole(connection, terms.plan, terms.catalog, summary, now, at) == ""

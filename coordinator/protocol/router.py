@@ -13,7 +13,7 @@ import structlog
 import zenoh
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.protocol.node import Admitted, Node
+from coordinator.protocol.node import Admitted, ZenohNode
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
@@ -111,7 +111,7 @@ class Router(Closing):
         self._settings = settings
         self._guard = guard
         self._present: set[str] = set()
-        self._node = Node(listen, self._config, guard.admitted if guard is not None else dict, self._declare)
+        self._node = ZenohNode(listen, self._config, guard.admitted if guard is not None else dict, self._declare)
         self.endpoints = self._node.endpoints
         """Endpoints in force, with their ports."""
 

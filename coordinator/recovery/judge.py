@@ -12,7 +12,6 @@ from types import MappingProxyType
 from sqlalchemy import select
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import EPISODES
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import PlannedJob, expand, redraw, to_job
 from coordinator.ledger.opening import planned_of
@@ -21,6 +20,7 @@ from coordinator.ledger.tables import jobs
 from coordinator.transfer.puller import Checker
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset_files import EPISODES
 from schemas.errors import InvalidBundle
 from schemas.job import Job, episode_id
 from schemas.plan import Plan

@@ -12,11 +12,10 @@ from coordinator.ledger.repair import recall
 from coordinator.recovery.judge import Draws
 from coordinator.tables.checkpoint import count_failures, read_failures
 from coordinator.tables.table_reader import read_column, read_failed_attempts
-from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
-from schemas.dataset import EpisodeSummary
+from schemas.dataset import EpisodeSummary, FailedAttempt
+from schemas.dataset_files import ATTEMPTS_FILE, METADATA_FILE
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import WorldError
-from schemas.failed_attempt import FailedAttempt
 from schemas.plan import Plan
 from schemas.storage.place import Place
 

@@ -26,30 +26,29 @@ from coordinator.ledger.repair import record_whole
 from coordinator.recovery.memory import recall_failures
 from coordinator.recovery.renewal import set_aside_ledger
 from coordinator.recovery.report import Action, RepairKind, RepairReport
-from coordinator.recovery.survey import Survey, Tell, survey_archive
-from coordinator.tables.card import CARD_FILE
+from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
 from coordinator.tables.checkpoint import read_failures, write_checkpoint
 from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.table_reader import read_column
-from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
-from schemas.dataset_meta import META_FILE, read_dataset_meta
+from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
+from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, relative_name
 
-__all__ = ["Patient", "repair"]
+__all__ = ["RepairInput", "repair"]
 
 _LEASE_TTL_S = 15.0
 _LISTED_CHARS = 500
 
 
 @dataclass(frozen=True)
-class Patient:
+class RepairInput:
     """A dataset directory and what is known of it beforehand."""
 
     root: Place
@@ -68,13 +67,13 @@ class Patient:
 
 
 def repair(
-    patient: Patient,
+    patient: RepairInput,
     checker: Checker,
     now: datetime,
     *,
     apply: bool,
     take_over: bool = False,
-    tell: Tell = lambda _done, _all: None,
+    tell: ProgressCallback = lambda _done, _all: None,
 ) -> RepairReport:
     """Finds what is wrong and, unless it is a dry run, puts it right.
 
@@ -109,7 +108,7 @@ def repair(
         )
 
 
-def _open(patient: Patient, take_over: bool) -> Archive:
+def _open(patient: RepairInput, take_over: bool) -> Archive:
     store = patient.root if isinstance(patient.root, ObjectPath) else None
     return open_archive(patient.home, store, take_over=take_over)
 
@@ -132,7 +131,7 @@ def _of_ledger(trouble: str) -> Iterator[Action]:
         yield Action(kind=RepairKind.REBUILD, what="ledger", why=trouble)
 
 
-def _of_scenes(patient: Patient) -> Iterator[Action]:
+def _of_scenes(patient: RepairInput) -> Iterator[Action]:
     for name, why in patient.scenes.items():
         yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
 
@@ -152,7 +151,7 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
         yield Action(kind=RepairKind.REQUEUE, what=episode_id(index), why=why)
 
 
-def _of_tables(patient: Patient, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
+def _of_tables(patient: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
     """Says which tables do not say what the ledger says, or will say once the other actions are done."""
     for name, why in _table_findings(patient.root, ledger).items():
         yield Action(kind=RepairKind.REWRITE, what=name, why=why)
@@ -187,7 +186,7 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     return found
 
 
-def _carry_out(patient: Patient, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
+def _carry_out(patient: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
     """Every step may be cut off and done again: files first, then the ledger, the tables last."""
     for name, why in patient.scenes.items():
         path = archive.scene_path(name, patient.catalog[name].sha256)
@@ -220,7 +219,7 @@ def _carry_out(patient: Patient, archive: Archive, survey: Survey, trouble: str,
         engine.dispose()
 
 
-def _adopt(engine: Engine, patient: Patient, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
+def _adopt(engine: Engine, patient: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
     with engine.begin() as connection:
         at = (summary.draw, summary.attempt)
         refusal = record_whole(connection, patient.plan, patient.catalog, summary, now, at, replaces=True)

@@ -27,7 +27,7 @@ from coordinator.protocol.protocol import Terms
 from coordinator.recovery.judge import Draws, Foreign, StrayJudge
 from coordinator.recovery.memory import recall_failures, validated_files
 from coordinator.transfer.puller import Checker, Judge
-from schemas.dataset import EpisodeSummary, Receipt
+from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError
 from schemas.storage.place import Place, at_hand
 
@@ -35,7 +35,7 @@ __all__ = ["Reconciled", "reconcile"]
 
 log = structlog.get_logger(__name__)
 
-_Verdict = tuple[Receipt, tuple[int, int]] | str
+_Verdict = tuple[BundleReceipt, tuple[int, int]] | str
 """What the ledger keeps of a whole file with its draw and attempt, or why it is none."""
 
 
@@ -169,7 +169,7 @@ def _settle(
                 _requeue(connection, index, now, refusal, result)
 
 
-def _adopt(engine: Engine, terms: Terms, receipt: Receipt, at: tuple[int, int], now: datetime) -> str:
+def _adopt(engine: Engine, terms: Terms, receipt: BundleReceipt, at: tuple[int, int], now: datetime) -> str:
     with engine.begin() as connection:
         refusal = record_whole(connection, terms.plan, terms.catalog, receipt, now, at, replaces=True)
         if refusal:

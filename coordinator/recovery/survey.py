@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Row, select
 from sqlalchemy.engine import Connection
 
-from coordinator.archive.contract import EPISODES, QUARANTINE, index_of_file
+from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import Catalog
 from coordinator.ledger.keepers import all_keepers
 from coordinator.ledger.tables import episodes
@@ -17,13 +17,14 @@ from coordinator.recovery.judge import Draws, StrayJudge
 from coordinator.recovery.memory import validated_files
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
+from schemas.dataset_files import EPISODES, QUARANTINE
 from schemas.plan import Plan
 from schemas.storage.object_path import ObjectPath
 from schemas.storage.place import Place, children, digest_of
 
 __all__ = ["Survey", "survey_archive"]
 
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 @dataclass
@@ -41,7 +42,7 @@ class Survey:
 
 
 def survey_archive(
-    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: Tell
+    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: ProgressCallback
 ) -> Survey:
     """Compares every file of a dataset with the ledger, and what the ledger does not own with the plan.
 

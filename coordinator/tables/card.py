@@ -11,9 +11,8 @@ from schemas.dataset_meta import DatasetMeta
 from schemas.language import TEMPLATES
 from schemas.terms import Split, Tier
 
-__all__ = ["CARD_FILE", "dataset_card"]
+__all__ = ["dataset_card"]
 
-CARD_FILE = "README.md"
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _SPLITS = {

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from schemas.dataset_files import SPLITS_FOLDER
 from schemas.storage.place import Place, children
 from schemas.terms import Split
 
 __all__ = [
-    "SPLITS_FOLDER",
     "Configs",
     "names_split_tables",
     "spell_configs",
@@ -20,8 +20,6 @@ __all__ = [
     "with_configs",
 ]
 
-SPLITS_FOLDER = "data"
-"""Folder of the split tables, below the dataset's directory."""
 _BEGIN, _END = "configs:", "---\n"
 
 Configs = Mapping[str, Mapping[str, str]]

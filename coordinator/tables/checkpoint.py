@@ -15,9 +15,9 @@ from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.reading.records import LedgerEpisodes
 from coordinator.ledger.tables import attempts, episodes, jobs
 from coordinator.tables.write import write_tables
+from schemas.dataset import FailedAttempt
 from schemas.dataset_meta import DatasetMeta, GateOutcome, read_dataset_meta
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.failed_attempt import FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan
 from schemas.terms import Split, Tier

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import pyarrow.parquet as pq
 from PIL import Image
 
-from coordinator.tables.card_configs import SPLITS_FOLDER
 from coordinator.tables.split_layout import (
     DIGEST_KEY,
     PICTURES_KEY,
@@ -20,10 +19,10 @@ from coordinator.tables.split_layout import (
     read_pictures,
     split_tables_of,
 )
-from coordinator.tables.write import METADATA_FILE
+from schemas.dataset_files import METADATA_FILE, SPLITS_FOLDER
 from schemas.storage.place import Place, children, table_of
 
-__all__ = ["SURPLUS", "Fault", "FaultKind", "fault_of", "find_faults", "surplus_tables"]
+__all__ = ["SURPLUS", "FaultKind", "SplitFault", "fault_of", "find_faults", "surplus_tables"]
 
 SURPLUS = f"{METADATA_FILE} has no rows for it"
 _OTHER_ROWS = f"its rows are not those of {METADATA_FILE}"
@@ -38,7 +37,7 @@ class FaultKind(StrEnum):
     OUTDATED = "outdated"  # other rows than `metadata.parquet`, or a thumbnail is missing that can be made
 
 
-class Fault(NamedTuple):
+class SplitFault(NamedTuple):
     """One thing that is wrong."""
 
     name: str
@@ -48,7 +47,7 @@ class Fault(NamedTuple):
     """What was found."""
 
 
-def find_faults(root: Place, deep: bool = False) -> Iterator[Fault]:
+def find_faults(root: Place, deep: bool = False) -> Iterator[SplitFault]:
     """Yields what is wrong with the split tables.
 
     Args:
@@ -65,7 +64,7 @@ def find_faults(root: Place, deep: bool = False) -> Iterator[Fault]:
         if fault:
             yield fault
     for place in surplus_tables(root, wanted):
-        yield Fault(f"{SPLITS_FOLDER}/{place.name}", FaultKind.SURPLUS, SURPLUS)
+        yield SplitFault(f"{SPLITS_FOLDER}/{place.name}", FaultKind.SURPLUS, SURPLUS)
 
 
 def surplus_tables(root: Place, wanted: set[str]) -> list[Place]:
@@ -73,18 +72,18 @@ def surplus_tables(root: Place, wanted: set[str]) -> list[Place]:
     return [place for place in children(root / SPLITS_FOLDER) if f"{SPLITS_FOLDER}/{place.name}" not in wanted]
 
 
-def fault_of(root: Place, table: SplitTable, deep: bool = False) -> Fault | None:
+def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault | None:
     """Returns what is wrong with one of them, if anything is; arguments as `find_faults`."""
     try:
         text = _see_rows(root, table) if deep else _see_footer(root, table)
         damage = _see_thumbnails(root, table) if deep and not text else ""
     except FileNotFoundError:
-        return Fault(table.name, FaultKind.ABSENT, "is not there")
+        return SplitFault(table.name, FaultKind.ABSENT, "is not there")
     except UNREADABLE as error:
-        return Fault(table.name, FaultKind.DAMAGED, f"cannot be read: {' '.join(str(error).split())}")
+        return SplitFault(table.name, FaultKind.DAMAGED, f"cannot be read: {' '.join(str(error).split())}")
     if damage:
-        return Fault(table.name, FaultKind.DAMAGED, damage)
-    return Fault(table.name, FaultKind.OUTDATED, text) if text else None
+        return SplitFault(table.name, FaultKind.DAMAGED, damage)
+    return SplitFault(table.name, FaultKind.OUTDATED, text) if text else None
 
 
 def _see_footer(root: Place, table: SplitTable) -> str:

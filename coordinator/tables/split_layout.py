@@ -11,8 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import xxhash
 
-from coordinator.tables.card_configs import SPLITS_FOLDER
-from coordinator.tables.write import METADATA_FILE
+from schemas.dataset_files import METADATA_FILE, SPLITS_FOLDER
 from schemas.errors import ArchiveCorrupt
 from schemas.storage.place import Place, table_of
 from schemas.terms import Split

@@ -17,7 +17,6 @@ import pyarrow.parquet as pq
 import structlog
 
 from coordinator.archive.contract import Archive
-from coordinator.tables.card import CARD_FILE
 from coordinator.tables.card_configs import split_configs, splits_at, with_configs
 from coordinator.tables.split_faults import SURPLUS, FaultKind, fault_of, surplus_tables
 from coordinator.tables.split_layout import (
@@ -29,6 +28,7 @@ from coordinator.tables.split_layout import (
     split_tables_of,
 )
 from coordinator.tables.thumbnail import read_thumbnail
+from schemas.dataset_files import CARD_FILE
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import WorldError
 

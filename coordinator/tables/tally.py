@@ -18,7 +18,7 @@ class _Refused(Protocol):
 
 
 Failure = TypeVar("Failure", bound=_Refused)
-_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_of_the_world)
+_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 
 
 @dataclass

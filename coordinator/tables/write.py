@@ -18,22 +18,21 @@ import pyarrow.parquet as pq
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
-from coordinator.tables.card import CARD_FILE, dataset_card
+from coordinator.tables.card import dataset_card
 from coordinator.tables.card_configs import splits_at
 from coordinator.tables.metadata_table import Episodes, ListedEpisodes, plain_row, write_metadata
 from coordinator.tables.tally import Tally
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary
-from schemas.dataset_meta import META_FILE, DatasetMeta, GateOutcome, git_commit, read_dataset_meta, software_versions
+from schemas.dataset import EpisodeSummary, FailedAttempt
+from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
+from schemas.dataset_meta import DatasetMeta, GateOutcome, git_commit, read_dataset_meta, software_versions
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import WorldError
-from schemas.failed_attempt import FailedAttempt
 from schemas.plan import Plan
 from schemas.storage.place import Place
 
-__all__ = ["ATTEMPTS_FILE", "METADATA_FILE", "SIDE_COLUMN", "parquet_schema", "write_tables"]
+__all__ = ["SIDE_COLUMN", "parquet_schema", "write_tables"]
 
-METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"
 SIDE_COLUMN = "instance_side"
 """Last column of `metadata.parquet`: who may name the target: `train`, `evaluation`, `shared`; null without promise."""
 _BATCH_ROWS = 2000

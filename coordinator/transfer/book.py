@@ -8,7 +8,7 @@ from datetime import datetime
 from coordinator.ledger import claims, outcomes
 from coordinator.ledger.writer import Writer
 from coordinator.protocol.protocol import Pull, Terms, fail_attempt
-from schemas.dataset import Receipt
+from schemas.dataset import BundleReceipt
 from schemas.terms import FailReason
 from schemas.wire import Fail, cut_detail
 
@@ -31,7 +31,7 @@ class LedgerBook:
         """See `Book`."""
         return self._writer.call(lambda connection: outcomes.is_owned(connection, index))
 
-    def own(self, pull: Pull, receipt: Receipt) -> bool:
+    def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
         """See `Book`."""
         return self._writer.call(
             lambda connection: (

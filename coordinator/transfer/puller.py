@@ -20,7 +20,7 @@ from coordinator.protocol.protocol import Pull
 from coordinator.settings import CoordinatorSettings
 from coordinator.transfer.fair_queue import FairQueue
 from schemas.bundle import MAX_BUNDLE_BYTES
-from schemas.dataset import EpisodeSummary, Receipt
+from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import FactoryError, InvalidBundle, TransientError
 from schemas.job import Job, episode_id
 from schemas.keys import Chunk, host_of
@@ -57,7 +57,7 @@ def nothing_nearby(_lease: Lease) -> None:
 class Judge(Protocol):
     """What judges bundles, from several threads at a time."""
 
-    def check(self, path: Path, job: Job, target: Target | None = None) -> Receipt:
+    def check(self, path: Path, job: Job, target: Target | None = None) -> BundleReceipt:
         """Returns what the ledger keeps of it, or raises `InvalidBundle` or `TransientError`."""
 
     def close(self) -> None:
@@ -83,7 +83,7 @@ class Book(Protocol):
     def is_owned(self, index: int) -> bool:
         """Returns whether the episode that lies here is the ledger's, so that nobody may delete it."""
 
-    def own(self, pull: Pull, receipt: Receipt) -> bool:
+    def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
         """Records a published episode if the lease still holds; returns whether the ledger owns the file now."""
 
     def refuse(self, pull: Pull, detail: str) -> None:
@@ -318,7 +318,7 @@ class Pullers(Closing):
         except OSError as error:
             log.debug("fetched_instead", episode=episode_id(pull.job.index), error=str(error))
 
-    def _judge(self, pull: Pull, path: Path) -> Receipt | None:
+    def _judge(self, pull: Pull, path: Path) -> BundleReceipt | None:
         begun = time.monotonic()
         try:
             return self._checker.check(path, pull.job, pull.target)
@@ -340,7 +340,7 @@ class Pullers(Closing):
         with self._guard:
             self._failed.pop(pull.job.index, None)
 
-    def _publish(self, pull: Pull, staged: Staged, receipt: Receipt) -> None:
+    def _publish(self, pull: Pull, staged: Staged, receipt: BundleReceipt) -> None:
         index = pull.job.index
         self._forget_failures(pull)
         self._archive.publish(staged, index)

@@ -34,7 +34,16 @@ from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit
 
-__all__ = ["HEADER", "MAX_FINDINGS", "MAX_FINDING_CHARS", "Limits", "Task", "Validator", "Verdict", "sandbox_of"]
+__all__ = [
+    "HEADER",
+    "MAX_FINDINGS",
+    "MAX_FINDING_CHARS",
+    "ValidationTask",
+    "Validator",
+    "ValidatorLimits",
+    "Verdict",
+    "sandbox_of",
+]
 
 log = structlog.get_logger(__name__)
 
@@ -50,7 +59,7 @@ HEADER = struct.Struct("!I")
 """Before a task: its length in bytes. The open bundle is sent with it."""
 
 
-class Limits(Model):
+class ValidatorLimits(Model):
     """What one child may use."""
 
     memory_bytes: Annotated[int, Field(ge=256 << 20)] = 1536 << 20
@@ -61,7 +70,7 @@ class Limits(Model):
     """Wall time a bundle."""
 
 
-class Task(Model):
+class ValidationTask(Model):
     """What a child is asked about the open bundle that comes with it."""
 
     job: Job
@@ -88,9 +97,9 @@ class Validator(Closing):
     """
 
     def __init__(
-        self, children: int = 1, limits: Limits | None = None, clock: Callable[[], float] = time.monotonic
+        self, children: int = 1, limits: ValidatorLimits | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._limits = limits or Limits()
+        self._limits = limits or ValidatorLimits()
         self._layers: tuple[str, ...] = ()
         self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
         self._free: queue.SimpleQueue[_Child] = queue.SimpleQueue()
@@ -113,7 +122,7 @@ class Validator(Closing):
             InvalidBundle: with every violation; also when the bundle brought two children down.
             TransientError: no child can be started, or the file not be opened, on this machine now.
         """
-        task = Task(job=job, target=target)
+        task = ValidationTask(job=job, target=target)
         with self._child() as child:
             for _ in range(_TRIES):
                 verdict = self._ask(child, task, path)
@@ -122,7 +131,7 @@ class Validator(Closing):
                 self._limit.write(log.warning, "validator_died", file=str(path), how=child.last_words)
         raise InvalidBundle("validation crashed", [f"{path.name}: {_TRIES} children died of it ({child.last_words})"])
 
-    def _ask(self, child: _Child, task: Task, path: Path) -> Verdict | None:
+    def _ask(self, child: _Child, task: ValidationTask, path: Path) -> Verdict | None:
         with _opened(path) as bundle:
             verdict = child.ask(task, bundle)
         if child.layers and not self._layers:
@@ -152,7 +161,7 @@ class Validator(Closing):
 class _Child:
     """One process, started when first needed and again after every death."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: ValidatorLimits) -> None:
         self._limits = limits
         self._process: subprocess.Popen[str] | None = None
         self._orders: socket.socket | None = None
@@ -161,7 +170,7 @@ class _Child:
         self.layers: tuple[str, ...] = ()
         """What confines it, once it has been started."""
 
-    def ask(self, task: Task, bundle: int) -> Verdict | None:
+    def ask(self, task: ValidationTask, bundle: int) -> Verdict | None:
         """Returns the verdict, or `None` when the child died or had to be killed."""
         process = self._started()
         line = self._exchange(process, self._limits.wall_s, (task.model_dump_json().encode(), bundle))
@@ -222,7 +231,7 @@ class _Child:
         self._kill()
 
 
-def _spawn(limits: Limits) -> tuple[subprocess.Popen[str], socket.socket]:
+def _spawn(limits: ValidatorLimits) -> tuple[subprocess.Popen[str], socket.socket]:
     """Starts a child; its standard input is the other end of the returned socket."""
     arguments = python_module("coordinator.validation.validator_child", limits.model_dump_json())
     environment = {"PYTHONPATH": import_path(sys.path), "OPENBLAS_NUM_THREADS": "1"}

@@ -17,7 +17,14 @@ import numpy.ma  # noqa: F401 - like the encodings: once the process is confined
 
 from coordinator.validation.sandbox import confine
 from coordinator.validation.validate import validate
-from coordinator.validation.validator import HEADER, MAX_FINDING_CHARS, MAX_FINDINGS, Limits, Task, Verdict
+from coordinator.validation.validator import (
+    HEADER,
+    MAX_FINDING_CHARS,
+    MAX_FINDINGS,
+    ValidationTask,
+    ValidatorLimits,
+    Verdict,
+)
 from schemas.bundle import MAX_BUNDLE_BYTES, BundleReader
 from schemas.dataset import summary_of
 from schemas.errors import InvalidBundle
@@ -25,7 +32,7 @@ from schemas.errors import InvalidBundle
 __all__ = ["judge", "main"]
 
 
-def judge(task: Task, file: BinaryIO) -> Verdict:
+def judge(task: ValidationTask, file: BinaryIO) -> Verdict:
     """Validates one open bundle in this very process."""
     try:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
@@ -43,14 +50,14 @@ def judge(task: Task, file: BinaryIO) -> Verdict:
     return Verdict(findings=tuple(finding[:MAX_FINDING_CHARS] for finding in findings[:MAX_FINDINGS]))
 
 
-def _allow_cpu(limits: Limits) -> None:
+def _allow_cpu(limits: ValidatorLimits) -> None:
     """Grants the CPU time of one more task; the limit counts over the whole life of the process."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
     resource.setrlimit(resource.RLIMIT_CPU, (int(used.ru_utime + used.ru_stime) + 1 + limits.cpu_s, hard))
 
 
-def _receive(orders: socket.socket) -> tuple[Task, BinaryIO] | None:
+def _receive(orders: socket.socket) -> tuple[ValidationTask, BinaryIO] | None:
     """Returns the next task and its file, or `None` when there are no more."""
     header, descriptors, _, _ = socket.recv_fds(orders, HEADER.size, 1)
     if len(header) < HEADER.size or not descriptors:
@@ -62,7 +69,7 @@ def _receive(orders: socket.socket) -> tuple[Task, BinaryIO] | None:
         if not part:
             return None
         text += part
-    return Task.model_validate_json(bytes(text)), _open(descriptors[0])
+    return ValidationTask.model_validate_json(bytes(text)), _open(descriptors[0])
 
 
 def _open(descriptor: int) -> BinaryIO:
@@ -71,7 +78,7 @@ def _open(descriptor: int) -> BinaryIO:
 
 def main(arguments: list[str]) -> int:
     """Serves tasks from standard input, a socket, until it ends."""
-    limits = Limits.model_validate_json(arguments[0])
+    limits = ValidatorLimits.model_validate_json(arguments[0])
     orders = socket.socket(fileno=0)
     layers = confine(limits.memory_bytes)
     sys.stdout.write(f"ready {' '.join(layers)}\n")

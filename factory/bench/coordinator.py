@@ -25,7 +25,7 @@ from coordinator.ledger.writer import Writer
 from coordinator.validation.validator import Validator
 from factory.bench.machine import describe_machine, measure_memory, resident_mib
 from factory.bench.model import CoordinatorBench, Spread
-from factory.bench.sample import Sample
+from factory.bench.sample import BenchSample
 from factory.bench.wire import bench_wire
 from schemas.bundle import BundleReader
 from schemas.dataset import summary_of
@@ -45,7 +45,7 @@ _ROUNDS = 8
 def bench_coordinator(
     plan: Plan,
     catalog: Catalog,
-    samples: Sequence[Sample],
+    samples: Sequence[BenchSample],
     folder: Path,
     *,
     workers: int,
@@ -144,7 +144,7 @@ def _archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], A
     return lambda connection: outcomes.archive(connection, lease, summary, datetime.now(UTC))
 
 
-def _validate(samples: Sequence[Sample], repeats: int) -> list[float]:
+def _validate(samples: Sequence[BenchSample], repeats: int) -> list[float]:
     with Validator() as validator:
         validator.check(samples[0].path, samples[0].job)  # starts the child
         frames = 0
@@ -156,7 +156,7 @@ def _validate(samples: Sequence[Sample], repeats: int) -> list[float]:
     return runs
 
 
-def _archive(samples: Sequence[Sample], root: Path) -> float:
+def _archive(samples: Sequence[BenchSample], root: Path) -> float:
     bundles = [sample.path.read_bytes() for sample in samples]
     with open_archive(root) as archive:
         begun = time.perf_counter()

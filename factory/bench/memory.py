@@ -18,7 +18,7 @@ from factory.bench.model import MemoryBench
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.terms import FailReason
-from workers.process.messages import Order, Report, ReportKind
+from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import Death, Simulation
 
 __all__ = ["bench_memory"]
@@ -29,7 +29,7 @@ _STEPS = 5
 """Of all others."""
 _TENTH = 10
 _HANG_S = 120.0
-_ENDS = {ReportKind.SUCCESS, ReportKind.FAILURE}
+_ENDS = {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}
 
 
 def bench_memory(
@@ -53,8 +53,10 @@ def bench_memory(
         for number in range(episodes):
             is_whole = number < len(catalog) or number % _WHOLE_EVERY == 0
             job = jobs[number % len(jobs)] if is_whole else _short(jobs[number % len(jobs)])
-            report = watched.run(Order(job=job, scene_path=catalog[job.scene].path, bundle_path=bundle, sid="bench"))
-            done, frames = done + (report.kind is ReportKind.SUCCESS), frames + report.step
+            report = watched.run(
+                SimulationOrder(job=job, scene_path=catalog[job.scene].path, bundle_path=bundle, sid="bench")
+            )
+            done, frames = done + (report.kind is SimulationReportKind.SUCCESS), frames + report.step
             bundle.unlink(missing_ok=True)
             held.append(resident_mib(watched.pid))
             tell()
@@ -80,9 +82,9 @@ class _Watched:
         self._simulation = simulation
         simulation.start()
         self.pid = simulation.pid or 0
-        self.renderer = self._hear({ReportKind.READY}).renderer
+        self.renderer = self._hear({SimulationReportKind.READY}).renderer
 
-    def run(self, order: Order) -> Report:
+    def run(self, order: SimulationOrder) -> SimulationReport:
         """Returns how the attempt ended."""
         self._simulation.order(order)
         report = self._hear(_ENDS)
@@ -93,7 +95,7 @@ class _Watched:
     def close(self) -> None:
         self._simulation.kill()
 
-    def _hear(self, wanted: set[ReportKind]) -> Report:
+    def _hear(self, wanted: set[SimulationReportKind]) -> SimulationReport:
         while True:
             said = self._simulation.hear(1.0)
             if isinstance(said, Death):

@@ -19,17 +19,17 @@ from factory.bench.deliver import time_delivery
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
 from factory.bench.plain import run_plain
-from factory.bench.watch import StageTimes, Watch, stage_costs
+from factory.bench.watch import ProcessWatch, StageTimes, stage_costs
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from schemas.job import Job
 from workers.geometry.pose import Pose
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["bench_rollout"]
 
-Listener = Callable[[], None]
+StepCallback = Callable[[], None]
 """Is told after every attempt."""
 
 
@@ -47,7 +47,13 @@ class _Run:
 
 
 def bench_rollout(
-    jobs: Sequence[Job], entry: SceneEntry, stage: Stage, watch: Watch, repeats: int, plain_frames: int, tell: Listener
+    jobs: Sequence[Job],
+    entry: SceneEntry,
+    stage: SceneRenderer,
+    watch: ProcessWatch,
+    repeats: int,
+    plain_frames: int,
+    tell: StepCallback,
 ) -> SceneRollout:
     """Runs every job `repeats` times, after one run that warms up, and returns the figures.
 
@@ -76,7 +82,7 @@ def bench_rollout(
     return _summarise(rounds, delivery, sizes, memory, jobs, entry, stage, plain_frames)
 
 
-def _warm_up(jobs: Sequence[Job], stage: Stage, file: BinaryIO) -> dict[str, float]:
+def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[str, float]:
     """Runs jobs until one succeeds; returns the kB a frame of its members."""
     details = []
     for job in jobs:
@@ -91,7 +97,7 @@ def _warm_up(jobs: Sequence[Job], stage: Stage, file: BinaryIO) -> dict[str, flo
     )
 
 
-def _timed(job: Job, stage: Stage, watch: Watch, file: BinaryIO, tell: Listener) -> _Run:
+def _timed(job: Job, stage: SceneRenderer, watch: ProcessWatch, file: BinaryIO, tell: StepCallback) -> _Run:
     _rewind(file)
     wall, cpu = time.perf_counter(), time.process_time()
     watch.start()
@@ -120,7 +126,7 @@ def _summarise(
     memory: Memory,
     jobs: Sequence[Job],
     entry: SceneEntry,
-    stage: Stage,
+    stage: SceneRenderer,
     plain_frames: int,
 ) -> SceneRollout:
     won = [[run for run in runs if run.frames] for runs in rounds]

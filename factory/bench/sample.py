@@ -18,14 +18,14 @@ from schemas.dataset import EpisodeSummary, summary_of
 from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan
-from workers.sim.attempt import Failure, run_attempt
-from workers.sim.scene_renderer import Stage
+from workers.sim.attempt import AttemptFailure, run_attempt
+from workers.sim.scene_renderer import SceneRenderer
 
-__all__ = ["Sample", "make_sample"]
+__all__ = ["BenchSample", "make_sample"]
 
 
 @dataclass(frozen=True)
-class Sample:
+class BenchSample:
     """One archived episode."""
 
     job: Job
@@ -33,7 +33,9 @@ class Sample:
     """Of the bundle."""
 
 
-def make_sample(root: Path, plan: Plan, catalog: Catalog, stage: Stage, tell: Callable[[], None]) -> tuple[Sample, ...]:
+def make_sample(
+    root: Path, plan: Plan, catalog: Catalog, stage: SceneRenderer, tell: Callable[[], None]
+) -> tuple[BenchSample, ...]:
     """Tries every episode of a plan once and writes those that succeed as a dataset.
 
     Args:
@@ -47,7 +49,7 @@ def make_sample(root: Path, plan: Plan, catalog: Catalog, stage: Stage, tell: Ca
         WorldError: nothing succeeded, or the directory cannot be written.
     """
     rows: list[EpisodeSummary] = []
-    samples: list[Sample] = []
+    samples: list[BenchSample] = []
     with DirectoryArchive(root) as archive:
         for planned in expand(plan, catalog):
             job = to_job(plan, catalog, planned, attempt=1)
@@ -57,7 +59,7 @@ def make_sample(root: Path, plan: Plan, catalog: Catalog, stage: Stage, tell: Ca
             tell()
             if row is not None:
                 rows.append(row)
-                samples.append(Sample(job, archive.path_of(job.index)))
+                samples.append(BenchSample(job, archive.path_of(job.index)))
         if not rows:
             raise WorldError(f"none of {plan.episodes} attempts succeeded, so there is nothing to measure")
         scenes = {name: entry.sha256 for name, entry in catalog.items()}
@@ -65,10 +67,10 @@ def make_sample(root: Path, plan: Plan, catalog: Catalog, stage: Stage, tell: Ca
     return tuple(samples)
 
 
-def _try(archive: Archive, job: Job, stage: Stage) -> EpisodeSummary | None:
+def _try(archive: Archive, job: Job, stage: SceneRenderer) -> EpisodeSummary | None:
     out = BytesIO()
     outcome = run_attempt(job, stage, out, "bench", lambda _step: None)
-    if isinstance(outcome, Failure):
+    if isinstance(outcome, AttemptFailure):
         return None
     data = out.getvalue()
     with archive.stage(job.index) as staged:

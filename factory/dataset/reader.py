@@ -11,10 +11,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.tables.write import METADATA_FILE
 from factory.dataset.episode import Episode, Frame
 from factory.dataset.vocabulary import require_known
 from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.dataset_files import METADATA_FILE
 from schemas.dataset_meta import DatasetMeta, read_dataset_meta
 from schemas.encoding.digest import dataset_digest
 from schemas.errors import ArchiveCorrupt, UsageError

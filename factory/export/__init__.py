@@ -5,23 +5,23 @@ Reads datasets through `factory.dataset.reader`; never simulates, never changes 
 
 from __future__ import annotations
 
-from factory.export.base import Exporter, Facts, Finish, Options, Piece
-from factory.export.estimate import Estimate, estimate_export
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
+from factory.export.estimate import ExportEstimate, estimate_export
 from factory.export.registry import EXPORTERS, find_exporter
 from factory.export.report import ExportReport, Skip
-from factory.export.run import ExportOrder, Progress, run_export
+from factory.export.run import ExportOrder, ExportProgress, run_export
 
 __all__ = [
     "EXPORTERS",
-    "Estimate",
+    "EpisodeFacts",
+    "ExportEstimate",
     "ExportOrder",
+    "ExportPiece",
+    "ExportProgress",
     "ExportReport",
     "Exporter",
-    "Facts",
     "Finish",
     "Options",
-    "Piece",
-    "Progress",
     "Skip",
     "estimate_export",
     "find_exporter",

@@ -20,7 +20,7 @@ from schemas.base import Model
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_meta import DatasetMeta
 
-__all__ = ["Exporter", "Facts", "Finish", "Options", "Piece"]
+__all__ = ["EpisodeFacts", "ExportPiece", "Exporter", "Finish", "Options"]
 
 
 class Options(Model):
@@ -38,7 +38,7 @@ class Options(Model):
         """
 
 
-class Facts(Model):
+class EpisodeFacts(Model):
     """What `finish` must know of a piece without opening it; kept as JSON, so that a resumed export has it too."""
 
     frames: int
@@ -46,11 +46,11 @@ class Facts(Model):
 
 
 OptionsT = TypeVar("OptionsT", bound=Options)
-FactsT = TypeVar("FactsT", bound=Facts)
+FactsT = TypeVar("FactsT", bound=EpisodeFacts)
 
 
 @dataclass(frozen=True, slots=True)
-class Piece(Generic[FactsT]):
+class ExportPiece(Generic[FactsT]):
     """One exported episode, as `finish` sees it; cheap to hold by the hundred thousand."""
 
     dataset: Dataset
@@ -86,7 +86,7 @@ class Finish(Generic[OptionsT, FactsT]):
     dataset: Dataset
     """The episodes that were asked for; those that had to be skipped are among them, but not among the pieces."""
     options: OptionsT
-    pieces: Sequence[Piece[FactsT]]
+    pieces: Sequence[ExportPiece[FactsT]]
     """At least one, in the order of the plan."""
     out: Output
     """The only door to the directory of the export."""

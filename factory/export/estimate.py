@@ -18,12 +18,12 @@ from schemas.base import Model
 from schemas.errors import WorldError
 from schemas.storage.disk import translated
 
-__all__ = ["Estimate", "estimate_export"]
+__all__ = ["ExportEstimate", "estimate_export"]
 
 _TRIES = 3
 
 
-class Estimate(Model):
+class ExportEstimate(Model):
     """What an export will be, as far as one episode can tell."""
 
     dataset: str
@@ -50,7 +50,7 @@ class Estimate(Model):
     sample_seconds: float
 
 
-def estimate_export(order: ExportOrder) -> Estimate:
+def estimate_export(order: ExportOrder) -> ExportEstimate:
     """Exports one episode to a temporary place and multiplies.
 
     Raises:
@@ -66,7 +66,7 @@ def estimate_export(order: ExportOrder) -> Estimate:
     scale = float(steps.sum()) / float(steps[dataset.metadata["episode_id"].to_pylist().index(sample)])
     peak = round(size * scale * (2 if exporter.assembles else 1))
     free = _free_bytes(order.out)
-    return Estimate(
+    return ExportEstimate(
         dataset=str(order.root),
         format=exporter.name,
         out=str(order.out),

@@ -16,7 +16,7 @@ from PIL import Image
 from pydantic import Field
 
 from factory.dataset.episode import Episode
-from factory.export.base import Exporter, Facts, Finish, Piece
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.gnm_pickle import pickle_arrays
 from factory.export.options import Decimated, stride_of
@@ -62,7 +62,7 @@ class GnmOptions(Decimated):
     jpeg_quality: int = Field(default=92, ge=1, le=100, description="Quality of JPEG frames.")
 
 
-class GnmFacts(Facts):
+class GnmFacts(EpisodeFacts):
     """What the average distance between waypoints is made from."""
 
     length_m: float
@@ -125,7 +125,7 @@ def _loader_lists(by_split: dict[str, list[str]]) -> dict[str, list[str]]:
     return dict(zip(_LOADER_SPLITS, (by_split.get(Split.TRAIN_ID, []), sorted(held_out)), strict=True))
 
 
-def _spacing(pieces: Sequence[Piece[GnmFacts]]) -> float:
+def _spacing(pieces: Sequence[ExportPiece[GnmFacts]]) -> float:
     """Returns the mean distance between consecutive frames, metres: what the loaders divide waypoints by."""
     length, steps = 0.0, 0
     for piece in pieces:

@@ -16,7 +16,7 @@ from schemas.base import Model, Sha256
 from schemas.dataset_meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
 
-__all__ = ["MANIFEST_FILE", "Manifest", "Source", "read_manifest", "require_ours", "write_manifest"]
+__all__ = ["MANIFEST_FILE", "ExportManifest", "Source", "read_manifest", "require_ours", "write_manifest"]
 
 MANIFEST_FILE = "export.json"
 
@@ -35,7 +35,7 @@ class Source(Model):
     """Asked for."""
 
 
-class Manifest(Model):
+class ExportManifest(Model):
     """The whole of `export.json`."""
 
     manifest: int = 1
@@ -54,7 +54,7 @@ class Manifest(Model):
     skipped: tuple[Skip, ...] = ()
 
 
-def read_manifest(root: Path) -> Manifest | None:
+def read_manifest(root: Path) -> ExportManifest | None:
     """Returns the manifest of a directory, or `None` where there is none.
 
     Raises:
@@ -62,7 +62,7 @@ def read_manifest(root: Path) -> Manifest | None:
     """
     path = root / MANIFEST_FILE
     try:
-        return Manifest.model_validate_json(path.read_bytes())
+        return ExportManifest.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
     except (OSError, ValidationError) as error:
@@ -70,12 +70,12 @@ def read_manifest(root: Path) -> Manifest | None:
         raise WorldError(f"{path} is damaged ({text}): delete {root}, or choose another --out") from error
 
 
-def write_manifest(out: Output, manifest: Manifest) -> None:
+def write_manifest(out: Output, manifest: ExportManifest) -> None:
     """Writes the manifest of an opened export."""
     out.write_text(MANIFEST_FILE, manifest.model_dump_json(indent=1) + "\n")
 
 
-def require_ours(root: Path, wanted: Manifest) -> Manifest | None:
+def require_ours(root: Path, wanted: ExportManifest) -> ExportManifest | None:
     """Makes sure that a directory is free for an export or holds the very same one, and touches nothing.
 
     Returns:
@@ -104,7 +104,7 @@ def _entries(root: Path) -> list[str]:
     return [path.name for path in root.iterdir() if path.name != WORK_FOLDER]
 
 
-def _differences(found: Manifest, wanted: Manifest) -> list[str]:
+def _differences(found: ExportManifest, wanted: ExportManifest) -> list[str]:
     one, two = found.source, wanted.source
     texts = [
         _differ("format", found.format, wanted.format),
@@ -119,7 +119,7 @@ def _differences(found: Manifest, wanted: Manifest) -> list[str]:
     return texts
 
 
-def _versions(manifest: Manifest) -> str:
+def _versions(manifest: ExportManifest) -> str:
     return f"version {manifest.format_version}, {_say(manifest.software)}"
 
 

@@ -12,7 +12,7 @@ from typing import IO, Any
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from factory.dataset.episode import Episode
-from factory.export.base import Exporter, Facts, Finish
+from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.mcap_messages import Said, measured_twists, stamp_of
 from factory.export.mcap_profile import FOXGLOVE, ROS2, Profile
@@ -106,16 +106,16 @@ class McapOptions(Decimated):
         return START_TIME_S if self.start_time is None else self.start_time
 
 
-class McapExporter(Exporter[McapOptions, Facts]):
+class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     """Writes message by message; memory is one chunk and one frame."""
 
     name = "mcap"
     about = "one MCAP file an episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
     requires = ("mcap",)
     options = McapOptions
-    facts = Facts
+    facts = EpisodeFacts
 
-    def write_episode(self, episode: Episode, options: McapOptions, folder: Path) -> Facts:
+    def write_episode(self, episode: Episode, options: McapOptions, folder: Path) -> EpisodeFacts:
         """Writes `episodes/<id>.mcap`."""
         job = episode.meta.job
         stride = stride_of(options.fps, job.task.control_hz)
@@ -134,9 +134,9 @@ class McapExporter(Exporter[McapOptions, Facts]):
                 for said in profile.at(episode, t, stamp_ns, twists[t], t % stride == 0):
                     out.add(stamp_ns, said)
             out.finish()
-        return Facts(frames=-(-len(episode) // stride))
+        return EpisodeFacts(frames=-(-len(episode) // stride))
 
-    def finish(self, export: Finish[McapOptions, Facts]) -> None:
+    def finish(self, export: Finish[McapOptions, EpisodeFacts]) -> None:
         """Writes the card."""
         meta, pieces, options = export.dataset.meta, len(export.pieces), export.options
         if options.ros2:

@@ -12,14 +12,13 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import Field
 
-from coordinator.tables.card_configs import SPLITS_FOLDER
-from coordinator.tables.write import METADATA_FILE
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
-from factory.export.base import Exporter, Facts, Finish, Options
+from factory.export.base import EpisodeFacts, Exporter, Finish, Options
 from factory.export.card import CARD_FILE, export_card
 from schemas.dataset import PUBLISHED_COLUMNS
-from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.dataset_files import META_FILE, METADATA_FILE, SPLITS_FOLDER
+from schemas.dataset_meta import DatasetMeta
 from schemas.encoding.arrays import EPISODE_ARRAYS
 from schemas.encoding.ndarray import encode_npy
 from schemas.terms import Split
@@ -47,15 +46,15 @@ class PaperOptions(Options):
     )
 
 
-class PaperExporter(Exporter[PaperOptions, Facts]):
+class PaperExporter(Exporter[PaperOptions, EpisodeFacts]):
     """One folder an episode; bytes of images, arrays and metadata are those of the bundle, depth is decompressed."""
 
     name = "paper"
     about = "the paper's tree: a PNG, NPY and PNG a frame; lossless and large"
     options = PaperOptions
-    facts = Facts
+    facts = EpisodeFacts
 
-    def write_episode(self, episode: Episode, options: PaperOptions, folder: Path) -> Facts:
+    def write_episode(self, episode: Episode, options: PaperOptions, folder: Path) -> EpisodeFacts:
         """Writes `episodes/<id>/`."""
         root = folder / "episodes" / episode.episode_id
         for name in ("rgb_front", "depth_front", "seg_front"):
@@ -67,9 +66,9 @@ class PaperExporter(Exporter[PaperOptions, Facts]):
         for spec in EPISODE_ARRAYS:
             (root / f"{spec.name}.npy").write_bytes(episode.stored(f"{spec.name}.npy"))
         (root / "meta.json").write_bytes(_meta(episode.stored("meta.json"), options))
-        return Facts(frames=len(episode))
+        return EpisodeFacts(frames=len(episode))
 
-    def finish(self, export: Finish[PaperOptions, Facts]) -> None:
+    def finish(self, export: Finish[PaperOptions, EpisodeFacts]) -> None:
         """Writes `metadata.parquet`, its rows by split, `dataset_meta.json` and the card."""
         table = _metadata(export.dataset.metadata, [piece.position for piece in export.pieces], export.options)
         with export.out.replacing(METADATA_FILE) as part:

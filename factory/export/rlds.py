@@ -16,10 +16,10 @@ from factory.dataset.episode import Episode
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import stride_of
 
-__all__ = ["Observation", "Step", "rlds_metadata", "rlds_steps"]
+__all__ = ["RldsObservation", "Step", "rlds_metadata", "rlds_steps"]
 
 
-class Observation(TypedDict):
+class RldsObservation(TypedDict):
     """What the robot knows at a step."""
 
     image: NDArray[np.uint8]
@@ -33,7 +33,7 @@ class Observation(TypedDict):
 class Step(TypedDict):
     """One step."""
 
-    observation: Observation
+    observation: RldsObservation
     action: NDArray[np.float32]
     """(2,) mean command until the next step: v in m/s, w in rad/s."""
     action_tokens: NDArray[np.int32]

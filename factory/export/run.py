@@ -11,24 +11,24 @@ from typing import Any, NamedTuple
 
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
-from factory.export.base import Finish, Options, Piece
-from factory.export.manifest import Manifest, Source, of_software, require_ours, write_manifest
+from factory.export.base import ExportPiece, Finish, Options
+from factory.export.manifest import ExportManifest, Source, of_software, require_ours, write_manifest
 from factory.export.output import Output
 from factory.export.pool import carry_out
 from factory.export.registry import AnyExporter, find_exporter, require_packages
 from factory.export.report import ExportReport, Skip
 from factory.export.selection import select
-from factory.export.task import Task, make_piece
+from factory.export.task import ExportTask, make_piece
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from schemas.job import episode_id
 from schemas.storage.place import Place
 
-__all__ = ["ExportOrder", "Progress", "plan_manifest", "run_export"]
+__all__ = ["ExportOrder", "ExportProgress", "plan_manifest", "run_export"]
 
 _NAMED = 5
 
 
-class Progress(NamedTuple):
+class ExportProgress(NamedTuple):
     """Where an export stands."""
 
     done: int
@@ -45,7 +45,7 @@ class _Stopped(Exception):
     """Somebody asked to stop while the last files were being written."""
 
 
-OnProgress = Callable[[Progress], None]
+ExportProgressCallback = Callable[[ExportProgress], None]
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class _State:
     dataset: Dataset
     out: Output
     stop: threading.Event
-    on_progress: OnProgress
-    pieces: dict[int, Piece[Any]] = field(default_factory=dict)
+    on_progress: ExportProgressCallback
+    pieces: dict[int, ExportPiece[Any]] = field(default_factory=dict)
     """By position."""
     skipped: dict[int, Skip] = field(default_factory=dict)
     """By position."""
@@ -91,12 +91,12 @@ class _State:
 
     def tell(self, stage: str) -> None:
         done = len(self.pieces) + len(self.skipped)
-        self.on_progress(Progress(done, len(self.dataset), self.frames, stage))
+        self.on_progress(ExportProgress(done, len(self.dataset), self.frames, stage))
 
 
 def run_export(
     order: ExportOrder,
-    on_progress: OnProgress = lambda _: None,
+    on_progress: ExportProgressCallback = lambda _: None,
     stop: threading.Event | None = None,
 ) -> ExportReport:
     """Exports a dataset, or goes on with an export that was interrupted.
@@ -131,7 +131,7 @@ def run_export(
         return _report(state, manifest, time.monotonic() - begun)
 
 
-def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, Manifest]:
+def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, ExportManifest]:
     """Returns the episodes that are asked for, and the manifest of an export that begins; writes nothing.
 
     Raises:
@@ -152,7 +152,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, M
         splits=tuple(order.splits),
         episodes=len(dataset),
     )
-    manifest = Manifest(
+    manifest = ExportManifest(
         format=exporter.name,
         format_version=exporter.version,
         options=order.options.model_dump(mode="json"),
@@ -178,7 +178,7 @@ def _make_pieces(state: _State) -> None:
         state.tell("episodes")
 
 
-def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[Task]:
+def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[ExportTask]:
     """Yields what is still to be made; notes what is there already and what cannot even be tried."""
     options = state.order.options.model_dump_json()
     names = state.dataset.metadata["episode_id"]
@@ -195,7 +195,7 @@ def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[Task]:
             state.resumed += 1
             continue
         waiting[name] = position
-        yield Task(state.exporter.name, options, episode, state.out.staging_folder(name))
+        yield ExportTask(state.exporter.name, options, episode, state.out.staging_folder(name))
 
 
 def _episode_at(state: _State, position: int, name: str, is_twin: bool) -> Episode | None:
@@ -208,13 +208,13 @@ def _episode_at(state: _State, position: int, name: str, is_twin: bool) -> Episo
         return None
 
 
-def _piece(state: _State, position: int, name: str) -> Piece[Any]:
+def _piece(state: _State, position: int, name: str) -> ExportPiece[Any]:
     split = state.dataset.metadata["split"][position].as_py()
     folder, facts = state.out.piece_folder(name), state.out.facts_path(name)
-    return Piece(state.dataset, position, name, split, folder, facts, state.exporter.facts)
+    return ExportPiece(state.dataset, position, name, split, folder, facts, state.exporter.facts)
 
 
-def _finish(state: _State, manifest: Manifest) -> Manifest:
+def _finish(state: _State, manifest: ExportManifest) -> ExportManifest:
     skipped = tuple(state.skipped[position] for position in sorted(state.skipped))
     if not state.pieces:
         reasons = "; ".join(f"{skip.episode_id}: {skip.reason}" for skip in skipped[:_NAMED])
@@ -237,7 +237,7 @@ def _finish(state: _State, manifest: Manifest) -> Manifest:
     return manifest
 
 
-def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: Manifest) -> ExportReport:
+def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: ExportManifest) -> ExportReport:
     with Output(order.out) as out:
         out.drop_work()
         size = out.size_bytes()
@@ -258,7 +258,7 @@ def _nothing_to_do(order: ExportOrder, dataset: Dataset, manifest: Manifest) -> 
     )
 
 
-def _report(state: _State, manifest: Manifest, seconds: float) -> ExportReport:
+def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportReport:
     return ExportReport(
         dataset=str(state.order.root),
         dataset_digest=manifest.source.selection_digest,

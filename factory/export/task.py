@@ -12,10 +12,10 @@ from schemas.base import Model
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.storage.disk import translated
 
-__all__ = ["Made", "Task", "make_piece"]
+__all__ = ["ExportTask", "Made", "make_piece"]
 
 
-class Task:
+class ExportTask:
     """An episode to export, as it is sent to a process."""
 
     def __init__(self, exporter: str, options: str, episode: Episode, folder: Path) -> None:
@@ -38,7 +38,7 @@ class Made(Model):
     frames: int = 0
 
 
-def make_piece(task: Task) -> Made:
+def make_piece(task: ExportTask) -> Made:
     """Exports one episode into its staging folder.
 
     Raises:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from factory.dataset.episode import Episode
-from factory.export.base import Exporter, Facts, Finish, Options, Piece
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
 from factory.export.card import CARD_FILE, export_card
 from factory.export.output import Output
 from factory.export.vlnce_episode import (
@@ -47,25 +47,25 @@ _CARD = """
 """
 
 
-class VlnceExporter(Exporter[Options, Facts]):
+class VlnceExporter(Exporter[Options, EpisodeFacts]):
     """A piece is the entry of its episode as JSON; a split's file is written entry by entry."""
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
     assembles = True
     options = Options
-    facts = Facts
+    facts = EpisodeFacts
 
-    def write_episode(self, episode: Episode, options: Options, folder: Path) -> Facts:  # noqa: ARG002
+    def write_episode(self, episode: Episode, options: Options, folder: Path) -> EpisodeFacts:  # noqa: ARG002
         """Writes the entry and the path of one episode."""
         job = episode.meta.job
         info = _scene_of(episode.path.parents[1], job.scene, job.scene_sha256)
         entry = vlnce_episode(episode.meta, episode.poses, info.floor_height_m)
         locations = [to_habitat(point) for point in episode.poses[:, :3].tolist()]
         (folder / PIECE_FILE).write_text(json.dumps({"entry": entry, "locations": locations}), encoding="utf-8")
-        return Facts(frames=len(episode))
+        return EpisodeFacts(frames=len(episode))
 
-    def finish(self, export: Finish[Options, Facts]) -> None:
+    def finish(self, export: Finish[Options, EpisodeFacts]) -> None:
         """Writes the files of every split, the scenes' meshes and the card."""
         texts = export.dataset.metadata["instruction"].unique().to_pylist()
         words = vocabulary_of(texts)
@@ -94,7 +94,7 @@ def _write_once(out: Output, name: str, parts: Iterator[str]) -> None:
             packed.write(text.encode())
 
 
-def _episodes_json(pieces: Sequence[Piece[Facts]], words: list[str], length: int) -> Iterator[str]:
+def _episodes_json(pieces: Sequence[ExportPiece[EpisodeFacts]], words: list[str], length: int) -> Iterator[str]:
     """Yields the JSON of a split in parts, so that it is never held whole."""
     index = {word: number for number, word in enumerate(words)}
     yield '{"episodes": ['
@@ -106,7 +106,7 @@ def _episodes_json(pieces: Sequence[Piece[Facts]], words: list[str], length: int
     yield '\n], "instruction_vocab": ' + json.dumps({"word_list": words, "num_words": len(words)}) + "}\n"
 
 
-def _paths_json(pieces: Sequence[Piece[Facts]]) -> Iterator[str]:
+def _paths_json(pieces: Sequence[ExportPiece[EpisodeFacts]]) -> Iterator[str]:
     yield "{"
     for number, piece in enumerate(pieces):
         found = _read_piece(piece)
@@ -115,7 +115,7 @@ def _paths_json(pieces: Sequence[Piece[Facts]]) -> Iterator[str]:
     yield "\n}\n"
 
 
-def _read_piece(piece: Piece[Facts]) -> dict[str, Any]:
+def _read_piece(piece: ExportPiece[EpisodeFacts]) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((piece.folder / PIECE_FILE).read_text(encoding="utf-8"))
     return found
 

@@ -15,7 +15,7 @@ from isal import igzip
 from pydantic import Field
 
 from factory.dataset.episode import Episode
-from factory.export.base import Exporter, Facts, Finish, Piece
+from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
 from factory.export.lerobot.columns import frame_columns, kept_frames
 from factory.export.options import Decimated, stride_of
@@ -56,7 +56,7 @@ class WebdatasetOptions(Decimated):
     shard_mb: int = Field(default=500, ge=1, le=8000, description="Size of a shard in MB, at most one episode more.")
 
 
-class WebdatasetFacts(Facts):
+class WebdatasetFacts(EpisodeFacts):
     """What the division into shards must know."""
 
     member_bytes: int
@@ -67,7 +67,7 @@ class Shard(NamedTuple):
     """A file to be, with the pieces that go into it."""
 
     name: str
-    pieces: tuple[Piece[WebdatasetFacts], ...]
+    pieces: tuple[ExportPiece[WebdatasetFacts], ...]
     samples: int
     size: int
     """Bytes of the members."""
@@ -114,12 +114,12 @@ class WebdatasetExporter(Exporter[WebdatasetOptions, WebdatasetFacts]):
         export.out.write_text(CARD_FILE, card)
 
 
-def shards_of(split: str, pieces: Sequence[Piece[WebdatasetFacts]], limit_bytes: int) -> Iterator[Shard]:
+def shards_of(split: str, pieces: Sequence[ExportPiece[WebdatasetFacts]], limit_bytes: int) -> Iterator[Shard]:
     """Yields the shards of a split: pieces in a random but fixed order, a new shard when one has reached its size.
 
     The plan's order goes scene by scene; a shard should hold a bit of everything.
     """
-    chosen: list[Piece[WebdatasetFacts]] = []
+    chosen: list[ExportPiece[WebdatasetFacts]] = []
     samples = size = number = 0
     for piece in sorted(pieces, key=lambda piece: hashlib.sha256(piece.episode_id.encode()).digest()):
         facts = piece.facts

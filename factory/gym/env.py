@@ -28,21 +28,21 @@ from schemas.errors import UsageError
 from schemas.storage.place import Place, place_of
 from schemas.terms import EndReason, RendererKind
 from schemas.tokens import GRID_POINTS, actions_of
-from workers.experts.observation import View
+from workers.experts.observation import Observation
 from workers.geometry.slew import Twist
 from workers.render.process_wire import MAX_SIZE_PX
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["MiniVLANavEnv"]
 
 _FAR_AWAY_M = 10_000.0
 _SUCCESS_REWARD = 10.0
 
-Observation = dict[str, Any]
+GymObservation = dict[str, Any]
 Info = dict[str, Any]
 
 
-class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
+class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
     """Drive to the named object and stop within the success radius.
 
     Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) float32 metres, 0 where nothing was hit;
@@ -119,11 +119,11 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self.action_space = self._make_action_space()
         self._places = Places(root)
         self._pid = os.getpid()
-        self._stage = Stage(renderer, apart=True)
+        self._stage = SceneRenderer(renderer, apart=True)
         self._simulator = Simulator(self._stage, self.specs.settings)
-        self._view: View | None = None
+        self._view: Observation | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[GymObservation, Info]:
         """Begins an episode: drawn by the environment's generator, or `options={"episode": ID}`.
 
         Raises:
@@ -136,7 +136,7 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._view = self._simulator.reset(spec, place)
         return self._observe(self._view), self._inform(self._view)
 
-    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, Info]:
+    def step(self, action: NDArray[Any]) -> tuple[GymObservation, float, bool, bool, Info]:
         """Carries one action out, within the robot's range and slew limit.
 
         Raises:
@@ -222,10 +222,10 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
             numbers = numbers * np.array(self._limits)
         return Twist(float(numbers[0]), float(numbers[1]))
 
-    def _observe(self, view: View) -> Observation:
+    def _observe(self, view: Observation) -> GymObservation:
         is_whole = self._size == FRAME_SIZE_PX
         frame = view.frame if is_whole else self._stage.renderer.render(view.pose, self._size)
-        observation: Observation = {"rgb": frame.rgb, "depth": frame.depth}
+        observation: GymObservation = {"rgb": frame.rgb, "depth": frame.depth}
         if self._instruction != "none":
             spec = self._simulator.spec
             observation["instruction"] = encode_instruction(self._instruction, spec.instruction, self.vocabulary)
@@ -233,7 +233,7 @@ class MiniVLANavEnv(gymnasium.Env[Observation, NDArray[Any]]):
             observation["pose"] = odometry(self._simulator.track)
         return observation
 
-    def _inform(self, view: View) -> Info:
+    def _inform(self, view: Observation) -> Info:
         spec, is_success = self._simulator.spec, view.end is EndReason.SUCCESS
         info: Info = {
             "episode_id": spec.spec_id,

@@ -9,9 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator.archive.contract import EPISODES, QUARANTINE, SCENES, STAGING
-from coordinator.tables.card_configs import SPLITS_FOLDER
-from schemas.dataset_meta import META_FILE
+from schemas.dataset_files import EPISODES, META_FILE, QUARANTINE, SCENES, SPLITS_FOLDER, STAGING
 from schemas.errors import UsageError, WorldError
 
 __all__ = ["BATCH_BYTES", "BATCH_FILES", "PushFile", "PushPlan", "batches_of", "plan_push", "require_repository"]

@@ -19,7 +19,7 @@ from schemas.support.extras import missing_package
 
 __all__ = ["PushResult", "push", "require_safe_endpoint"]
 
-Listener = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 """Told files and bytes that have been committed."""
 
 
@@ -36,7 +36,11 @@ class PushResult(NamedTuple):
 
 
 def push(
-    plan: PushPlan, repository: str, endpoint: str | None = None, private: bool = False, tell: Listener | None = None
+    plan: PushPlan,
+    repository: str,
+    endpoint: str | None = None,
+    private: bool = False,
+    tell: ProgressCallback | None = None,
 ) -> PushResult:
     """Uploads a folder; after an interruption the same call goes on, as the Hub knows what it has.
 
@@ -98,7 +102,7 @@ def _library() -> ModuleType:
     return huggingface_hub
 
 
-def _commit_all(hub: ModuleType, api: Any, plan: PushPlan, repository: str, tell: Listener | None) -> int:
+def _commit_all(hub: ModuleType, api: Any, plan: PushPlan, repository: str, tell: ProgressCallback | None) -> int:
     batches = list(batches_of(plan.files))
     for number, batch in enumerate(batches, 1):
         added = [hub.CommitOperationAdd(path_in_repo=file.name, path_or_fileobj=str(file.path)) for file in batch]

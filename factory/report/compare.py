@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from factory.report import reasons
-from factory.report.comparison import Comparison
-from factory.report.facts import Facts, facts_of
-from factory.report.material import Material
+from factory.report.comparison import PaperComparison
+from factory.report.facts import RunFacts, facts_of
+from factory.report.material import ReportInput
 from factory.stats import paper
 from factory.stats.model import RolloutRow
 from factory.stats.rollouts import ALL
@@ -25,7 +25,7 @@ _ALIKE_NE_M, _ALIKE_SPREAD_M = 0.005, 0.001
 _ALIKE_SHARE = 0.02
 
 
-def compare(material: Material) -> tuple[Comparison, ...]:
+def compare(material: ReportInput) -> tuple[PaperComparison, ...]:
     """Returns every number that the paper prints and that this dataset has; none where it is not compared."""
     if not material.episodes or not material.statistics.beside_paper:
         return ()
@@ -43,12 +43,12 @@ def compare(material: Material) -> tuple[Comparison, ...]:
     )
 
 
-def _lengths(material: Material) -> Iterator[Comparison]:
+def _lengths(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
         yield from _length(material, "lengths", row, _facts(material, row.group))
         if row.paper and row.paper.tl_median_m is not None:
             differ = row.tl_median_m is not None and _differ(row.tl_median_m, row.paper.tl_median_m)
-            yield Comparison(
+            yield PaperComparison(
                 exhibit="lengths",
                 what="TL median, all",
                 ours=row.tl_median_m,
@@ -60,7 +60,7 @@ def _lengths(material: Material) -> Iterator[Comparison]:
             )
 
 
-def _length(material: Material, exhibit: str, row: RolloutRow, facts: Facts | None) -> Iterator[Comparison]:
+def _length(material: ReportInput, exhibit: str, row: RolloutRow, facts: RunFacts | None) -> Iterator[PaperComparison]:
     said = row.paper
     if said is None or said.tl_mean_m is None:
         return
@@ -71,7 +71,7 @@ def _length(material: Material, exhibit: str, row: RolloutRow, facts: Facts | No
         reason = reasons.say_length(facts, said.tl_mean_m, published_ne) + mix
         if row.group == ALL and exhibit == "lengths":
             reason += reasons.say_standardised(material.statistics)
-    yield Comparison(
+    yield PaperComparison(
         exhibit=exhibit,
         what=f"TL mean, {row.group if exhibit == 'splits' else _said(row.group)}",
         ours=row.tl_mean_m,
@@ -83,7 +83,7 @@ def _length(material: Material, exhibit: str, row: RolloutRow, facts: Facts | No
     )
 
 
-def _errors(material: Material) -> Iterator[Comparison]:
+def _errors(material: ReportInput) -> Iterator[PaperComparison]:
     said = paper.NAVIGATION_ERROR
     row = next(row for row in material.statistics.navigation_error if row.group == ALL)
     for what, ours, published, digits, alike in (
@@ -93,7 +93,7 @@ def _errors(material: Material) -> Iterator[Comparison]:
         if published is None:
             continue
         differ = ours is not None and abs(ours - published) > alike
-        yield Comparison(
+        yield PaperComparison(
             exhibit="errors",
             what=what,
             ours=ours,
@@ -105,7 +105,7 @@ def _errors(material: Material) -> Iterator[Comparison]:
         )
 
 
-def _steps(material: Material) -> Iterator[Comparison]:
+def _steps(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
         said = row.paper
         if said is None or said.steps_median is None:
@@ -113,7 +113,7 @@ def _steps(material: Material) -> Iterator[Comparison]:
         facts = _facts(material, row.group)
         differ = row.steps_median is not None and _differ(row.steps_median, said.steps_median)
         reason = reasons.say_steps(facts, said) + reasons.say_floor(material, row.group) if facts and differ else ""
-        yield Comparison(
+        yield PaperComparison(
             exhibit="steps",
             what=f"steps median, {_said(row.group)}",
             ours=row.steps_median,
@@ -125,7 +125,7 @@ def _steps(material: Material) -> Iterator[Comparison]:
         )
 
 
-def _tiers(material: Material) -> Iterator[Comparison]:
+def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.tiers:
         said = row.paper
         if said is None or said.steps_mean is None:
@@ -135,7 +135,7 @@ def _tiers(material: Material) -> Iterator[Comparison]:
         if row.group != ALL:  # that one stands beside the histogram
             yield from _length(material, "tier_statistics", row, facts)
         differ = row.steps_mean is not None and _differ(row.steps_mean, said.steps_mean)
-        yield Comparison(
+        yield PaperComparison(
             exhibit="tier_statistics",
             what=f"steps mean, {row.group}",
             ours=row.steps_mean,
@@ -147,7 +147,7 @@ def _tiers(material: Material) -> Iterator[Comparison]:
         )
         if row.group != ALL and said.ne_mean_m is not None:
             off = row.ne_mean_m is not None and abs(row.ne_mean_m - said.ne_mean_m) > _ALIKE_NE_M
-            yield Comparison(
+            yield PaperComparison(
                 exhibit="tier_statistics",
                 what=f"NE mean, {row.group}",
                 ours=row.ne_mean_m,
@@ -159,7 +159,7 @@ def _tiers(material: Material) -> Iterator[Comparison]:
             )
 
 
-def _tier_shares(material: Material) -> Iterator[Comparison]:
+def _tier_shares(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.tiers:
         if row.paper is None or row.paper.share is None:
             continue
@@ -176,7 +176,7 @@ def _tier_shares(material: Material) -> Iterator[Comparison]:
         )
 
 
-def _splits(material: Material) -> Iterator[Comparison]:
+def _splits(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.splits:
         if row.paper is None or row.paper.n is None or paper.OVERALL.n is None or row.group == ALL:
             continue
@@ -190,7 +190,7 @@ def _splits(material: Material) -> Iterator[Comparison]:
         yield from _length(material, "splits", row, facts_of(members))
 
 
-def _categories(material: Material) -> Iterator[Comparison]:
+def _categories(material: ReportInput) -> Iterator[PaperComparison]:
     rows = {row.group: row for row in material.statistics.categories}
     for name, said in paper.CATEGORIES.items():
         ours = rows[name].share if name in rows else 0.0
@@ -206,7 +206,7 @@ def _categories(material: Material) -> Iterator[Comparison]:
     yield _share("categories", "share of the three most frequent", largest, published, "Sec. VIII", reason)
 
 
-def _fit(material: Material) -> Iterator[Comparison]:
+def _fit(material: ReportInput) -> Iterator[PaperComparison]:
     ours, said = material.statistics.correlation[0], paper.FIT
     if said.r is None or said.slope is None:
         return
@@ -218,7 +218,7 @@ def _fit(material: Material) -> Iterator[Comparison]:
     yield _plain("fit", "slope, m/m", ours.slope, said.slope, "Fig. 11", reason)
 
 
-def _templates(material: Material) -> Iterator[Comparison]:
+def _templates(material: ReportInput) -> Iterator[PaperComparison]:
     with_colour = [row for row in material.statistics.templates if row.group in paper.TEMPLATE_COUNTS]
     share = sum(row.n for row in with_colour) / len(material.episodes)
     reason = reasons.say_colours(material) if share else ""
@@ -227,13 +227,13 @@ def _templates(material: Material) -> Iterator[Comparison]:
     yield _plain("templates", "templates in use without colour", len(used), 13 + 10, "Table III", "", digits=0)
 
 
-def _attempts(material: Material) -> Iterator[Comparison]:
+def _attempts(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.attempts or ():
         if row.paper is None or row.paper.rate is None:
             continue
         low, high = row.paper.rate
         rate = row.success.share
-        yield Comparison(
+        yield PaperComparison(
             exhibit="attempts",
             what=f"attempts that succeed, {_said(row.group)}",
             ours=rate,
@@ -246,8 +246,8 @@ def _attempts(material: Material) -> Iterator[Comparison]:
         )
 
 
-def _share(exhibit: str, what: str, ours: float | None, published: float, source: str, reason: str) -> Comparison:
-    return Comparison(
+def _share(exhibit: str, what: str, ours: float | None, published: float, source: str, reason: str) -> PaperComparison:
+    return PaperComparison(
         exhibit=exhibit,
         what=what,
         ours=ours,
@@ -261,13 +261,13 @@ def _share(exhibit: str, what: str, ours: float | None, published: float, source
 
 def _plain(
     exhibit: str, what: str, ours: float | None, published: float, source: str, reason: str, digits: int = 2
-) -> Comparison:
-    return Comparison(
+) -> PaperComparison:
+    return PaperComparison(
         exhibit=exhibit, what=what, ours=ours, published=published, unit="", digits=digits, source=source, reason=reason
     )
 
 
-def _facts(material: Material, scene: str) -> Facts | None:
+def _facts(material: ReportInput, scene: str) -> RunFacts | None:
     return facts_of([row for row in material.episodes if scene in (ALL, row.scene)])
 
 

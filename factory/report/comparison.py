@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from schemas.base import Model
 
-__all__ = ["Comparison"]
+__all__ = ["PaperComparison"]
 
 
-class Comparison(Model):
+class PaperComparison(Model):
     """One number of the paper and ours."""
 
     exhibit: str

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from factory.report.canvas import Panel
-from factory.report.material import Material
+from factory.report.material import ReportInput
 
 __all__ = ["Drawer", "Exhibit", "Table"]
 
@@ -38,4 +38,4 @@ class Exhibit:
     """Whether the panels stand beside each other over the whole width."""
 
 
-Drawer = Callable[[Material], Exhibit]
+Drawer = Callable[[ReportInput], Exhibit]

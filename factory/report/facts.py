@@ -13,11 +13,11 @@ from factory.stats.measures import deviation_of, mean_of
 from schemas.dataset import EpisodeSummary
 from schemas.terms import Tier
 
-__all__ = ["Facts", "facts_of"]
+__all__ = ["RunFacts", "facts_of"]
 
 
 @dataclass(frozen=True)
-class Facts:
+class RunFacts:
     """Means over a group of episodes; metres and seconds."""
 
     n: int
@@ -40,7 +40,7 @@ class Facts:
         return self.steps / self.tl_m if self.tl_m > 0 else None
 
 
-def facts_of(episodes: Sequence[EpisodeSummary]) -> Facts | None:
+def facts_of(episodes: Sequence[EpisodeSummary]) -> RunFacts | None:
     """Returns the facts of a group, or `None` of nothing."""
     spawn = mean_of([row.spawn_dist_m for row in episodes])
     error = mean_of([row.final_ne_m for row in episodes])
@@ -51,7 +51,7 @@ def facts_of(episodes: Sequence[EpisodeSummary]) -> Facts | None:
     if spawn is None or error is None or length is None or steps is None or detour is None:
         return None
     found = Counter(str(row.spawn_tier) for row in episodes)
-    return Facts(
+    return RunFacts(
         n=len(episodes),
         spawn_m=spawn,
         spawn_std_m=deviation_of([row.spawn_dist_m for row in episodes]),

@@ -10,10 +10,10 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import ValidationError
 
-from factory.report.comparison import Comparison
+from factory.report.comparison import PaperComparison
 from factory.stats.model import Remark
 from schemas.base import Model
-from schemas.dataset_meta import META_FILE
+from schemas.dataset_files import META_FILE
 from schemas.errors import UsageError, WorldError
 
 __all__ = ["FIGURES", "MARKER_FILE", "PAGE_FILE", "Summary", "require_usable", "write_files"]
@@ -33,7 +33,7 @@ class Summary(Model):
     planned: int
     complete: bool
     remarks: tuple[Remark, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[PaperComparison, ...]
     files: tuple[str, ...]
     """All files of the report but this, below its folder."""
 

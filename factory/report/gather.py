@@ -7,22 +7,22 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from coordinator.archive.contract import EPISODES, SCENES
 from factory.dataset.episode import Episode
 from factory.report.floor_map import map_of
-from factory.report.material import Drives, FloorMap, Material, Sample
+from factory.report.material import Drives, FloorMap, FrameSample, ReportInput
 from factory.report.sampling import choose_samples, spread_evenly
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rows import Rows, read_rows
 from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.dataset_files import EPISODES, SCENES
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.scene import decode_scene
 from schemas.storage.place import Place
 
 __all__ = ["gather"]
 
-Progress = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 _MOST_DRIVES = 2000
 """Episodes that are opened for their tracks and actions; the statistics rest on all rows."""
 _TRACK_POINTS = 48
@@ -34,10 +34,10 @@ _SHARE_WANTED = 0.08
 
 def gather(
     root: Place,
-    on_progress: Progress = lambda _done, _all: None,
+    on_progress: ProgressCallback = lambda _done, _all: None,
     samples: int = 8,
     compare_paper: bool | None = None,
-) -> Material:
+) -> ReportInput:
     """Returns all that a report of the dataset shows.
 
     Args:
@@ -61,7 +61,7 @@ def gather(
             _read_drive(root, row, row.episode_id in shown, drives, rows)
             on_progress(done, len(chosen))
     statistics = compute_statistics(rows.meta.run, rows, compare_paper)
-    return Material(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
+    return ReportInput(rows.meta, statistics, rows.episodes, rows.failures, drives, maps)
 
 
 def _read_drive(root: Place, row: EpisodeSummary, is_sample: bool, drives: Drives, rows: Rows) -> None:
@@ -91,13 +91,13 @@ def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
     return thinned
 
 
-def _best_frame(episode: Episode) -> Sample:
+def _best_frame(episode: Episode) -> FrameSample:
     """Returns the frame, of some spread over the episode, whose target is large enough to know and not too close."""
     target = episode.meta.target_instance_id
     steps = np.unique(np.linspace(0, len(episode) - 1, _FRAMES_TRIED).round().astype(int))
     masks = {int(t): episode.ids(int(t)) == target for t in steps}
     t = min(masks, key=lambda step: abs(float(masks[step].mean()) - _SHARE_WANTED))
-    return Sample(episode.summary, t, episode.rgb(t), masks[t])
+    return FrameSample(episode.summary, t, episode.rgb(t), masks[t])
 
 
 def _read_maps(root: Place, rows: Rows) -> dict[str, FloorMap]:

@@ -10,20 +10,20 @@ from factory.report.drawers import DRAWERS
 from factory.report.exhibit import Drawer, Exhibit
 from factory.report.folder import FIGURES, PAGE_FILE, Summary, require_usable, write_files
 from factory.report.gather import gather
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from factory.report.page import write_page
 from schemas.storage.place import Place
 
 __all__ = ["make_report", "render_report"]
 
-Progress = Callable[[str, int, int], None]
+StepProgressCallback = Callable[[str, int, int], None]
 
 
 def make_report(
     root: Place,
     out: Path,
     force: bool = False,
-    on_progress: Progress = lambda _what, _done, _all: None,
+    on_progress: StepProgressCallback = lambda _what, _done, _all: None,
     compare_paper: bool | None = None,
 ) -> Summary:
     """Writes the report of a dataset: `report.html`, `figures/*.svg`, `figures/*.png` and `report.json`.
@@ -48,7 +48,7 @@ def make_report(
 
 
 def render_report(
-    material: Material,
+    material: ReportInput,
     on_progress: Callable[[int, int], None] = lambda _done, _all: None,
     drawers: Sequence[Drawer] = DRAWERS,
 ) -> tuple[dict[str, bytes], Summary]:

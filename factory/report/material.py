@@ -8,19 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.stats import Statistics
-from schemas.dataset import EpisodeSummary
+from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_meta import DatasetMeta
-from schemas.failed_attempt import FailedAttempt
 from schemas.tokens import GRID_POINTS
 
-__all__ = ["Drives", "FloorMap", "Material", "Outlines", "Sample"]
+__all__ = ["Drives", "FloorMap", "FrameSample", "Outlines", "ReportInput"]
 
 Outlines = list[NDArray[np.float64]]
 """Closed loops of (K, 2) points; holes are loops too."""
 
 
 @dataclass(frozen=True)
-class Sample:
+class FrameSample:
     """One frame of one episode."""
 
     row: EpisodeSummary
@@ -40,7 +39,7 @@ class Drives:
     """Episode id -> (K, 2) x, y of base_link in the world frame, metres, thinned."""
     tokens: NDArray[np.int64] = field(default_factory=lambda: np.zeros((GRID_POINTS, GRID_POINTS), np.int64))
     """Steps on each point of the action grid: [speed token, yaw rate token]."""
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[FrameSample] = field(default_factory=list)
 
     @property
     def steps(self) -> int:
@@ -68,7 +67,7 @@ class FloorMap:
 
 
 @dataclass(frozen=True)
-class Material:
+class ReportInput:
     """All of it."""
 
     meta: DatasetMeta

@@ -12,11 +12,11 @@ from PIL import Image
 from factory.html import data_uri, render
 from factory.html.palette import with_variables
 from factory.report.canvas import Panel
-from factory.report.comparison import Comparison
+from factory.report.comparison import PaperComparison
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.samples import outlined
 from factory.report.exhibits.words import DASH, count, name, number, percent
-from factory.report.material import Material, Sample
+from factory.report.material import FrameSample, ReportInput
 from factory.report.page_tables import ComparisonCells, TableCells, spell_comparison, spell_table
 from factory.stats import paper
 
@@ -57,7 +57,7 @@ class _Section:
     is_wide: bool
 
 
-def write_page(material: Material, exhibits: Sequence[Exhibit], comparisons: Sequence[Comparison]) -> str:
+def write_page(material: ReportInput, exhibits: Sequence[Exhibit], comparisons: Sequence[PaperComparison]) -> str:
     """Returns the document.
 
     Args:
@@ -83,7 +83,7 @@ def write_page(material: Material, exhibits: Sequence[Exhibit], comparisons: Seq
     )
 
 
-def _badges(material: Material) -> Iterator[str]:
+def _badges(material: ReportInput) -> Iterator[str]:
     found = material.statistics
     yield count(found.episodes, "episode")
     yield count(len(material.scenes), "scene")
@@ -92,7 +92,7 @@ def _badges(material: Material) -> Iterator[str]:
     yield "complete" if found.complete else f"{found.episodes} of {found.planned} planned episodes"
 
 
-def _tiles(material: Material) -> Sequence[tuple[str, str, str]]:
+def _tiles(material: ReportInput) -> Sequence[tuple[str, str, str]]:
     """Measure, value here, and the paper's value where it is compared."""
     everything, fit = material.statistics.scenes[-1], material.statistics.correlation[0]
     said, beside = paper.OVERALL, material.statistics.beside_paper
@@ -107,7 +107,7 @@ def _tiles(material: Material) -> Sequence[tuple[str, str, str]]:
     return [(what, ours, f"paper {theirs}" if beside else "") for what, ours, theirs in tiles]
 
 
-def _verdict(material: Material, comparisons: Sequence[Comparison]) -> str:
+def _verdict(material: ReportInput, comparisons: Sequence[PaperComparison]) -> str:
     if not material.statistics.episodes:
         return "There are no episodes yet."
     means = "Means of NE, TL and steps; the tables give the rest."
@@ -120,7 +120,7 @@ def _verdict(material: Material, comparisons: Sequence[Comparison]) -> str:
     )
 
 
-def _success(material: Material) -> str:
+def _success(material: ReportInput) -> str:
     rows = material.statistics.attempts
     return DASH if rows is None else percent(next(row for row in rows if row.group == "all").success.share, 0)
 
@@ -129,7 +129,7 @@ def _with_unit(value: float | None, digits: int, unit: str) -> str:
     return DASH if value is None else f"{number(value, digits)} {unit}"
 
 
-def _section(exhibit: Exhibit, material: Material, comparisons: Sequence[Comparison]) -> _Section:
+def _section(exhibit: Exhibit, material: ReportInput, comparisons: Sequence[PaperComparison]) -> _Section:
     beside = [spell_comparison(row) for row in comparisons if row.exhibit == exhibit.name]
     shows_samples = exhibit.name == "samples"
     return _Section(
@@ -151,21 +151,21 @@ def _inline(panel: Panel) -> str:
     return with_variables(panel.svg.replace("<svg ", label, 1))
 
 
-def _pictures(samples: Iterable[Sample]) -> Iterator[_Picture]:
+def _pictures(samples: Iterable[FrameSample]) -> Iterator[_Picture]:
     for sample in samples:
         row = sample.row
         what = (name(row.scene), name(row.target_category), row.spawn_tier, f"{row.episode_id}, step {sample.t}")
         yield _Picture(row.instruction, " · ".join(what), data_uri("image/jpeg", _jpeg(sample)))
 
 
-def _jpeg(sample: Sample) -> bytes:
+def _jpeg(sample: FrameSample) -> bytes:
     small = Image.fromarray(outlined(sample)).resize((_SAMPLE_PX, _SAMPLE_PX), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     small.save(buffer, "JPEG", quality=_JPEG_QUALITY)
     return buffer.getvalue()
 
 
-def _method(material: Material) -> Sequence[str]:
+def _method(material: ReportInput) -> Sequence[str]:
     meta = material.meta
     software = ", ".join(f"{package} {version}" for package, version in sorted(meta.software.items()))
     renderers = "; ".join(meta.renderers) or "unknown"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from factory.report.comparison import Comparison
+from factory.report.comparison import PaperComparison
 from factory.report.exhibit import Table
 from factory.report.exhibits.words import DASH, number, percent
 
@@ -45,7 +45,7 @@ class TableCells:
         return len(self.rows) <= _ROWS_SHOWN
 
 
-def spell_comparison(row: Comparison) -> ComparisonCells:
+def spell_comparison(row: PaperComparison) -> ComparisonCells:
     """Returns the cells of a comparison."""
     published = _spell(row, row.published)
     if row.published_high is not None:
@@ -60,14 +60,14 @@ def spell_table(table: Table) -> TableCells:
     return TableCells(table.title, head, rows)
 
 
-def _spell(row: Comparison, value: float | None) -> str:
+def _spell(row: PaperComparison, value: float | None) -> str:
     if row.unit == "share":
         return percent(value, row.digits)
     unit = f" {row.unit}" if row.unit == "m" and value is not None else ""
     return number(value, row.digits) + unit
 
 
-def _difference(row: Comparison) -> str:
+def _difference(row: PaperComparison) -> str:
     difference = row.difference
     if difference is None:
         return DASH

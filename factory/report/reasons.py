@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-from factory.report.facts import Facts, facts_of
-from factory.report.material import Material
+from factory.report.facts import RunFacts, facts_of
+from factory.report.material import ReportInput
 from factory.stats import paper
 from factory.stats.model import AttemptRow, Published, Statistics
 from factory.stats.rollouts import ALL
@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 
-def say_length(facts: Facts, published_tl_m: float, published_ne_m: float) -> str:
+def say_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
     """TL = spawn distance - NE + detour, in the mean exactly; the paper's distance is inferred for straight drives."""
     implied = published_tl_m + published_ne_m
     return (
@@ -39,7 +39,7 @@ def say_length(facts: Facts, published_tl_m: float, published_ne_m: float) -> st
     )
 
 
-def say_mix(facts: Facts) -> str:
+def say_mix(facts: RunFacts) -> str:
     """The tiers behind a mean."""
     return " Tiers: " + ", ".join(f"{tier} {_percent(share)}" for tier, share in facts.tiers.items()) + "."
 
@@ -56,7 +56,7 @@ def say_standardised(statistics: Statistics) -> str:
     return f" Weighted by the paper's tiers it is {total:.2f} m."
 
 
-def say_steps(facts: Facts, said: Published) -> str:
+def say_steps(facts: RunFacts, said: Published) -> str:
     """Steps follow length and speed."""
     here = facts.steps_per_m
     text = f"{facts.tl_m:.2f} m at {here:.1f} steps a metre here" if here else f"{facts.tl_m:.2f} m here"
@@ -67,7 +67,7 @@ def say_steps(facts: Facts, said: Published) -> str:
     return f"{text}, {said.tl_mean_m:.2f} m at {said.steps_mean / said.tl_mean_m:.1f} in the paper."
 
 
-def say_floor(material: Material, scene: str) -> str:
+def say_floor(material: ReportInput, scene: str) -> str:
     """How large and how winding a scene is."""
     facts = facts_of(material.of(scene))
     if scene == ALL or facts is None or scene not in material.maps:
@@ -113,7 +113,7 @@ def say_largest(statistics: Statistics) -> str:
     return f"Here they are {', '.join(names)}; in the paper monitor 29 %, rack 22 %, crate 11 %."
 
 
-def say_category_share(material: Material, category: str) -> str:
+def say_category_share(material: ReportInput, category: str) -> str:
     """A category's share follows the share of the scenes that have it."""
     homes = {row.scene for row in material.episodes if row.target_category == category}
     if not homes:
@@ -128,7 +128,7 @@ def say_category_share(material: Material, category: str) -> str:
     return f"{text}; targets are drawn {drawn}."
 
 
-def say_correlation(facts: Facts | None) -> str:
+def say_correlation(facts: RunFacts | None) -> str:
     """r is a matter of the spread of distances against that of detours."""
     if facts is None or facts.spawn_std_m is None or facts.detour_std_m is None:
         return ""
@@ -148,7 +148,7 @@ def say_slope(statistics: Statistics) -> str:
     return f"Slopes by tier: {', '.join(parts)}." if parts else ""
 
 
-def say_colours(material: Material) -> str:
+def say_colours(material: ReportInput) -> str:
     """Colours are known here."""
     coloured = sum(row.colour != "unknown" for row in material.episodes)
     used = len({row.template_id for row in material.episodes if needs_colour(row.template_id)})
@@ -158,7 +158,7 @@ def say_colours(material: Material) -> str:
     )
 
 
-def say_success(material: Material, row: AttemptRow) -> str:
+def say_success(material: ReportInput, row: AttemptRow) -> str:
     """What failed, and how starts are chosen."""
     lost = Counter(row.reasons)
     reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(lost.items())) or "none failed"

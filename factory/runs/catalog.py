@@ -9,7 +9,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from coordinator.archive.contract import SCENES, STAGING
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.nearest import find_nearest
@@ -19,6 +18,7 @@ from factory.scenes.build import build_scene, find_import, import_scene, load_ed
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
 from factory.scenes.target_list import TargetList, list_file_name, spell_target_list
+from schemas.dataset_files import SCENES, STAGING
 from schemas.errors import ArchiveCorrupt, InvalidPlan, WorldError
 from schemas.plan import Plan, ScenePlan
 from schemas.storage.object_path import ObjectPath
@@ -26,10 +26,10 @@ from schemas.storage.place import Place
 
 __all__ = ["collect_scenes", "find_built", "find_package", "open_catalog", "write_target_lists"]
 
-Listener = Callable[[str], None]
+MessageCallback = Callable[[str], None]
 
 
-def open_catalog(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _: None) -> Catalog:
+def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
     """Returns the scenes of a plan that they can fulfil; see `collect_scenes`.
 
     Raises:
@@ -47,7 +47,7 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _
     return entries
 
 
-def collect_scenes(plan: Plan, root: Place, cache: Path, tell: Listener = lambda _: None) -> Catalog:
+def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
     """Returns the scenes of a plan, whatever they hold.
 
     Args:

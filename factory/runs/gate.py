@@ -22,7 +22,7 @@ from schemas.errors import WorldError
 from schemas.job import Job
 from schemas.plan import Plan
 from schemas.terms import FailReason, Tier
-from workers.process.messages import Order, Report, ReportKind
+from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import Death, Simulation
 
 __all__ = ["GateReport", "Lost", "Pilot", "Trial", "judge", "run_pilot"]
@@ -175,12 +175,14 @@ class _Seat:
 
     def _order(self, job: Job) -> None:
         self._job = job
-        self._simulation.order(Order(job=job, scene_path=self._pilot.package, bundle_path=self._bundle, sid="gate"))
+        self._simulation.order(
+            SimulationOrder(job=job, scene_path=self._pilot.package, bundle_path=self._bundle, sid="gate")
+        )
 
-    def _note(self, report: Report) -> Trial | None:
-        if report.kind is ReportKind.READY:
+    def _note(self, report: SimulationReport) -> Trial | None:
+        if report.kind is SimulationReportKind.READY:
             self._is_ready, self._starts = True, 0
-        if report.kind in {ReportKind.READY, ReportKind.PROGRESS} or self._job is None:
+        if report.kind in {SimulationReportKind.READY, SimulationReportKind.PROGRESS} or self._job is None:
             return None
         if report.reason is FailReason.RELEASED:  # a full disk says nothing about the scene
             raise WorldError(f"{report.detail}; free space where temporary files lie, or set TMPDIR")

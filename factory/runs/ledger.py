@@ -6,14 +6,14 @@ from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from coordinator.archive.contract import EPISODES, LEDGER_FILE
 from coordinator.archive.staging import is_held
 from coordinator.ledger.engine import has_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.reading.look import Connection, look_into
 from coordinator.ledger.reading.progress import read_progress
 from factory.dataset.site import Site
-from schemas.dataset_meta import META_FILE, read_dataset_meta
+from schemas.dataset_files import EPISODES, LEDGER_FILE, META_FILE
+from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place, children

@@ -14,8 +14,8 @@ from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from schemas.storage.place import Place
 from schemas.terms import RendererKind
-from workers.sim.attempt import Failure, run_attempt
-from workers.sim.scene_renderer import Stage
+from workers.sim.attempt import AttemptFailure, run_attempt
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["Replay", "replay_episode"]
 
@@ -53,12 +53,12 @@ def replay_episode(root: Place, episode: Place, renderer: RendererKind, on_step:
         InvalidBundle: the archived bundle cannot be read.
         WorldError: the replayed attempt failed.
     """
-    with episode.open("rb") as file, tempfile.TemporaryFile() as out, Stage(renderer, apart=True) as stage:
+    with episode.open("rb") as file, tempfile.TemporaryFile() as out, SceneRenderer(renderer, apart=True) as stage:
         archived = BundleReader(file)
         job = archived.meta.job
         stage.load(find_package(root, job.scene, job.scene_sha256).path, job.scene_sha256)
         outcome = run_attempt(job, stage, out, "replay", lambda step: on_step(step, archived.length))
-        if isinstance(outcome, Failure):
+        if isinstance(outcome, AttemptFailure):
             raise WorldError(f"{job.episode_id}: the replay ended with {outcome.reason}: {outcome.detail}")
         return _compare(archived, out)
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from factory.scenes.collider import solid_triangles, weld
 from factory.scenes.floor import find_floor_height
 from factory.scenes.geometry import Geometry, lay_out_geometry
-from factory.scenes.honour import honour_candidates, honour_targets, recoloured
 from factory.scenes.importer import Extraction, Part, extract_stage
 from factory.scenes.importer.assets import read_asset
 from factory.scenes.importer.targets import Candidate, find_candidates
@@ -30,6 +29,7 @@ from factory.scenes.reach import Terrain, sees_matrix
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.shade import triangle_areas
 from factory.scenes.survey import MIN_SPAWNS, survey_spawns
+from factory.scenes.target_edits import apply_candidate_edits, apply_target_edits, recoloured
 from factory.scenes.target_list import TargetList
 from factory.scenes.textures import TextureBook, load_textures
 from factory.scenes.version import COMPILER_VERSION
@@ -190,7 +190,7 @@ def _show(
     if not visible:
         raise WorldError(f"{file} shows no mesh but {clear} see-through ones; check their opacity")
     rules, chosen = wishes
-    candidates = honour_candidates(find_candidates(extraction, visible, rules), visible, chosen)
+    candidates = apply_candidate_edits(find_candidates(extraction, visible, rules), visible, chosen)
     owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
     users = {part.surface.texture: part.path for part in reversed(visible)}
     book = load_textures(_texture_areas(visible), read_asset, users)
@@ -226,7 +226,7 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
     spawns = survey_spawns(terrain)
     if len(spawns) < MIN_SPAWNS:
         notes.append(f"only {len(spawns)} spawn points fit on {_area(terrain)} m2 of connected floor")
-    targets = honour_targets(list_targets(terrain, shown.candidates, shown.ids, floor_m, notes), shown.chosen)
+    targets = apply_target_edits(list_targets(terrain, shown.candidates, shown.ids, floor_m, notes), shown.chosen)
     if not targets:
         raise WorldError(_why_no_target(file, shown, terrain, notes))
     named = with_colours(targets, shown.parts, shown.owners, shown.book, shown.uncoloured)

@@ -13,15 +13,14 @@ from factory.stats import paper
 from factory.stats.measures import share_of
 from factory.stats.model import AttemptRow, CellRow
 from factory.stats.rollouts import ALL
-from schemas.dataset import EpisodeSummary
-from schemas.failed_attempt import FailedAttempt
+from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.plan import Plan
 from schemas.terms import FailReason, Tier
 
 __all__ = ["attempt_rows", "cell_rows"]
 
 Tried = EpisodeSummary | FailedAttempt
-_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_of_the_world)
+_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 
 
 def attempt_rows(

@@ -10,15 +10,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive.contract import EPISODES
 from coordinator.expansion.cells import cells
-from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
 from factory.dataset.reader import Dataset
 from factory.stats.model import Remark
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary, file_name_of
-from schemas.dataset_meta import META_FILE, DatasetMeta
-from schemas.failed_attempt import FailedAttempt
+from schemas.dataset import EpisodeSummary, FailedAttempt, file_name_of
+from schemas.dataset_files import ATTEMPTS_FILE, EPISODES, META_FILE, METADATA_FILE
+from schemas.dataset_meta import DatasetMeta
 from schemas.storage.place import Place, children, table_of
 from schemas.terms import Split
 

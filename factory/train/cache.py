@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from factory.dataset.reader import Dataset, Episode
-from factory.train import look
+from factory.train import preprocess
 from factory.train.labels import chosen_frames, label_episode, stop_frame
 from schemas.base import Model, Positive, Sha256
 from schemas.errors import UsageError, WorldError
@@ -35,14 +35,14 @@ MASK_SHRINK = 8
 """How much smaller than the picture the map of the target is: the network's own second stage."""
 _INDEX = "index.json"
 _POLL_S = 0.2
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 class CacheKey(Model):
     """What decides the content of a cache."""
 
     format: int = CACHE_FORMAT
-    look: int = look.LOOK_VERSION
+    look: int = preprocess.PREPROCESS_VERSION
     dataset: Sha256
     """Digest of the episodes it is of."""
     size: int
@@ -95,7 +95,7 @@ class FrameCache:
         return len(self.actions)
 
 
-def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Tell) -> FrameCache:
+def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: ProgressCallback) -> FrameCache:
     """Returns the frames of a dataset's episodes, from the cache or decoded now.
 
     Args:
@@ -134,7 +134,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Tell) -
     return _open(folder, index)
 
 
-def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: Tell) -> None:
+def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: ProgressCallback) -> None:
     part = folder.with_name(f".{folder.name}.part")
     shutil.rmtree(part, ignore_errors=True)  # of a training that was killed; the lock is ours
     part.mkdir()
@@ -148,7 +148,7 @@ def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: Tell) -> None:
         shutil.rmtree(part, ignore_errors=True)
 
 
-def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: Tell) -> None:
+def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: ProgressCallback) -> None:
     lengths = dataset.metadata["num_steps"].to_pylist()
     chosen = [chosen_frames(steps, key.hold) for steps in lengths]
     rows = sum(map(len, chosen))
@@ -169,9 +169,9 @@ def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: Tell) -> None:
             target = episode.meta.target_instance_id
             for row, t in enumerate(frames.tolist(), first):
                 frame = episode.frame(t)
-                rgb[row] = look.shrink_rgb(frame.rgb, key.size)
-                depth[row] = look.shrink_depth(frame.depth, key.size)
-                mask[row] = look.shrink_mask(frame.ids, target, side)
+                rgb[row] = preprocess.shrink_rgb(frame.rgb, key.size)
+                depth[row] = preprocess.shrink_depth(frame.depth, key.size)
+                mask[row] = preprocess.shrink_mask(frame.ids, target, side)
             episodes.append(_describe(episode, first, len(frames)))
         first += len(frames)
         tell(number + 1, len(lengths))

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from factory.train.look import LOOK_VERSION
 from factory.train.options import CHECKPOINT_FORMAT, CheckpointMeta
+from factory.train.preprocess import PREPROCESS_VERSION
 from factory.train.torch_door import load_torch
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import sync_directory, translated
@@ -50,9 +50,9 @@ def parse_meta(text: object, path: Path) -> CheckpointMeta:
         first = error.errors()[0]
         what = f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
         raise UsageError(f"{path} is no checkpoint that this version reads ({what})") from error
-    if meta.format > CHECKPOINT_FORMAT or meta.look != LOOK_VERSION:
+    if meta.format > CHECKPOINT_FORMAT or meta.look != PREPROCESS_VERSION:
         found = f"format {meta.format}, pictures of version {meta.look}"
-        mine = f"format {CHECKPOINT_FORMAT}, pictures of version {LOOK_VERSION}"
+        mine = f"format {CHECKPOINT_FORMAT}, pictures of version {PREPROCESS_VERSION}"
         raise UsageError(f"{path} is of another version ({found}; this one reads {mine}): train it again")
     return meta
 

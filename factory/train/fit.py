@@ -18,27 +18,27 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from factory.train import look
+from factory.train import preprocess
+from factory.train.augment import Batch, augment
 from factory.train.cache import FrameCache
-from factory.train.network import Answer, BcNetwork
+from factory.train.network import BcNetwork, NetworkOutput
 from factory.train.options import BcOptions
 from factory.train.report import EpochMeasures
 from factory.train.schedule import ema_decay, learning_rate
-from factory.train.vary import Batch, vary
 from factory.train.words import encode
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
 
-__all__ = ["BcTraining", "Limits"]
+__all__ = ["BcTraining", "TrainingLimits"]
 
 _STOP_CELL = 3
 """Cell of the grid with v = 0 and w = 0: token 0 and token 3."""
 _WARMUP_SHARE = 0.05
 _MOST_NORM = 1.0
-Tell = Callable[[int, int, float], None]
+LossCallback = Callable[[int, int, float], None]
 
 
 @dataclass(frozen=True)
-class Limits:
+class TrainingLimits:
     """What full scale means."""
 
     max_speed_mps: float
@@ -55,7 +55,7 @@ class BcTraining:
         device: where to compute.
     """
 
-    def __init__(self, options: BcOptions, words: tuple[str, ...], limits: Limits, device: Any) -> None:
+    def __init__(self, options: BcOptions, words: tuple[str, ...], limits: TrainingLimits, device: Any) -> None:
         self._options, self._words, self._limits, self._device = options, words, limits, device
         torch.manual_seed(options.seed)
         self.model = BcNetwork(options, len(words)).to(device)
@@ -88,7 +88,7 @@ class BcTraining:
         self._optimizer.load_state_dict(state["optimizer"])
         self.epochs_done, self._steps_done = int(state["epochs_done"]), int(state["steps_done"])
 
-    def run_epoch(self, train: FrameCache, val: FrameCache | None, tell: Tell) -> EpochMeasures:
+    def run_epoch(self, train: FrameCache, val: FrameCache | None, tell: LossCallback) -> EpochMeasures:
         """Learns from every frame once and measures what was learned.
 
         Args:
@@ -107,7 +107,7 @@ class BcTraining:
         self.model.train()
         for number, rows in enumerate(np.array_split(order, batches)):
             rate = learning_rate(self._steps_done, steps, self._options.peak_rate, max(1, int(_WARMUP_SHARE * steps)))
-            batch = vary(_read(train, np.sort(rows)), rng)
+            batch = augment(_read(train, np.sort(rows)), rng)
             losses += self._step(batch, said[train.episode[np.sort(rows)]], rate)
             tell(number + 1, batches, losses / (number + 1))
         self.epochs_done += 1
@@ -138,7 +138,7 @@ class BcTraining:
         self._steps_done += 1
         return float(loss.detach())
 
-    def _imitation(self, answer: Answer, batch: Batch) -> Tensor:
+    def _imitation(self, answer: NetworkOutput, batch: Batch) -> Tensor:
         """Returns the loss of each frame: (N,)."""
         is_stop = self._tensor(batch.is_stop.astype(np.float32))
         weight = 1 + (self._options.stop_weight - 1) * is_stop
@@ -178,7 +178,7 @@ class BcTraining:
             "pointing": float(found.mean()) if len(found) else None,
         }
 
-    def _decide(self, answer: Answer) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _decide(self, answer: NetworkOutput) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Returns the twists (N, 2) and whether each is a stop."""
         if self._options.head == "tokens":
             cells = answer.cells.argmax(dim=1).cpu().numpy()
@@ -201,7 +201,7 @@ _MEASURES = ("val_loss", "val_v_mps", "val_w_rps", "stop_precision", "stop_recal
 
 
 def _read(cache: FrameCache, rows: NDArray[np.int64]) -> Batch:
-    pictures = look.to_input(np.asarray(cache.rgb[rows]), np.asarray(cache.depth[rows]))
+    pictures = preprocess.to_input(np.asarray(cache.rgb[rows]), np.asarray(cache.depth[rows]))
     mask = np.asarray(cache.mask[rows]).astype(np.float32) / np.float32(255)
     return Batch(pictures, mask, cache.actions[rows], cache.is_stop[rows])
 

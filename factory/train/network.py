@@ -15,13 +15,13 @@ from torch.nn import functional
 from factory.train.options import BcOptions
 from schemas.tokens import GRID_POINTS
 
-__all__ = ["Answer", "BcNetwork"]
+__all__ = ["BcNetwork", "NetworkOutput"]
 
 _CELLS = GRID_POINTS * GRID_POINTS
 _GROUPS = 4
 
 
-class Answer(NamedTuple):
+class NetworkOutput(NamedTuple):
     """What the network says of N views."""
 
     action: Tensor
@@ -62,11 +62,11 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         )
         self.twist = nn.Linear(128, _CELLS if self._is_tokens else 3)
 
-    def forward(self, pictures: Tensor, words: Tensor) -> Answer:
+    def forward(self, pictures: Tensor, words: Tensor) -> NetworkOutput:
         """Returns what to do, and where the network points.
 
         Args:
-            pictures: (N, 4, S, S) as `look.to_input` makes them, sRGB and nearness.
+            pictures: (N, 4, S, S) as `preprocess.to_input` makes them, sRGB and nearness.
             words: (N, L) numbers of the words, 0 behind the last one.
         """
         said = self._read(words)
@@ -78,9 +78,9 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         out = self.twist(self.trunk(torch.cat([wide, pointed, said], dim=1)))
         empty = out.new_zeros((len(out), 0))
         if self._is_tokens:
-            return Answer(empty, empty, out, mask[:, 0])
+            return NetworkOutput(empty, empty, out, mask[:, 0])
         action = torch.stack([torch.sigmoid(out[:, 0]), torch.tanh(out[:, 1])], dim=1)
-        return Answer(action, out[:, 2], empty, mask[:, 0])
+        return NetworkOutput(action, out[:, 2], empty, mask[:, 0])
 
     def _read(self, words: Tensor) -> Tensor:
         """Returns the state after the last word: (N, 64)."""

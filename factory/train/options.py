@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from factory.train.look import LOOK_VERSION, SIZES
+from factory.train.preprocess import PREPROCESS_VERSION, SIZES
 from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
 
 __all__ = ["CHECKPOINT_FORMAT", "BcOptions", "CheckpointMeta", "Head"]
@@ -54,7 +54,7 @@ class CheckpointMeta(Model):
 
     format: int = CHECKPOINT_FORMAT
     kind: Literal["bc"] = "bc"
-    look: int = LOOK_VERSION
+    look: int = PREPROCESS_VERSION
     options: BcOptions
     words: tuple[str, ...]
     """The vocabulary by number."""

@@ -85,9 +85,9 @@ def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
     meta = _meta(order, train)
     if begun_with is not None:
         _require_same_data(begun_with, meta, order.out)
-    from factory.train.fit import BcTraining, Limits
+    from factory.train.fit import BcTraining, TrainingLimits
 
-    limits = Limits(meta.max_speed_mps, meta.max_yaw_rate_rps)
+    limits = TrainingLimits(meta.max_speed_mps, meta.max_yaw_rate_rps)
     training = BcTraining(order.options, meta.words, limits, device)
     epochs = _restore(order, training, begun_with) if begun_with is not None else []
     begun, longest = time.monotonic(), 0.0

@@ -15,27 +15,34 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from coordinator.archive.contract import EPISODES, SCENES, index_of_file
+from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import SceneEntry, read_entry
 from coordinator.expansion.draw import cells
-from coordinator.tables.card import CARD_FILE
-from coordinator.tables.card_configs import SPLITS_FOLDER, names_split_tables
+from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
-from coordinator.tables.write import ATTEMPTS_FILE, METADATA_FILE
-from factory.dataset.parts import is_part
 from factory.dataset.reader import Dataset
 from factory.scenes.target_list import list_file_name
 from factory.verify.episode import EpisodeCheck, check_episode, target_of
-from factory.verify.report import Finding, Kind, Report
+from factory.verify.report import Finding, Kind, VerifyReport
 from schemas.dataset import EpisodeSummary
-from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.dataset_files import (
+    ATTEMPTS_FILE,
+    CARD_FILE,
+    EPISODES,
+    META_FILE,
+    METADATA_FILE,
+    SCENES,
+    SPLITS_FOLDER,
+    is_part,
+)
+from schemas.dataset_meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.job import episode_id
 from schemas.storage.place import Place, at_hand, children, table_of
 
-__all__ = ["Finding", "Kind", "Report", "verify"]
+__all__ = ["Finding", "Kind", "VerifyReport", "verify"]
 
-Progress = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 Rows = dict[str, EpisodeSummary]
 _ROWS_AT_A_TIME = 2000
 _KIND_OF_FAULT = MappingProxyType(
@@ -50,8 +57,8 @@ _CHECKS_AT_A_TIME = 4
 
 
 def verify(
-    root: Place, deep: bool = False, on_progress: Progress = lambda _done, _all: None, processes: int = 1
-) -> Report:
+    root: Place, deep: bool = False, on_progress: ProgressCallback = lambda _done, _all: None, processes: int = 1
+) -> VerifyReport:
     """Checks a whole dataset.
 
     Shallow: tables readable and agreeing with each other, every file there with its size and SHA-256, none too many.
@@ -67,7 +74,7 @@ def verify(
     Raises:
         WorldError: there is no dataset, or it is of a newer format.
     """
-    report = Report(root, deep)
+    report = VerifyReport(root, deep)
     try:
         dataset = Dataset(root)
     except ArchiveCorrupt as error:
@@ -86,7 +93,7 @@ def verify(
     return report
 
 
-def _rows(dataset: Dataset, report: Report) -> Rows:
+def _rows(dataset: Dataset, report: VerifyReport) -> Rows:
     rows: Rows = {}
     for batch in dataset.metadata.to_batches(max_chunksize=_ROWS_AT_A_TIME):
         for values in batch.to_pylist():
@@ -105,7 +112,7 @@ def _rows(dataset: Dataset, report: Report) -> Rows:
     return rows
 
 
-def _plan_checks(rows: Rows, scenes: dict[str, SceneEntry], report: Report) -> list[EpisodeCheck]:
+def _plan_checks(rows: Rows, scenes: dict[str, SceneEntry], report: VerifyReport) -> list[EpisodeCheck]:
     checks = []
     for row in rows.values():
         target, findings = target_of(row, scenes.get(row.scene))
@@ -123,7 +130,7 @@ def _carry_out(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Find
         yield from pool.map(check_episode, checks, chunksize=_CHECKS_AT_A_TIME if len(checks) > 100 else 1)
 
 
-def _check_listing(root: Place, rows: Rows, report: Report) -> None:
+def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
     for entry in children(root / EPISODES):
         name = f"{EPISODES}/{entry.name}"
         index = index_of_file(entry.name) if entry.is_file() and not entry.is_symlink() else None
@@ -138,7 +145,7 @@ def _check_listing(root: Place, rows: Rows, report: Report) -> None:
             report.add(Kind.FOREIGN, entry.name, "is no part of a dataset")
 
 
-def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
+def _check_tables(dataset: Dataset, rows: Rows, report: VerifyReport) -> None:
     meta = dataset.meta
     if meta.plan.digest != meta.plan_digest:
         report.add(Kind.CONTRADICTION, META_FILE, f"plan digest {meta.plan_digest}, its plan has {meta.plan.digest}")
@@ -159,7 +166,7 @@ def _check_tables(dataset: Dataset, rows: Rows, report: Report) -> None:
     _check_split_tables(dataset, report)
 
 
-def _check_split_tables(dataset: Dataset, report: Report) -> None:
+def _check_split_tables(dataset: Dataset, report: VerifyReport) -> None:
     """Compares them with `metadata.parquet` once the run is complete; they may be absent if the card names none."""
     try:
         card = (dataset.root / CARD_FILE).read_text(encoding="utf-8")
@@ -174,7 +181,7 @@ def _check_split_tables(dataset: Dataset, report: Report) -> None:
             report.add(_KIND_OF_FAULT[fault.kind], fault.name, f"{fault.text}; `factory repair` writes it anew")
 
 
-def _check_scenes(root: Place, meta: DatasetMeta, report: Report) -> dict[str, SceneEntry]:
+def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[str, SceneEntry]:
     found: dict[str, SceneEntry] = {}
     expected = {f"{name}-{sha256[:16]}.scene.zip": (name, sha256) for name, sha256 in meta.scenes.items()}
     for_people = {list_file_name(name) for name in meta.scenes}
@@ -197,7 +204,7 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: Report) -> dict[str, S
     return found
 
 
-def _check_quotas(meta: DatasetMeta, rows: Rows, report: Report) -> None:
+def _check_quotas(meta: DatasetMeta, rows: Rows, report: VerifyReport) -> None:
     """Compares the counts of every cell with the plan; an unfinished dataset may only have too few."""
     found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.values())
     wanted = {

@@ -6,11 +6,11 @@ import hashlib
 from dataclasses import dataclass
 
 from coordinator.expansion.catalog import SceneEntry
-from coordinator.tables.write import METADATA_FILE
 from coordinator.validation.validate import validate
 from factory.verify.report import Finding, Kind
 from schemas.bundle import BundleReader
 from schemas.dataset import EpisodeSummary, file_name_of, summary_of
+from schemas.dataset_files import METADATA_FILE
 from schemas.errors import InvalidBundle
 from schemas.scene import Target
 from schemas.storage.place import Place, at_hand

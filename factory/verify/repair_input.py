@@ -9,22 +9,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from coordinator.archive.contract import SCENES
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info, require_plan
 from coordinator.ledger.reading.look import look_into
 from coordinator.recovery.judge import count_plans
-from coordinator.recovery.mend import Patient
+from coordinator.recovery.mend import RepairInput
 from factory.dataset.packages import package_file
 from factory.runs.catalog import open_catalog
+from schemas.dataset_files import SCENES
 from schemas.dataset_meta import read_dataset_meta
 from schemas.errors import FactoryError, InvalidBundle, UsageError, WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place, at_hand
 
-__all__ = ["examine"]
+__all__ = ["inspect_dataset"]
 
-Listener = Callable[[str], None]
+MessageCallback = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,9 @@ class _Record:
     """Scene name -> SHA-256 of its package; empty when only the plan is known."""
 
 
-def examine(root: Place, home: Path, plan: Plan | None, url: str | None, cache: Path, tell: Listener) -> Patient:
+def inspect_dataset(
+    root: Place, home: Path, plan: Plan | None, url: str | None, cache: Path, tell: MessageCallback
+) -> RepairInput:
     """Returns what a repair has to know.
 
     Args:
@@ -62,7 +64,7 @@ def examine(root: Place, home: Path, plan: Plan | None, url: str | None, cache: 
             "with, by --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
-    return Patient(root, home, ledger, record.plan, catalog, troubles, stranger)
+    return RepairInput(root, home, ledger, record.plan, catalog, troubles, stranger)
 
 
 def _settle_plan(
@@ -103,7 +105,7 @@ def _from_meta(root: Place) -> _Record | None:
     return _Record(meta.plan, meta.scenes)
 
 
-def _catalog(record: _Record, root: Place, cache: Path, tell: Listener) -> tuple[Catalog, Mapping[str, str]]:
+def _catalog(record: _Record, root: Place, cache: Path, tell: MessageCallback) -> tuple[Catalog, Mapping[str, str]]:
     if not record.scenes:
         return open_catalog(record.plan, root, cache, tell), {}
     kept: dict[str, SceneEntry] = {}
@@ -132,7 +134,9 @@ def _kept(path: Place, sha256: str) -> SceneEntry | str:
     return replace(entry, path=package_file(path))
 
 
-def _built_again(record: _Record, troubles: Mapping[str, str], cache: Path, tell: Listener) -> dict[str, SceneEntry]:
+def _built_again(
+    record: _Record, troubles: Mapping[str, str], cache: Path, tell: MessageCallback
+) -> dict[str, SceneEntry]:
     wanted = tuple(scene for scene in record.plan.scenes if scene.name in troubles)
     try:
         made = open_catalog(record.plan.model_copy(update={"scenes": wanted}), cache / "nowhere", cache, tell)

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from schemas.storage.place import Place
 
-__all__ = ["Finding", "Kind", "Report"]
+__all__ = ["Finding", "Kind", "VerifyReport"]
 
 
 class Kind(StrEnum):
@@ -35,7 +35,7 @@ class Finding:
 
 
 @dataclass
-class Report:
+class VerifyReport:
     """What a verification found."""
 
     root: Place

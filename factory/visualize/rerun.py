@@ -32,7 +32,7 @@ _ROBOT_BOX_M = (
 _CAMERA_PATH = "world/robot/camera"
 _LINES = {"action/v_mps": (30, 110, 220), "action/w_rps": (240, 160, 30), "distance/planar_m": (255, 40, 40)}
 _FREE, _OCCUPIED, _HIDING = (236, 239, 243), (150, 158, 170), (84, 92, 106)
-Listener = Callable[[int], None]
+FrameCallback = Callable[[int], None]
 
 
 class FloorPicture(NamedTuple):
@@ -47,7 +47,7 @@ class FloorPicture(NamedTuple):
 
 
 def view_episode(
-    episode: Episode, scene: CompiledScene, save: Path | None, stride: int = 1, tell: Listener | None = None
+    episode: Episode, scene: CompiledScene, save: Path | None, stride: int = 1, tell: FrameCallback | None = None
 ) -> None:
     """Logs an episode to the Rerun viewer, or to a recording.
 
@@ -77,7 +77,12 @@ def view_episode(
 
 
 def _record(
-    rerun: ModuleType, episode: Episode, scene: CompiledScene, save: Path | None, stride: int, tell: Listener | None
+    rerun: ModuleType,
+    episode: Episode,
+    scene: CompiledScene,
+    save: Path | None,
+    stride: int,
+    tell: FrameCallback | None,
 ) -> None:
     """Logs all of an episode; the recording is whole when this returns."""
     with rerun.RecordingStream("minivla_factory", recording_id=f"{episode.meta.job.run}_{episode.episode_id}") as log:

@@ -15,7 +15,7 @@ from isal.isal_zlib import crc32
 
 from schemas.errors import InvalidBundle
 
-__all__ = ["ContainerReader", "ContainerWriter", "Limits"]
+__all__ = ["ContainerLimits", "ContainerReader", "ContainerWriter"]
 
 _LOCAL = struct.Struct("<I5H3I2H")
 """A member's own header: mark, version, flags, method, time, date, CRC, sizes twice, lengths of name and extra."""
@@ -38,7 +38,7 @@ _MOST_BYTES = (1 << 32) - (1 << 24)
 """What a zip can address without its 64-bit records, less room for the directory."""
 
 
-class Limits(NamedTuple):
+class ContainerLimits(NamedTuple):
     """What a reader accepts before it allocates anything."""
 
     members: int
@@ -106,7 +106,7 @@ class ContainerReader:
         InvalidBundle: the file is no such container or passes a limit; nothing has been allocated by then.
     """
 
-    def __init__(self, file: BinaryIO, limits: Limits) -> None:
+    def __init__(self, file: BinaryIO, limits: ContainerLimits) -> None:
         self._file = file
         self._position = Lock()  # the file has one, whoever reads
         self._members = _read_directory(file, limits)
@@ -157,7 +157,7 @@ _Member = tuple[int, int, int, bytes]
 plain tuple, for an episode has hundreds."""
 
 
-def _read_directory(file: BinaryIO, limits: Limits) -> dict[str, _Member]:
+def _read_directory(file: BinaryIO, limits: ContainerLimits) -> dict[str, _Member]:
     """Returns the members by name, in order; what they claim is within the limits and the file.
 
     Reads it itself: `zipfile` takes longer over the directory of an episode than a frame takes to decode.
@@ -196,7 +196,7 @@ def _read_directory(file: BinaryIO, limits: Limits) -> dict[str, _Member]:
     return members
 
 
-def _bound_directory(file: BinaryIO, limits: Limits, size: int) -> tuple[int, int]:
+def _bound_directory(file: BinaryIO, limits: ContainerLimits, size: int) -> tuple[int, int]:
     """Returns how many members the directory has and where it starts, once its size is known to be in bounds."""
     file.seek(max(0, size - _END.size - _LOCATOR_64_BYTES))
     tail = file.read()
@@ -220,7 +220,7 @@ def _decode_name(spelt: bytes, flags: int, size: int) -> str:
         raise _unreadable(size, "a member's name is not UTF-8") from error
 
 
-def _objections(name: str, flags: int, method: int, packed: int, length: int, limits: Limits) -> Iterator[str]:
+def _objections(name: str, flags: int, method: int, packed: int, length: int, limits: ContainerLimits) -> Iterator[str]:
     if method != _STORED or packed != length:
         yield f"{name!r} is compressed by the zip; members must be stored"
     if flags & _ENCRYPTED:

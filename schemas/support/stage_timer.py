@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["Lap", "no_lap"]
+__all__ = ["StageTimer", "no_stage_timer"]
 
-Lap = Callable[[str], None]
+StageTimer = Callable[[str], None]
 """Is told the name of a stage at its end; what passed since the end of the stage before it belongs to that stage."""
 
 
-def no_lap(stage: str) -> None:
+def no_stage_timer(stage: str) -> None:
     """Listens to nothing."""

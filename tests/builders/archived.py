@@ -12,7 +12,7 @@ from coordinator.expansion.draw import to_job
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import ledger_url_of, planned_of
-from coordinator.recovery.mend import Patient
+from coordinator.recovery.mend import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset import summary_of
@@ -70,9 +70,9 @@ class ArchivedRun:
         row = self.desk.rows(index)[-1]
         return parts_for(to_job(self.plan, self.catalog, planned_of(row), row.attempt)).write()
 
-    def patient(self, scenes: Sequence[str] = ()) -> Patient:
+    def patient(self, scenes: Sequence[str] = ()) -> RepairInput:
         """Returns the directory as a repair is told of it."""
-        return Patient(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
+        return RepairInput(self.root, self.root, self.url, self.plan, self.catalog, dict.fromkeys(scenes, "damaged"))
 
     def file(self, index: int) -> Path:
         return self.root / "episodes" / f"ep_{index:06d}.zip"

@@ -12,7 +12,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
 from factory.eval.models.messages import Setup
-from factory.eval.results.store import Manifest, Store
+from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.config import TaskConfig
@@ -27,7 +27,7 @@ from tests.builders.bundle import job_for
 from tests.builders.dataset import NOW
 from tests.builders.scene import box_room
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["archive_drives", "open_store", "room_job", "room_package", "standing_still"]
 
@@ -72,7 +72,7 @@ def archive_drives(root: Path, episodes: int = 3) -> Path:
     source = root.with_name(f"{root.name}.scene")
     source.write_bytes(room_package())
     sha256 = hashlib.sha256(room_package()).hexdigest()
-    with open_archive(root) as archive, Stage("auto") as stage:
+    with open_archive(root) as archive, SceneRenderer("auto") as stage:
         archive.add_scene(source, "office", sha256)
         stage.load(source, sha256)
         rows = []
@@ -96,11 +96,13 @@ def standing_still(drives: Dataset) -> Campaign:
 
 def open_store(root: Path, campaign: Campaign) -> Store:
     """Opens the results of a campaign."""
-    manifest = Manifest(run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=10.0)
+    manifest = EvalManifest(
+        run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=10.0
+    )
     return Store(root, campaign.specs, manifest)
 
 
-def _first_success(index: int, stage: Stage, run: str, plan_digest: str) -> tuple[bytes, EpisodeMeta]:
+def _first_success(index: int, stage: SceneRenderer, run: str, plan_digest: str) -> tuple[bytes, EpisodeMeta]:
     for attempt in range(1, 20):
         out = io.BytesIO()
         job = room_job(index, attempt=attempt, run=run, plan_digest=plan_digest)

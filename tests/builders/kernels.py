@@ -20,7 +20,7 @@ from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
 from workers.planning import geodesic_m
 from workers.sim.attempt import Success, run_attempt
-from workers.sim.scene_renderer import LoadedScene, Stage
+from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 
 _MANY = 300
 
@@ -28,7 +28,7 @@ _MANY = 300
 def main() -> None:
     """Prints one JSON object: what was computed, and a digest or the values themselves."""
     job, package = room_job(1), room_package()
-    with TemporaryDirectory() as folder, Stage("gl") as stage:
+    with TemporaryDirectory() as folder, SceneRenderer("gl") as stage:
         path = Path(folder, "room.scene")
         path.write_bytes(package)
         stage.load(path, job.scene_sha256)

@@ -14,7 +14,7 @@ import time
 
 from schemas.terms import FailReason
 from tests.builders.bundle import parts_for
-from workers.process.messages import Order, Report, ReportKind, failure, to_line
+from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure, to_line
 
 __all__ = ["main"]
 
@@ -29,19 +29,19 @@ def main() -> None:
 
 def _serve_all() -> None:
     try:
-        _tell(Report(kind=ReportKind.READY, renderer="synthetic"))
+        _tell(SimulationReport(kind=SimulationReportKind.READY, renderer="synthetic"))
         for line in os.fdopen(0, "rb", closefd=False):
-            threading.Thread(target=_serve, args=(Order.model_validate_json(line),)).start()
+            threading.Thread(target=_serve, args=(SimulationOrder.model_validate_json(line),)).start()
     finally:  # whatever became of the supervisor
         os._exit(0)
 
 
-def _serve(order: Order) -> None:
+def _serve(order: SimulationOrder) -> None:
     longest = float(sys.argv[1])
     steps = random.randint(1, 10)
     for step in range(1, steps + 1):
         time.sleep(random.uniform(0.0, longest / 10))
-        _tell(Report(kind=ReportKind.PROGRESS, step=step))
+        _tell(SimulationReport(kind=SimulationReportKind.PROGRESS, step=step))
     seed = hashlib.sha256(f"{order.job.index} {order.job.attempt}".encode()).digest()[0]
     if seed % _MISS_EVERY == 0:
         _tell(failure(FailReason.COLLISION, "stalled", step=steps))
@@ -53,10 +53,10 @@ def _serve(order: Order) -> None:
     part.write_bytes(data)
     part.rename(order.bundle_path)
     digest = hashlib.sha256(data).hexdigest()
-    _tell(Report(kind=ReportKind.SUCCESS, step=12, sha256=digest, size=len(data)))
+    _tell(SimulationReport(kind=SimulationReportKind.SUCCESS, step=12, sha256=digest, size=len(data)))
 
 
-def _tell(report: Report) -> None:
+def _tell(report: SimulationReport) -> None:
     os.write(1, to_line(report))
 
 

@@ -6,9 +6,8 @@ import functools
 from typing import Any
 
 from factory.stats.rows import Rows
-from schemas.dataset import EpisodeSummary, summary_of
+from schemas.dataset import EpisodeSummary, FailedAttempt, summary_of
 from schemas.dataset_meta import DatasetMeta
-from schemas.failed_attempt import FailedAttempt
 from schemas.job import episode_id
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split

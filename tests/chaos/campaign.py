@@ -24,8 +24,8 @@ from rich.console import Console
 
 from schemas.plan import Budget
 from tests.builders.tools import find_system_tools
+from tests.chaos.cluster import STORM_CRASHES, ClusterCommands, fake_commands, real_commands
 from tests.chaos.faults import FAULTS
-from tests.chaos.party import STORM_CRASHES, Cast, fake_cast, real_cast
 from tests.chaos.peers import PEER_KINDS, Peers
 from tests.chaos.round import Storm, calm_digest, play_round
 from tests.chaos.tally import Tally
@@ -47,7 +47,7 @@ log = Console(stderr=True, highlight=False)
 
 
 def run_campaign(
-    casts: Sequence[Cast],
+    casts: Sequence[ClusterCommands],
     root: Path,
     storm: Storm,
     seed: int,
@@ -167,15 +167,15 @@ def main() -> int:
     return 1 if tally.violations or too_few else 0
 
 
-def _casts(told: argparse.Namespace, root: Path) -> tuple[Cast, ...]:
+def _casts(told: argparse.Namespace, root: Path) -> tuple[ClusterCommands, ...]:
     if told.simulation == "real":
         plan = root / "plan.toml"
         plan.write_text(_REAL_PLAN.format(episodes=told.episodes))
-        casts = [real_cast(plan, told.episodes)]
+        casts = [real_commands(plan, told.episodes)]
     else:
         budgets = (STORM_CRASHES, Budget().crashes) if told.peers else (STORM_CRASHES,)
         choices = itertools.product(budgets, sorted({0, told.gateways}))
-        casts = [fake_cast(told.episodes, 2.0, number, crashes=crashes) for crashes, number in choices]
+        casts = [fake_commands(told.episodes, 2.0, number, crashes=crashes) for crashes, number in choices]
     return tuple(replace(cast, longest_s=told.longest or cast.longest_s) for cast in casts)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from tests.chaos.spell import Spell
+from tests.chaos.fault_span import FaultSpan
 
 __all__ = ["Disk"]
 
@@ -47,7 +47,7 @@ class Disk:
         self._is_mounted = self._mount(megabytes)
         self._speed = folder / "slow_ms"
         self._felt = folder / "slow_ms.felt"
-        self._spells: dict[str, Spell] = {}
+        self._spells: dict[str, FaultSpan] = {}
         self._shim = folder / "slow_fsync.so"
         self._make_shim()
 
@@ -61,7 +61,7 @@ class Disk:
         """What else it needs, then or later."""
         return {} if "slow disk" in self.missing else {"SLOW_DISK": str(self._speed)}
 
-    def fill(self) -> Spell | None:
+    def fill(self) -> FaultSpan | None:
         """Leaves not a byte free until it is cleared; `None` when it is full already."""
         if _FULL in self._spells:
             return None
@@ -70,7 +70,7 @@ class Disk:
                 file.write(_BLOCK)
         return self._begin(_FULL)
 
-    def slow(self, milliseconds: int) -> Spell | None:
+    def slow(self, milliseconds: int) -> FaultSpan | None:
         """Lets every fsync wait until it is cleared; `None` when it is slow already."""
         if _SLOW in self._spells:
             return None
@@ -87,8 +87,8 @@ class Disk:
             spell.felt += felt.count(letter)
         self._spells.clear()
 
-    def _begin(self, letter: str) -> Spell:
-        spell = self._spells[letter] = Spell()
+    def _begin(self, letter: str) -> FaultSpan:
+        spell = self._spells[letter] = FaultSpan()
         return spell
 
     def close(self) -> None:

@@ -8,26 +8,26 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping
 
-from tests.chaos.party import LEASE_S, STORM_CRASHES, Party
-from tests.chaos.spell import Spell
+from tests.chaos.cluster import LEASE_S, STORM_CRASHES, ChaosCluster
+from tests.chaos.fault_span import FaultSpan
 
 __all__ = ["FAULTS", "possible"]
 
-Fault = Callable[[Party, int, random.Random], Spell | None]
+Fault = Callable[[ChaosCluster, int, random.Random], FaultSpan | None]
 
 
-def _fill_disk(party: Party, _number: int, _rng: random.Random) -> Spell | None:
+def _fill_disk(party: ChaosCluster, _number: int, _rng: random.Random) -> FaultSpan | None:
     if party.disk is None:
         return None
     party.note_full_disk()
     return party.disk.fill()
 
 
-def _slow_disk(party: Party, _number: int, rng: random.Random) -> Spell | None:
+def _slow_disk(party: ChaosCluster, _number: int, rng: random.Random) -> FaultSpan | None:
     return party.disk.slow(rng.randint(20, 300)) if party.disk is not None else None
 
 
-def _of(party: Party, number: int) -> int:
+def _of(party: ChaosCluster, number: int) -> int:
     return number % len(party.gateways)
 
 
@@ -54,7 +54,7 @@ nobody is there to be hit."""
 _GATEWAYS = frozenset({"kill -9 gateway", "SIGSTOP gateway"})
 
 
-def possible(party: Party) -> list[str]:
+def possible(party: ChaosCluster) -> list[str]:
     """Returns the faults that can be had on this machine with this party."""
     missing = {"full disk", "slow disk"} if party.disk is None else set(party.disk.missing)
     if not party.gateways:

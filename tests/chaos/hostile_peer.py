@@ -40,9 +40,9 @@ from schemas.wire import (
 from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_plan
 from tests.builders.wire_worker import WireWorker
+from tests.chaos.cluster import ChaosCluster
+from tests.chaos.fault_span import FaultSpan
 from tests.chaos.light_simulation import misses
-from tests.chaos.party import Party
-from tests.chaos.spell import Spell
 
 __all__ = ["HOSTILE_HOST", "HOSTILE_KINDS", "HostilePeer"]
 
@@ -84,13 +84,13 @@ class HostilePeer:
         pause_s: shortest and longest pause between two acts, seconds.
     """
 
-    def __init__(self, party: Party, rng: random.Random, pause_s: tuple[float, float]) -> None:
+    def __init__(self, party: ChaosCluster, rng: random.Random, pause_s: tuple[float, float]) -> None:
         self._party, self._rng, self._pause_s = party, rng, pause_s
         self._run = room_plan(party.cast.episodes, crashes=party.cast.crashes).run
-        self.acts: list[tuple[str, Spell]] = []
+        self.acts: list[tuple[str, FaultSpan]] = []
         """Kind and effect of what it has done."""
         self.violations: list[str] = []
-        self._open: list[tuple[str, Key, Spell]] = []
+        self._open: list[tuple[str, Key, FaultSpan]] = []
         """Acts whose effect is in the ledger later."""
         self._held: dict[Lease, float] = {}
         """Lease -> until when it is kept alive."""
@@ -144,21 +144,21 @@ class HostilePeer:
     def _act(self, session: _Session) -> None:
         kind = self._rng.choice(HOSTILE_KINDS[:-1])
         if kind in _MESSAGES:
-            self.acts.append((kind, Spell(_MESSAGES[kind](self, session))))
+            self.acts.append((kind, FaultSpan(_MESSAGES[kind](self, session))))
             return
         reply = session.ask(Verb.CLAIM, Claim(sid=session.sid, token=secrets.token_hex(16)), ClaimReply)
         if not isinstance(reply, ClaimReply):
             return
         if reply.job is None or reply.lease is None:
             if reply.retry_after_s > _RETRY_S:
-                self.acts.append((_PAUSES, Spell(1)))
+                self.acts.append((_PAUSES, FaultSpan(1)))
         elif self._rng.random() < 0.5:
             _work_honestly(session, reply.job, reply.lease)  # which takes back half of its strikes
         else:
             self._spoil(session, kind, reply.job, reply.lease)
 
     def _spoil(self, session: _Session, kind: str, job: Job, lease: Lease) -> None:
-        key, spell = (lease.job_id, lease.fence), Spell()
+        key, spell = (lease.job_id, lease.fence), FaultSpan()
         self.acts.append((kind, spell))
         self._open.append((kind, key, spell))
         if kind == _SLOW:

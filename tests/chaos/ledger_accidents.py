@@ -23,7 +23,7 @@ from pathlib import Path
 from rich.console import Console
 
 from tests.chaos.accidents import ACCIDENTS, copy_ledger
-from tests.chaos.party import Cast, Party, fake_cast
+from tests.chaos.cluster import ChaosCluster, ClusterCommands, fake_commands
 from tests.chaos.round import Stopped, calm_digest
 from tests.chaos.tally import Tally
 from tests.chaos.verdict import digest_of, violations_of
@@ -37,7 +37,7 @@ log = Console(stderr=True, highlight=False)
 
 
 def play_accidents(
-    cast: Cast, root: Path, kinds: Sequence[str], seed: int, calm: str, stop: threading.Event | None = None
+    cast: ClusterCommands, root: Path, kinds: Sequence[str], seed: int, calm: str, stop: threading.Event | None = None
 ) -> Tally:
     """Plays one run and lets accidents befall its ledger, one after the other.
 
@@ -55,7 +55,7 @@ def play_accidents(
     root.mkdir()
     rng, tally, begun = random.Random(seed), Tally(rounds=Counter({"with accidents": 1})), time.monotonic()
     stop = stop or threading.Event()
-    with Party(root, cast, 2) as party:
+    with ChaosCluster(root, cast, 2) as party:
         notes: list[str] = []
         share = cast.episodes / len(kinds)
         for number, kind in enumerate(kinds):
@@ -95,7 +95,7 @@ def play_accidents(
     return tally
 
 
-def _wait(party: Party, archived: int, stop: threading.Event) -> None:
+def _wait(party: ChaosCluster, archived: int, stop: threading.Event) -> None:
     """Waits until so many episodes are archived."""
     deadline = time.monotonic() + party.cast.longest_s
     while len(party.archived()) < archived:
@@ -105,13 +105,13 @@ def _wait(party: Party, archived: int, stop: threading.Event) -> None:
         _tend(party, stop)
 
 
-def _tend(party: Party, stop: threading.Event) -> None:
+def _tend(party: ChaosCluster, stop: threading.Event) -> None:
     party.tend()
     if stop.wait(_TICK_S):
         raise Stopped
 
 
-def _made_again(party: Party, kept: set[int], since: float) -> list[str]:
+def _made_again(party: ChaosCluster, kept: set[int], since: float) -> list[str]:
     """Returns which episodes were given to a worker although they were on disk."""
     claims = party.query(
         "select jobs.idx from events join jobs on jobs.id = events.job_id "
@@ -122,7 +122,7 @@ def _made_again(party: Party, kept: set[int], since: float) -> list[str]:
 
 
 def run_campaign(
-    cast: Cast, root: Path, moments: int, per_run: int, seed: int, at_once: int, kept: Path | None
+    cast: ClusterCommands, root: Path, moments: int, per_run: int, seed: int, at_once: int, kept: Path | None
 ) -> Tally:
     """Plays runs until so many accidents have happened.
 
@@ -172,7 +172,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nobody is left behind
     with tempfile.TemporaryDirectory(prefix="minivla-ledger-") as folder:
         root = Path(folder)
-        cast = fake_cast(told.episodes, _LONGEST_S, checkpoint_s=1.0)
+        cast = fake_commands(told.episodes, _LONGEST_S, checkpoint_s=1.0)
         try:
             tally = run_campaign(cast, root, told.moments, told.per_run, told.seed, told.at_once, told.tally)
         finally:

@@ -7,9 +7,9 @@ import sqlite3
 from contextlib import closing
 from dataclasses import dataclass
 
+from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
+from tests.chaos.fault_span import FaultSpan
 from tests.chaos.hostile_peer import HOSTILE_HOST, HOSTILE_KINDS
-from tests.chaos.party import FAULTY_HOST, Party
-from tests.chaos.spell import Spell
 
 __all__ = ["PEER_KINDS", "Peers", "effects_of_peers", "give_history"]
 
@@ -30,7 +30,7 @@ class Peers:
     """Shares of its attempts that the faulty host damages, one of which is drawn for a round."""
 
 
-def give_history(party: Party, rng: random.Random) -> bool:
+def give_history(party: ChaosCluster, rng: random.Random) -> bool:
     """Gives one of the two so many strikes that the next one bars it; a round is too short for eight.
 
     Returns:
@@ -51,9 +51,11 @@ def give_history(party: Party, rng: random.Random) -> bool:
     return True
 
 
-def effects_of_peers(party: Party) -> list[tuple[str, Spell]]:
+def effects_of_peers(party: ChaosCluster) -> list[tuple[str, FaultSpan]]:
     """Returns what the ledger of an ended run says about the faulty host, and who was barred."""
     failed = party.query(f"select outcome, count(*) from attempts where sid like '{FAULTY_HOST}.%' group by outcome")
-    seen = [(_OUTCOMES[outcome], Spell(1)) for outcome, count in failed if outcome in _OUTCOMES for _ in range(count)]
+    seen = [
+        (_OUTCOMES[outcome], FaultSpan(1)) for outcome, count in failed if outcome in _OUTCOMES for _ in range(count)
+    ]
     barred = party.query("select host from hosts where barred_at is not null")
-    return seen + [(_BARRED[host], Spell(1)) for (host,) in barred if host in _BARRED]
+    return seen + [(_BARRED[host], FaultSpan(1)) for (host,) in barred if host in _BARRED]

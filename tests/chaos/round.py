@@ -11,12 +11,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.chaos.cluster import STORM_CRASHES, ChaosCluster, ClusterCommands
 from tests.chaos.disk import Disk
+from tests.chaos.fault_span import FaultSpan
 from tests.chaos.faults import FAULTS, possible
 from tests.chaos.hostile_peer import HostilePeer
-from tests.chaos.party import STORM_CRASHES, Cast, Party
 from tests.chaos.peers import Peers, effects_of_peers, give_history
-from tests.chaos.spell import Spell
 from tests.chaos.tally import Tally
 from tests.chaos.verdict import digest_of, gathering_of, violations_of
 
@@ -47,10 +47,10 @@ class Storm:
     """A hostile peer and a faulty host beside the workers; `None` for none."""
 
 
-def calm_digest(cast: Cast, root: Path) -> str:
+def calm_digest(cast: ClusterCommands, root: Path) -> str:
     """Returns the digest of the dataset that one undisturbed worker makes."""
     root.mkdir()
-    with Party(root, cast, 1) as party:
+    with ChaosCluster(root, cast, 1) as party:
         deadline = time.monotonic() + cast.longest_s
         while len(party.archived()) < cast.episodes:
             assert time.monotonic() < deadline, party.log.read_text()[-4000:]
@@ -63,7 +63,7 @@ def calm_digest(cast: Cast, root: Path) -> str:
 
 
 def play_round(
-    cast: Cast, root: Path, storm: Storm, seed: int, calm: str, stop: threading.Event | None = None
+    cast: ClusterCommands, root: Path, storm: Storm, seed: int, calm: str, stop: threading.Event | None = None
 ) -> Tally:
     """Plays one run and returns what befell it and what was wrong with it.
 
@@ -83,7 +83,7 @@ def play_round(
         disk = stack.enter_context(Disk(root, _DISK_MB))
         rng = random.Random(seed)
         damage = rng.choice(storm.peers.damages) if storm.peers is not None else 0.0
-        party = stack.enter_context(Party(root, cast, storm.workers, disk, damage))
+        party = stack.enter_context(ChaosCluster(root, cast, storm.workers, disk, damage))
         hostile = _hostile_peer(party, storm, random.Random(f"{seed} hostile"), stack)
         tally = Tally(missing=disk.missing, rounds=Counter({_topology(cast, storm): 1}))
         begun = time.monotonic()
@@ -119,10 +119,10 @@ def play_round(
 
 
 def _harass(
-    party: Party, disk: Disk, storm: Storm, rng: random.Random, stop: threading.Event
-) -> list[tuple[str, Spell]]:
+    party: ChaosCluster, disk: Disk, storm: Storm, rng: random.Random, stop: threading.Event
+) -> list[tuple[str, FaultSpan]]:
     """Lets mishaps fall until every episode is archived or time is up; then calms everything down."""
-    kinds, spells = possible(party), list[tuple[str, Spell]]()
+    kinds, spells = possible(party), list[tuple[str, FaultSpan]]()
     deadline = time.monotonic() + party.cast.longest_s
     has_history = storm.peers is None
     next_harm, relief = time.monotonic() + _CALM_START_S, float("inf")
@@ -147,13 +147,13 @@ def _harass(
     return spells
 
 
-def _hostile_peer(party: Party, storm: Storm, rng: random.Random, stack: ExitStack) -> HostilePeer | None:
+def _hostile_peer(party: ChaosCluster, storm: Storm, rng: random.Random, stack: ExitStack) -> HostilePeer | None:
     if storm.peers is None:
         return None
     return stack.enter_context(HostilePeer(party, rng, storm.peers.pause_s))
 
 
-def _topology(cast: Cast, storm: Storm) -> str:
+def _topology(cast: ClusterCommands, storm: Storm) -> str:
     where = f"with {cast.gateways} gateways" if cast.gateways else "without gateways"
     budget = f" and a budget of {cast.crashes} crashes" if cast.crashes < STORM_CRASHES else ""
     return where + (" with peers" if storm.peers is not None else "") + budget

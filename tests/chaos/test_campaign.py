@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from schemas.plan import Budget
-from tests.chaos.party import Party, fake_cast
+from tests.chaos.cluster import ChaosCluster, fake_commands
 from tests.chaos.peers import Peers
 from tests.chaos.round import Storm, calm_digest, play_round
 from tests.chaos.verdict import digest_of, gathering_of, violations_of
@@ -18,10 +18,10 @@ FAULTS = 16
 
 
 @pytest.fixture(scope="module")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Party]:
+def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ChaosCluster]:
     """The digest one undisturbed worker makes, and the party when everybody has left."""
     root = tmp_path_factory.mktemp("calm")
-    with Party(root, fake_cast(EPISODES, 0.0), 1) as party:
+    with ChaosCluster(root, fake_commands(EPISODES, 0.0), 1) as party:
         deadline = time.monotonic() + 240
         while len(party.archived()) < EPISODES:
             assert time.monotonic() < deadline, party.log.read_text()[-4000:]
@@ -34,7 +34,7 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Party]:
 @pytest.mark.slow
 def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_path):
     storm = Storm(workers=2, faults=FAULTS, pause_s=(0.05, 0.3))
-    tally = play_round(fake_cast(EPISODES, 3.0), tmp_path / "wild", storm, 7, calm[0])
+    tally = play_round(fake_commands(EPISODES, 3.0), tmp_path / "wild", storm, 7, calm[0])
     assert tally.violations == []
     assert tally.faults.total() >= FAULTS // 2
     assert tally.outcomes["success"] == tally.episodes == EPISODES
@@ -42,7 +42,7 @@ def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_pa
 
 @pytest.mark.slow
 def test_one_hostile_peer_and_one_faulty_host_change_no_episode_and_lose_none(tmp_path):
-    cast = fake_cast(EPISODES, 1.0, crashes=Budget().crashes)  # of a default plan
+    cast = fake_commands(EPISODES, 1.0, crashes=Budget().crashes)  # of a default plan
     calm = calm_digest(cast, tmp_path / "calm")
     storm = Storm(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
     tally = play_round(cast, tmp_path / "wild", storm, 1, calm)
@@ -53,7 +53,7 @@ def test_one_hostile_peer_and_one_faulty_host_change_no_episode_and_lose_none(tm
 
 
 def test_workers_change_over_when_a_gateway_is_killed_and_the_gathered_dataset_equals_a_calm_ones(calm, tmp_path):
-    with Party(tmp_path, fake_cast(EPISODES, 3.0, gateways=2), 2) as party:
+    with ChaosCluster(tmp_path, fake_commands(EPISODES, 3.0, gateways=2), 2) as party:
         deadline = time.monotonic() + 240
         is_killed = False
         while len(party.archived()) < EPISODES:

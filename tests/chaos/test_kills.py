@@ -5,11 +5,11 @@ from __future__ import annotations
 import signal
 import time
 
-from tests.chaos.party import Party, fake_cast
+from tests.chaos.cluster import ChaosCluster, fake_commands
 
 
 def test_worker_beside_a_frozen_coordinator_still_heeds_sigterm_within_five_seconds(tmp_path):
-    with Party(tmp_path, fake_cast(30, 600.0), 1) as party:
+    with ChaosCluster(tmp_path, fake_commands(30, 600.0), 1) as party:
         deadline = time.monotonic() + 60
         while party.leased() < 2:
             assert time.monotonic() < deadline, party.log.read_text()[-4000:]

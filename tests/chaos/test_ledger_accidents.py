@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.chaos.accidents import ACCIDENTS
+from tests.chaos.cluster import fake_commands
 from tests.chaos.ledger_accidents import play_accidents
-from tests.chaos.party import fake_cast
 from tests.chaos.round import calm_digest
 
 EPISODES = 8
@@ -14,7 +14,7 @@ EPISODES = 8
 
 @pytest.mark.slow
 def test_no_episode_is_made_twice_when_the_ledger_is_lost_restored_truncated_and_damaged(tmp_path):
-    cast = fake_cast(EPISODES, 0.5, checkpoint_s=1.0)
+    cast = fake_commands(EPISODES, 0.5, checkpoint_s=1.0)
     calm = calm_digest(cast, tmp_path / "calm")
     tally = play_accidents(cast, tmp_path / "run", list(ACCIDENTS), 3, calm)
     assert tally.violations == []

@@ -8,22 +8,22 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 
 from coordinator.gateway.gather import gather
-from coordinator.recovery.mend import Patient, repair
+from coordinator.recovery.mend import RepairInput, repair
 from coordinator.validation.validator import Validator
 from schemas.encoding.digest import dataset_digest
 from tests.builders.ledger import room_catalog, room_plan
+from tests.chaos.cluster import FAULTY_HOST, ChaosCluster
 from tests.chaos.hostile_peer import HOSTILE_HOST
-from tests.chaos.party import FAULTY_HOST, Party
 
 __all__ = ["digest_of", "gathering_of", "violations_of"]
 
 
-def digest_of(party: Party) -> str:
+def digest_of(party: ChaosCluster) -> str:
     """Returns the digest of the dataset."""
     return dataset_digest((str(index), digest) for index, digest in party.archived().items())
 
 
-def gathering_of(party: Party) -> Iterator[str]:
+def gathering_of(party: ChaosCluster) -> Iterator[str]:
     """Brings together what gateways keep, so that the dataset is whole; yields what cannot be had."""
     if not party.gateways:
         return
@@ -35,7 +35,7 @@ def gathering_of(party: Party) -> Iterator[str]:
             yield f"part files are left in {store.name}"
 
 
-def violations_of(party: Party) -> Iterator[str]:
+def violations_of(party: ChaosCluster) -> Iterator[str]:
     """Looks for what was lost, doubled or torn, once everybody has left."""
     wanted = set(range(1, party.cast.episodes + 1))
     files = {path.name: path for path in (party.out / "episodes").iterdir()}
@@ -60,7 +60,7 @@ def violations_of(party: Party) -> Iterator[str]:
     yield from _disagreements(party)
 
 
-def _ended_badly(party: Party) -> Iterator[str]:
+def _ended_badly(party: ChaosCluster) -> Iterator[str]:
     """Jobs without an episode, and honest hosts that get no more jobs."""
     for index, state, reason in party.query(
         "select idx, state, reason from jobs where not superseded and state != 'archived'"
@@ -71,7 +71,7 @@ def _ended_badly(party: Party) -> Iterator[str]:
             yield f"honest host {host} is barred: {reason}"
 
 
-def _disagreements(party: Party) -> Iterator[str]:
+def _disagreements(party: ChaosCluster) -> Iterator[str]:
     """What `factory repair` would find between files, ledger and tables; only for the run whose scene is synthetic."""
     if not party.cast.has_small_disk:
         return
@@ -80,6 +80,6 @@ def _disagreements(party: Party) -> Iterator[str]:
     yield from (f"{action.kind} {action.what}: {action.why}" for action in report.actions)
 
 
-def _patient(party: Party) -> Patient:
+def _patient(party: ChaosCluster) -> RepairInput:
     plan, catalog = room_plan(party.cast.episodes, crashes=party.cast.crashes), room_catalog(party.place)
-    return Patient(party.out, party.out, f"sqlite:///{party.out / 'ledger.db'}", plan, catalog, {})
+    return RepairInput(party.out, party.out, f"sqlite:///{party.out / 'ledger.db'}", plan, catalog, {})

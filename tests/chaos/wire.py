@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
-from tests.chaos.spell import Spell
+from tests.chaos.fault_span import FaultSpan
 
 __all__ = ["Wires"]
 
@@ -30,7 +30,7 @@ class _Wire:
         self._open: set[asyncio.StreamWriter] = set()
         self.is_cut = False
         self.is_mute = False
-        self.spell = Spell()
+        self.spell = FaultSpan()
 
     @property
     def is_open(self) -> bool:
@@ -107,10 +107,10 @@ class Wires:
         self.endpoints = [[f"tcp/127.0.0.1:{self._call(wire.listen())}" for wire in wires] for wires in self._wires]
         """For each worker its own ends of the wires."""
 
-    def cut(self, number: int, seconds: float) -> Spell | None:
+    def cut(self, number: int, seconds: float) -> FaultSpan | None:
         """Resets the connections of a worker and lets none through for a while; `None` while it has none."""
 
-        async def act() -> Spell | None:
+        async def act() -> FaultSpan | None:
             spell = self._begin(number, seconds)
             if spell is None:
                 return None
@@ -121,14 +121,14 @@ class Wires:
 
         return self._call(act())
 
-    def mute(self, number: int, seconds: float) -> Spell | None:
+    def mute(self, number: int, seconds: float) -> FaultSpan | None:
         """Loses whatever a worker is answered for a while, then resets its connections: bytes are missing in them.
 
         Returns:
             `None` while it has no connection, or is muted already.
         """
 
-        async def act() -> Spell | None:
+        async def act() -> FaultSpan | None:
             spell = self._begin(number, seconds)
             if spell is None:
                 return None
@@ -162,8 +162,8 @@ class Wires:
     ) -> None:
         self.close()
 
-    def _begin(self, number: int, seconds: float) -> Spell | None:
-        wires, spell = self._wires[number], Spell()
+    def _begin(self, number: int, seconds: float) -> FaultSpan | None:
+        wires, spell = self._wires[number], FaultSpan()
         if any(wire.is_cut or wire.is_mute for wire in wires) or not any(wire.is_open for wire in wires):
             return None
         for wire in wires:

@@ -39,7 +39,7 @@ def renderer() -> Iterator[Renderer]:
 def test_the_middle_of_the_mask_is_told(renderer: Renderer, name: str, yaw: float) -> None:
     scene = build_scene([TARGETS[name]])
     renderer.load(scene, CAMERA)
-    relief = renderer.render_relief(Pose.planar(0.1, -0.05, yaw))
+    relief = renderer.render_depth_and_ids(Pose.planar(0.1, -0.05, yaw))
     drawn = see(relief.ids, relief.depth, 1, min_pixels=1)
     pixels, column = Appearance(scene, 1, CAMERA).look(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)

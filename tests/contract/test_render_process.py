@@ -22,7 +22,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.terms import RendererKind
 from tests.builders.scene import Box, box_room, build_scene
 from workers.geometry.pose import Pose
-from workers.render import Frame, Renderer
+from workers.render import RenderedFrame, Renderer
 from workers.render.choose import open_renderer
 
 CAMERA = CameraConfig()
@@ -32,7 +32,7 @@ LIBRARIES = ("libEGL", "libLLVM", "_dri.so", "libgallium")
 REMEDIES = "'spawn' or 'forkserver'|open it in the process that uses it"
 
 
-def digest(frame: Frame) -> str:
+def digest(frame: RenderedFrame) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in (frame.rgb, frame.depth, frame.ids))).hexdigest()
 
 
@@ -85,7 +85,7 @@ def test_frames_are_those_of_the_renderer_in_this_process_bit_for_bit(kind: Rend
             for pose in POSES[:3]:
                 assert digest(apart.render(pose)) == digest(here.render(pose))
                 assert digest(apart.render(pose, 48)) == digest(here.render(pose, 48))
-                found, wanted = apart.render_relief(pose), here.render_relief(pose)
+                found, wanted = apart.render_depth_and_ids(pose), here.render_depth_and_ids(pose)
                 np.testing.assert_array_equal(found.depth, wanted.depth)
                 np.testing.assert_array_equal(found.ids, wanted.ids)
 
@@ -222,7 +222,7 @@ def test_a_renderer_from_before_a_fork_is_refused_there_and_goes_on_here(apart: 
         before = digest(renderer.render(POSES[1]))
         for act in (
             lambda: renderer.render(POSES[1]),
-            lambda: renderer.render_relief(POSES[1]),
+            lambda: renderer.render_depth_and_ids(POSES[1]),
             lambda: renderer.load(box_room(), CAMERA),
         ):
             said = in_a_fork(act)

@@ -15,11 +15,11 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import DEPTH_FRAME, IDS_FRAME, RGB_FRAME
 from schemas.errors import UsageError, WorldError
 from schemas.scene import TEXTURE_SIZE_PX, CompiledScene
-from schemas.support.stage_timer import Lap
+from schemas.support.stage_timer import StageTimer
 from schemas.terms import RendererKind
 from tests.builders.scene import Box, box_room, build_scene, room_walls
 from workers.geometry.pose import Pose
-from workers.render import Frame, Renderer
+from workers.render import RenderedFrame, Renderer
 from workers.render import choose as choose_module
 from workers.render.choose import open_renderer
 
@@ -47,7 +47,7 @@ def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
         yield opened
 
 
-def look(renderer: Renderer, *boxes: Box, pose: Pose = ORIGIN) -> Frame:
+def look(renderer: Renderer, *boxes: Box, pose: Pose = ORIGIN) -> RenderedFrame:
     renderer.load(build_scene(boxes), CAMERA)
     return renderer.render(pose)
 
@@ -239,10 +239,10 @@ def test_a_frame_of_any_size_has_the_same_field_of_view(renderer: Renderer, size
 
 def test_a_frame_of_another_size_leaves_the_next_one_as_it_is(renderer: Renderer) -> None:
     renderer.load(furnished_room(), CAMERA)
-    first, relief = digest(renderer.render(ORIGIN)), renderer.render_relief(ORIGIN)
+    first, relief = digest(renderer.render(ORIGIN)), renderer.render_depth_and_ids(ORIGIN)
     small = digest(renderer.render(ORIGIN, 64))
     assert digest(renderer.render(ORIGIN)) == first
-    np.testing.assert_array_equal(renderer.render_relief(ORIGIN).depth, relief.depth)
+    np.testing.assert_array_equal(renderer.render_depth_and_ids(ORIGIN).depth, relief.depth)
     assert digest(renderer.render(ORIGIN, 64)) == small
 
 
@@ -302,7 +302,7 @@ def test_all_renderers_show_the_same(heading: float) -> None:
 
 
 def test_auto_falls_back_with_one_line_that_names_the_packages() -> None:
-    def no_driver(size: int, lap: Lap) -> Renderer:
+    def no_driver(size: int, lap: StageTimer) -> Renderer:
         raise WorldError("no driver here")
 
     with structlog.testing.capture_logs() as lines, choose_module.open_first(no_driver, 640) as opened:
@@ -317,7 +317,7 @@ def test_an_unknown_renderer_is_refused_with_the_known_ones() -> None:
     assert get_args(RendererKind) == ("auto", "gl", "tiny")
 
 
-def digest(frame: Frame) -> str:
+def digest(frame: RenderedFrame) -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in (frame.rgb, frame.depth, frame.ids))).hexdigest()
 
 
@@ -331,8 +331,8 @@ def is_edge(ids: np.ndarray) -> np.ndarray:
 def test_a_relief_is_the_frame_without_its_colour(renderer: Renderer) -> None:
     renderer.load(furnished_room(), CAMERA)
     for pose in (ORIGIN, Pose.planar(-1.0, 0.4, 0.6), Pose.planar(0.5, -1.0, 2.5), Pose.planar(30.0, 0.0, 0.0)):
-        relief, frame = renderer.render_relief(pose), renderer.render(pose)
-        again = renderer.render_relief(pose)
+        relief, frame = renderer.render_depth_and_ids(pose), renderer.render(pose)
+        again = renderer.render_depth_and_ids(pose)
         for found in (relief, again):
             np.testing.assert_array_equal(found.depth, frame.depth)
             np.testing.assert_array_equal(found.ids, frame.ids)
@@ -340,4 +340,4 @@ def test_a_relief_is_the_frame_without_its_colour(renderer: Renderer) -> None:
 
 def test_a_relief_needs_a_scene_too(renderer: Renderer) -> None:
     with pytest.raises(UsageError, match="load"):
-        renderer.render_relief(ORIGIN)
+        renderer.render_depth_and_ids(ORIGIN)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
-from factory.scenes.author.placement import Plan
+from factory.scenes.author.placement import FloorPlan
 from factory.scenes.occupancy import BAND_M
 from factory.scenes.rules import load_rules
 from schemas.terms import BUILTIN_CATEGORIES
@@ -26,7 +26,7 @@ RULES = load_rules()
 Floats = NDArray[np.float64]
 
 
-def piece_boxes(plan: Plan) -> Floats:
+def piece_boxes(plan: FloorPlan) -> Floats:
     """(N, 2, 3) corners of all pieces in the world, metres."""
     boxes = [piece.mesh.points for structure in plan.structures for piece in structure.pieces]
     for placement in plan.placements:
@@ -37,7 +37,7 @@ def piece_boxes(plan: Plan) -> Floats:
     return np.array([[points.min(axis=0), points.max(axis=0)] for points in boxes])
 
 
-def floor_of(plan: Plan) -> Grid:
+def floor_of(plan: FloorPlan) -> Grid:
     """The grid of what reaches into the robot's height band."""
     boxes = piece_boxes(plan)
     solid = boxes[(boxes[:, 1, 2] > BAND_M[0]) & (boxes[:, 0, 2] < BAND_M[1])]
@@ -53,7 +53,7 @@ def floor_of(plan: Plan) -> Grid:
     return Grid(occupancy, (float(origin[0]), float(origin[1])), CELL_M)
 
 
-def reached_categories(plan: Plan, grid: Grid) -> dict[str, int]:
+def reached_categories(plan: FloorPlan, grid: Grid) -> dict[str, int]:
     """How many things of each category stand within reach of the connected floor."""
     floor = cKDTree(grid.centre_of(np.argwhere(grid.connected_floor())))
     reached: dict[str, int] = {}

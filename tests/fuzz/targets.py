@@ -10,16 +10,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from coordinator.archive.contract import EPISODES
 from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
 from coordinator.protocol.relay_desk import RELAY_MESSAGES
 from coordinator.tables.table_reader import read_column, read_failed_attempts
-from coordinator.validation.validator import Task
+from coordinator.validation.validator import ValidationTask
 from coordinator.validation.validator_child import judge
 from factory.dataset.reader import Dataset
 from factory.scenes.importer import extract_stage
 from factory.verify.dataset import verify
+from schemas.dataset_files import EPISODES
 from schemas.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
 from tests.builders.bundle import bundle_bytes, job_for
@@ -72,7 +72,7 @@ def _read_bundle(data: bytes, folder: Path) -> None:
     path = folder / "bundle.zip"
     path.write_bytes(data)
     with path.open("rb") as file:
-        judge(Task(job=job_for(), target=chair()), file)
+        judge(ValidationTask(job=job_for(), target=chair()), file)
 
 
 def _bundles(_folder: Path) -> list[bytes]:

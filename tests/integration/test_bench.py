@@ -15,8 +15,8 @@ from factory.bench.coordinator import bench_coordinator
 from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
-from factory.bench.sample import Sample
-from factory.bench.watch import Watch
+from factory.bench.sample import BenchSample
+from factory.bench.watch import ProcessWatch
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job
@@ -25,7 +25,7 @@ from tests.builders.bundle import job_for, parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.scene import box_room
 from workers.render.choose import open_renderer
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 LOOP = ["start", "render", "read-back", "control", "png rgb", "depth", "png ids", "bundle", "physics", "route"]
 LEAK_MIB = 20.0
@@ -55,8 +55,8 @@ def job_in(room: Path, **changes: object) -> Job:
 
 @pytest.mark.gl
 def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
-    watch, told = Watch(), []
-    with Stage("gl", watch) as stage:
+    watch, told = ProcessWatch(), []
+    with SceneRenderer("gl", watch) as stage:
         found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))
     assert [cost.stage for cost in found.stages] == LOOP
     assert len(told) == 3
@@ -77,14 +77,17 @@ def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -
 @pytest.mark.gl
 def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
     hasty = job_in(room, task=TaskConfig(max_steps=3))
-    watch = Watch()
-    with Stage("gl", watch) as stage, pytest.raises(WorldError, match=r"none of 1 jobs in box_room succeeded.*timeout"):
+    watch = ProcessWatch()
+    with (
+        SceneRenderer("gl", watch) as stage,
+        pytest.raises(WorldError, match=r"none of 1 jobs in box_room succeeded.*timeout"),
+    ):
         bench_rollout([hasty], read_entry(room), stage, watch, 1, 0, lambda: None)
 
 
 @pytest.mark.gl
 def test_rendering_is_timed_apart_from_reading_back() -> None:
-    watch = Watch()
+    watch = ProcessWatch()
     with open_renderer("gl", lap=watch) as renderer:
         found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
     assert [cost.stage for cost in found.stages] == ["render", "read-back"]
@@ -125,7 +128,7 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     found = bench_coordinator(
         room_plan(200),
         room_catalog(tmp_path),
-        [Sample(parts.meta.job, path)],
+        [BenchSample(parts.meta.job, path)],
         tmp_path / "bench",
         workers=4,
         sessions=8,

@@ -17,7 +17,7 @@ from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
 from factory.eval.models.result import Variant
 from factory.eval.process.run import Pace
-from factory.eval.remote.fleet import Door, run_fleet
+from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.eval.specs.campaign import Campaign
 from schemas.errors import TransientError, UsageError, WorldError
 from tests.builders.evaluation import open_store, standing_still
@@ -58,7 +58,7 @@ def test_the_workers_of_a_collection_drive_an_evaluation_and_go_back(
         open_store(tmp_path / "out", campaign) as store,
     ):
         wait_for_more(hub, 0)
-        door = Door(connect=hub.endpoints)
+        door = FleetAccess(connect=hub.endpoints)
         assert run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), told.append)
         assert [(row.end, row.num_steps) for row in store.results("stop")] == [("timeout", 10)] * 2
         note = store.note_of("stop")
@@ -66,13 +66,13 @@ def test_the_workers_of_a_collection_drive_an_evaluation_and_go_back(
         assert note.knows == "nothing"
         wait_for_more(hub, archived(hub))
         # all is done, so that nothing has to be joined any more
-        assert run_fleet(campaign, drives.meta.plan, store, Door(), threading.Event(), told.append)
+        assert run_fleet(campaign, drives.meta.plan, store, FleetAccess(), threading.Event(), told.append)
     assert [pace.done for pace in told] == [0, 1, 2, 2]
     assert not (tmp_path / "out" / "fleet").exists()
 
 
 def test_an_evaluation_that_finds_nobody_to_join_says_so(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:
-    door = Door(connect=(free_endpoint(),))
+    door = FleetAccess(connect=(free_endpoint(),))
     with open_store(tmp_path / "out", campaign) as store, pytest.raises(TransientError, match="no coordinator at"):
         run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
 
@@ -100,7 +100,7 @@ def test_a_checkpoint_travels_to_the_workers_by_its_digest(drives: Dataset, camp
         open_store(tmp_path / "out", learned) as store,
         pytest.raises(WorldError, match=f"given {hashlib.sha256(weights).hexdigest()}"),
     ):
-        run_fleet(learned, drives.meta.plan, store, Door((endpoint,)), threading.Event(), lambda _pace: None)
+        run_fleet(learned, drives.meta.plan, store, FleetAccess((endpoint,)), threading.Event(), lambda _pace: None)
     (tmp_path / "policy.pt").unlink()
     with open_store(tmp_path / "none", learned) as store, pytest.raises(UsageError, match="no checkpoint"):
-        run_fleet(learned, drives.meta.plan, store, Door((endpoint,)), threading.Event(), lambda _pace: None)
+        run_fleet(learned, drives.meta.plan, store, FleetAccess((endpoint,)), threading.Event(), lambda _pace: None)

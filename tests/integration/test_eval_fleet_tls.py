@@ -20,7 +20,7 @@ from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
-from factory.eval.remote.fleet import Door, run_fleet
+from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.keys import revoke
 from schemas.errors import TransientError
 from schemas.keys import Chunk, Verb, bundle_key, bundle_selector, verb_key, verb_pattern
@@ -64,7 +64,7 @@ def working(endpoint: str, pki: Path, folder: Path) -> Iterator[None]:
 def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> list[tuple[str, int]]:
     """What comes of two episodes in which nobody moves."""
     campaign = standing_still(drives)
-    door = Door(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
+    door = FleetAccess(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
     with open_store(folder / "results", campaign) as store:
         assert run_fleet(campaign, drives.meta.plan, store, door, threading.Event(), lambda _pace: None)
         return [(row.end, row.num_steps) for row in store.results("stop")]

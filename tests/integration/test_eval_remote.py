@@ -16,7 +16,7 @@ import pytest
 from websockets.sync.server import ServerConnection, serve
 
 from factory.eval.driving.action import read_actions
-from factory.eval.driving.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
+from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
 from factory.eval.policies import Outside, make_policy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.wire import WireError, pack, unpack
@@ -24,7 +24,7 @@ from schemas.errors import UsageError
 
 EXAMPLES = Path(__file__).parent.parent.parent / "docs" / "evaluation"
 INFO = EpisodeInfo("ep_000001", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
-VIEW = Observation(
+VIEW = PolicyInput(
     rgb=np.arange(4 * 4 * 3, dtype=np.uint8).reshape(4, 4, 3),
     depth=np.full((4, 4), 1.5, np.float32),
     instruction="Go to the chair.",
@@ -239,7 +239,7 @@ def test_the_example_class_answers_with_actions_within_range(monkeypatch: pytest
     assert [chunk.beyond for chunk in found] == [0, 0]
 
 
-def look(depth_m: float) -> Observation:
+def look(depth_m: float) -> PolicyInput:
     """A view of a wall straight ahead."""
     rgb, depth = np.zeros((640, 640, 3), np.uint8), np.full((640, 640), depth_m, np.float32)
-    return Observation(rgb=rgb, depth=depth, instruction="Go to the chair.", step=0)
+    return PolicyInput(rgb=rgb, depth=depth, instruction="Go to the chair.", step=0)

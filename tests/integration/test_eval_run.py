@@ -19,14 +19,14 @@ from factory.eval.models.spec import SpecSet
 from factory.eval.policies import renders_apart
 from factory.eval.process.run import run_campaign
 from factory.eval.results.publish import publish
-from factory.eval.results.store import Manifest, Store
+from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.ablation import donors
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import Places, specs_of_dataset
 from schemas.errors import UsageError, WorldError
 from schemas.terms import Split
 from workers.geometry.slew import Twist
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 MINE = "tests.builders.policies"
 
@@ -53,7 +53,9 @@ def campaign_of(
 
 
 def open_store(root: Path, campaign: Campaign) -> Store:
-    manifest = Manifest(run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=2.0)
+    manifest = EvalManifest(
+        run=campaign.specs.run, specs_digest=campaign.specs.digest, with_pose=False, act_timeout_s=2.0
+    )
     return Store(root, campaign.specs, manifest)
 
 
@@ -86,7 +88,7 @@ def test_playback_carries_out_another_episodes_actions_and_stop_none(
     campaign = campaign_of(drives, short(specs, 20), "playback", "stop")
     found = drive(tmp_path, campaign)
     others, places = donors(campaign.specs), Places(drives.root)
-    with Stage() as stage, Simulator(stage, campaign.specs.settings) as simulator:
+    with SceneRenderer() as stage, Simulator(stage, campaign.specs.settings) as simulator:
         for spec, row in zip(campaign.specs.specs, found["playback"], strict=True):
             simulator.reset(spec, places.load(spec.scene, spec.scene_sha256))
             for v, w in drives[others[spec.spec_id]].actions[:20]:

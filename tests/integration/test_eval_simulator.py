@@ -15,7 +15,7 @@ from schemas.errors import UsageError, WorldError
 from schemas.terms import EndReason, Split
 from workers.experts import make_expert
 from workers.geometry.slew import Twist
-from workers.sim.scene_renderer import LoadedScene, Stage
+from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +24,8 @@ def specs(drives: Dataset) -> SpecSet:
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[Stage]:
-    with Stage("auto") as opened:
+def stage() -> Iterator[SceneRenderer]:
+    with SceneRenderer("auto") as opened:
         yield opened
 
 
@@ -35,7 +35,7 @@ def place(drives: Dataset, specs: SpecSet) -> LoadedScene:
 
 
 def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
-    drives: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
 ) -> None:
     for spec in specs.specs:
         episode = drives[spec.spec_id]
@@ -51,7 +51,7 @@ def test_recorded_actions_reproduce_the_recorded_poses_to_the_last_bit(
 
 
 def test_an_expert_in_the_loop_drives_what_it_drove_for_the_archive(
-    drives: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
 ) -> None:
     spec = specs.specs[1]
     with Simulator(stage, specs.settings) as simulator:
@@ -74,7 +74,7 @@ def test_specs_hold_the_start_as_it_was_drawn_and_what_is_in_view(drives: Datase
 
 
 def test_an_episode_of_another_version_starts_at_its_first_frame(
-    drives: Dataset, specs: SpecSet, stage: Stage, place: LoadedScene
+    drives: Dataset, specs: SpecSet, stage: SceneRenderer, place: LoadedScene
 ) -> None:
     x, y, yaw = drives["ep_000001"].meta.rollout.spawn_pose
     spec = specs.specs[0].model_copy(update={"spawn_pose": (x, y, yaw), "spawn_source": "frame"})
@@ -83,7 +83,9 @@ def test_an_episode_of_another_version_starts_at_its_first_frame(
         assert (pose.x, pose.y) == pytest.approx((x, y), abs=2e-3)
 
 
-def test_speeds_out_of_range_are_cut_and_reached_slowly(specs: SpecSet, stage: Stage, place: LoadedScene) -> None:
+def test_speeds_out_of_range_are_cut_and_reached_slowly(
+    specs: SpecSet, stage: SceneRenderer, place: LoadedScene
+) -> None:
     with Simulator(stage, specs.settings) as simulator:
         simulator.reset(specs.specs[0], place)
         simulator.step(Twist(-3.0, 9.0))
@@ -94,7 +96,7 @@ def test_speeds_out_of_range_are_cut_and_reached_slowly(specs: SpecSet, stage: S
         assert simulator.command.w_rps == 1.5
 
 
-def test_standing_still_ends_at_the_limit_of_steps(specs: SpecSet, stage: Stage, place: LoadedScene) -> None:
+def test_standing_still_ends_at_the_limit_of_steps(specs: SpecSet, stage: SceneRenderer, place: LoadedScene) -> None:
     settings = specs.settings.model_copy(update={"task": specs.settings.task.model_copy(update={"max_steps": 7})})
     with Simulator(stage, settings) as simulator:
         view = simulator.reset(specs.specs[0], place)
@@ -106,7 +108,7 @@ def test_standing_still_ends_at_the_limit_of_steps(specs: SpecSet, stage: Stage,
             simulator.step(Twist(0.0, 0.0))
 
 
-def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: Stage, place: LoadedScene) -> None:
+def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: SceneRenderer, place: LoadedScene) -> None:
     spec = specs.specs[0].model_copy(update={"spawn_pose": (-3.95, 0.0, 0.0)})
     with (
         Simulator(stage, specs.settings) as simulator,
@@ -124,7 +126,7 @@ def test_pictures_are_drawn_when_somebody_looks_and_never_of_an_episode_that_is_
     specs: SpecSet, place: LoadedScene
 ) -> None:
     laps: list[str] = []
-    with Stage("auto", laps.append) as stage, Simulator(stage, specs.settings) as simulator:
+    with SceneRenderer("auto", laps.append) as stage, Simulator(stage, specs.settings) as simulator:
         view = first = simulator.reset(specs.specs[0], place)
         for _ in range(5):
             view = simulator.step(Twist(0.5, 0.0))

@@ -6,20 +6,20 @@ import subprocess
 import sys
 from pathlib import Path
 
-from factory.eval.models.messages import Errand, Setup
-from factory.eval.models.request import Question
+from factory.eval.models.messages import EvalTask, Setup
+from factory.eval.models.request import EvalRequest
 from factory.eval.models.spec import EvalSettings
 from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.eval_results import spec_of
-from workers.process.messages import Order, Report, ReportKind, read_report, to_line
+from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, read_report, to_line
 
 
-def said_to(policy: str, tmp_path: Path) -> list[Report]:
+def said_to(policy: str, tmp_path: Path) -> list[SimulationReport]:
     """Returns the reports on one errand."""
-    question = Question(spec=spec_of(), spec_digest="d" * 64, instruction="")
-    errand = Errand(setup=Setup(settings=EvalSettings()), policy=policy, question=question)
-    order = Order(
+    question = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
+    errand = EvalTask(setup=Setup(settings=EvalSettings()), policy=policy, question=question)
+    order = SimulationOrder(
         job=job_for(1),
         scene_path=tmp_path / "no.scene",
         bundle_path=tmp_path / "1.1.zip",
@@ -27,7 +27,7 @@ def said_to(policy: str, tmp_path: Path) -> list[Report]:
         errand=errand.model_dump_json(),
     )
     command = [sys.executable, "-m", "factory.eval.remote.eval_worker"]
-    found: list[Report] = []
+    found: list[SimulationReport] = []
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None
@@ -37,7 +37,7 @@ def said_to(policy: str, tmp_path: Path) -> list[Report]:
             report = read_report(line)
             assert report is not None, line
             found.append(report)
-            if report.kind is ReportKind.FAILURE:
+            if report.kind is SimulationReportKind.FAILURE:
                 process.stdin.close()  # it ends with its worker
     assert process.returncode == 0
     return found
@@ -45,7 +45,7 @@ def said_to(policy: str, tmp_path: Path) -> list[Report]:
 
 def test_classes_are_imported_only_where_the_worker_allows_it(tmp_path: Path) -> None:
     ready, refused = said_to("tests.builders.policies:Tokens", tmp_path)
-    assert ready.kind is ReportKind.READY
+    assert ready.kind is SimulationReportKind.READY
     assert refused.reason is FailReason.CRASH
     assert "--import-policies" in refused.detail
 

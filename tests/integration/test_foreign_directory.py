@@ -14,7 +14,7 @@ from coordinator.validation.validator import Validator
 from tests.builders.bundle import bundle_bytes, job_for
 from tests.builders.dataset import chair, make_dataset
 from workers.client.settings import WorkerSettings
-from workers.process.messages import ReportKind
+from workers.process.messages import SimulationReportKind
 from workers.process.simulation import Simulation
 
 MODULES = (
@@ -62,7 +62,7 @@ def test_a_simulation_started_there_imports_only_ours(traps: Path) -> None:
     simulation.start()
     report = simulation.hear(60.0)
     simulation.kill()
-    assert getattr(report, "kind", report) is ReportKind.READY
+    assert getattr(report, "kind", report) is SimulationReportKind.READY
 
 
 @pytest.mark.parametrize("path", ["", ":", ".:"])

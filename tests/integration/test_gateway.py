@@ -15,7 +15,7 @@ from coordinator.gateway.service import Gateway
 from coordinator.ledger.keepers import all_keepers
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.tables import events
-from coordinator.recovery.mend import Patient
+from coordinator.recovery.mend import RepairInput
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
@@ -80,7 +80,7 @@ class Site:
     def gather(self, *names: str, requeue_missing: bool = False) -> GatherReport:
         """What `factory gather` does, with the core closed."""
         out = self.folder / "out"
-        patient = Patient(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
+        patient = RepairInput(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
         sources = [self.folder / name for name in names]
         return gather(patient, sources, datetime.now(UTC), requeue_missing=requeue_missing)
 

@@ -16,7 +16,7 @@ from coordinator.ledger.keepers import count_by_gateway
 from coordinator.ledger.opening import ledger_url_of, planned_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import jobs
-from coordinator.protocol.protocol import Request, Terms
+from coordinator.protocol.protocol import ParsedRequest, Terms
 from coordinator.protocol.relay import (
     MAX_FILES,
     MAX_LOST,
@@ -127,7 +127,7 @@ class Core:
 
     def ask(self, message: Any, gateway: str = "gw") -> Any:
         with self.desk.open() as connection:
-            return serve_gateway(connection, Request(gateway, message), self.terms, self.desk.now).reply
+            return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.desk.now).reply
 
     def summaries(self) -> dict[int, EpisodeSummary]:
         """Returns the row that each episode of the plan would have."""

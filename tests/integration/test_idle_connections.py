@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from coordinator.protocol.node import Node
+from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.zenoh_config import client_config, router_config
 from schemas.identity import Role, TlsFiles
 from tests.builders.keys import files_of, make_authority
@@ -22,18 +22,18 @@ SOON_S = 8.0
 
 
 @contextmanager
-def listening(scheme: str, tls: TlsFiles | None = None, admitted: dict[str, Role] | None = None) -> Iterator[Node]:
+def listening(scheme: str, tls: TlsFiles | None = None, admitted: dict[str, Role] | None = None) -> Iterator[ZenohNode]:
     endpoint = (f"{scheme}/127.0.0.1:0",)
-    with Node(endpoint, lambda ends, who: router_config(ends, LEASE_S, tls, who), lambda: admitted or {}) as node:
+    with ZenohNode(endpoint, lambda ends, who: router_config(ends, LEASE_S, tls, who), lambda: admitted or {}) as node:
         yield node
 
 
-def connect(node: Node, tls: TlsFiles | None = None) -> None:
+def connect(node: ZenohNode, tls: TlsFiles | None = None) -> None:
     """Opens and closes a session; raises when there is none within two seconds."""
     zenoh.open(client_config(node.endpoints, LEASE_S, tls)).close()
 
 
-def idle(node: Node, stack: ExitStack) -> socket.socket:
+def idle(node: ZenohNode, stack: ExitStack) -> socket.socket:
     port = int(node.endpoints[0].rpartition(":")[2])
     return stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=SOON_S))
 

@@ -23,7 +23,7 @@ from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
 from factory.dataset.site import site_of
 from factory.runs.ledger import plan_of, progress_of
-from factory.verify.repair_input import examine
+from factory.verify.repair_input import inspect_dataset
 from schemas.errors import UsageError, WorldError
 from tests.builders.archived import ArchivedRun
 from tests.builders.dataset import NOW, make_dataset
@@ -211,11 +211,11 @@ def test_of_two_plans_that_ledger_and_description_name_the_episodes_tell_the_rig
     engine = open_writer(sqlite_url(tmp_path / "out" / "ledger.db"))
     open_run(engine, small_plan(9), {"office": read_entry(package)}, 15.0, NOW, planned=())
     engine.dispose()
-    patient = examine(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
+    patient = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
     assert patient.plan == plan
     assert "the episodes of run" in patient.stranger
     with pytest.raises(UsageError, match="the directory holds run"):
-        examine(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
+        inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 
 
 def test_the_plan_of_a_directory_without_ledger_is_the_one_it_was_begun_with(run):

@@ -15,7 +15,7 @@ from coordinator.archive.objects import ObjectArchive
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.recovery.mend import Patient, repair
+from coordinator.recovery.mend import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.card_configs import names_split_tables
@@ -318,7 +318,7 @@ def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_sets_damage_aside(sto
     store.objects.put("episodes/ep_000002.zip", b"torn")
     store.objects.put("episodes/sub/notes.txt", b"mine")
     home = tmp_path / "home"
-    patient = Patient(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
+    patient = RepairInput(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
     with Validator() as validator:
         report = repair(patient, validator, run.desk.now, apply=True)
         again = repair(patient, validator, run.desk.now, apply=False)
@@ -343,7 +343,7 @@ def test_store_that_is_away_is_no_damage(store: ObjectPath, relay: StoreRelay, t
     relay.is_denying = True
     assert "403" in said_by(lambda: verify(store))
     assert "403" in said_by(lambda: found[0].rgb(0))
-    patient = Patient(store, run.root, run.url, run.plan, run.catalog, {})
+    patient = RepairInput(store, run.root, run.url, run.plan, run.catalog, {})
     with Validator() as validator:
         assert "403" in said_by(lambda: repair(patient, validator, run.desk.now, apply=False))
 

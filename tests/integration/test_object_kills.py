@@ -17,7 +17,7 @@ from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
-from coordinator.protocol.beacon import sight
+from coordinator.protocol.address_file import read_address
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.split_faults import find_faults
@@ -115,7 +115,7 @@ def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subpro
     command = [sys.executable, "-m", "tests.builders.room_coordinator", *map(str, words)]
     process = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=os.environ, stderr=subprocess.DEVNULL)
     try:
-        until(lambda: sight(root / "out") is not None, 60)
+        until(lambda: read_address(root / "out") is not None, 60)
         yield process
     finally:
         process.kill()

@@ -20,14 +20,14 @@ from workers.geometry.grid import Grid
 from workers.geometry.pose import Pose
 from workers.physics.world import ColliderMesh, World
 from workers.planning import geodesic_m
-from workers.render import Frame, Relief
+from workers.render import DepthAndIds, RenderedFrame
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import prepare_scene
 from workers.sim.spawn import draw_poses
 
 WALL = Box((0.8, -1.0, 0.0), (1.0, 3.0, 2.5))
 FENCE = Box((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))
-DARK = Frame(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), np.zeros((8, 8), np.uint16))
+DARK = RenderedFrame(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), np.zeros((8, 8), np.uint16))
 
 
 class Darkness:
@@ -37,11 +37,11 @@ class Darkness:
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None: ...
 
-    def render(self, pose: Pose) -> Frame:
+    def render(self, pose: Pose) -> RenderedFrame:
         return DARK
 
-    def render_relief(self, pose: Pose) -> Relief:
-        return Relief(DARK.depth, DARK.ids)
+    def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
+        return DepthAndIds(DARK.depth, DARK.ids)
 
     def close(self) -> None: ...
 

@@ -13,7 +13,7 @@ from sqlalchemy.exc import DatabaseError
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
-from coordinator.recovery.mend import Patient, repair
+from coordinator.recovery.mend import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
@@ -35,7 +35,7 @@ def url(postgres_server: Postgres) -> str:
 
 
 @pytest.fixture
-def finished(tmp_path: Path, url: str) -> Patient:
+def finished(tmp_path: Path, url: str) -> RepairInput:
     """A run of two episodes that ended well."""
     plan, catalog = room_plan(2), room_catalog(tmp_path)
     with (
@@ -47,7 +47,7 @@ def finished(tmp_path: Path, url: str) -> Patient:
             job, lease = worker.job()
             assert worker.deliver(lease, bundle_for(job))
         until(hub.is_finished)
-    return Patient(tmp_path / "out", tmp_path / "out", url, plan, catalog, {})
+    return RepairInput(tmp_path / "out", tmp_path / "out", url, plan, catalog, {})
 
 
 def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finished):
@@ -89,7 +89,7 @@ def test_status_shows_no_worker_alive_once_the_coordinator_has_ended(finished):
 def test_an_emptied_database_is_rebuilt_from_plan_and_archive(finished, postgres_server):
     empty = postgres_server.new_database()
     assert "lacks the tables" in ledger_trouble(empty)
-    moved = Patient(finished.root, finished.root, empty, finished.plan, finished.catalog, {})
+    moved = RepairInput(finished.root, finished.root, empty, finished.plan, finished.catalog, {})
     with Validator() as validator:
         report = repair(moved, validator, datetime.now(UTC), apply=True)
         assert [str(action.kind) for action in report.actions] == ["rebuild", "adopt", "adopt"]

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from coordinator.admin import administer
+from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import ask_progress
-from coordinator.protocol.beacon import sight
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.errors import UsageError, WorldError
@@ -256,7 +256,7 @@ def test_an_operator_is_served_by_the_running_coordinator_and_without_one_under_
         assert opened.progress().jobs["cancelled"] == 1
     assert cancelled.changed == (1,)
     assert list(cancelled.refused) == [7]
-    assert sight(out) is None
+    assert read_address(out) is None
     assert administer(out, AdminRequest(action=AdminAction.RETRY, indices=(1,)), now).changed == (1,)
     with pytest.raises(UsageError, match="nobody to drain"):
         administer(out, AdminRequest(action=AdminAction.DRAIN), now)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from factory.eval.driving.action import read_actions
-from factory.eval.driving.policy import EpisodeInfo, Observation
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from factory.eval.policies import Outside, make_policy
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import archive_drives
@@ -54,7 +54,7 @@ def test_tokens_are_learned_and_driven_with(tmp_path: Path, recipes: None, monke
     policy = make_policy("finetune_tokens:VlaPolicy", Outside())
     policy.reset("Go to the chair.", INFO)
     rgb = np.zeros((640, 640, 3), np.uint8)
-    answer = policy.act(Observation(rgb=rgb, depth=np.ones((640, 640), np.float32), instruction="", step=0))
+    answer = policy.act(PolicyInput(rgb=rgb, depth=np.ones((640, 640), np.float32), instruction="", step=0))
     chunk = read_actions(answer, "tokens", 1.0, 1.5)
     assert len(chunk.twists) == 6
     assert chunk.beyond == 0

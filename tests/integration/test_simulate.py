@@ -20,7 +20,7 @@ from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.scene import box_room
 from workers.client.settings import WorkerSettings
-from workers.process.messages import Order, Report, ReportKind, to_line
+from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, to_line
 from workers.process.simulation import Death, Simulation
 
 COMMAND = WorkerSettings(connect=(), renderer="tiny").simulation_command
@@ -69,11 +69,11 @@ def job_in(room: Path, **changes: object) -> Job:
     return job_for(**values | changes)
 
 
-def order_in(room: Path, folder: Path, **changes: object) -> Order:
-    return Order(job=job_in(room, **changes), scene_path=room, bundle_path=folder / "1.1.zip", sid="host-1")
+def order_in(room: Path, folder: Path, **changes: object) -> SimulationOrder:
+    return SimulationOrder(job=job_in(room, **changes), scene_path=room, bundle_path=folder / "1.1.zip", sid="host-1")
 
 
-def hear(simulation: Simulation, *kinds: ReportKind) -> Report:
+def hear(simulation: Simulation, *kinds: SimulationReportKind) -> SimulationReport:
     """Waits for a report of one of the kinds, passing over others."""
     while True:
         heard = simulation.hear(0.2)
@@ -82,7 +82,7 @@ def hear(simulation: Simulation, *kinds: ReportKind) -> Report:
             return heard
 
 
-OUTCOMES = (ReportKind.SUCCESS, ReportKind.FAILURE)
+OUTCOMES = (SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE)
 
 
 @pytest.mark.gl
@@ -94,7 +94,7 @@ def test_bundle_is_what_the_report_says(room, tmp_path):
         report = hear(simulation, *OUTCOMES)
     finally:
         simulation.kill()
-    assert report.kind is ReportKind.SUCCESS, report
+    assert report.kind is SimulationReportKind.SUCCESS, report
     data = (tmp_path / "1.1.zip").read_bytes()
     assert (hashlib.sha256(data).hexdigest(), len(data)) == (report.sha256, report.size)
     with (tmp_path / "1.1.zip").open("rb") as file, BundleReader(file) as bundle:
@@ -104,19 +104,19 @@ def test_bundle_is_what_the_report_says(room, tmp_path):
 
 
 def test_process_outlives_a_scene_it_cannot_use(room, tmp_path, simulation):
-    hear(simulation, ReportKind.READY)
+    hear(simulation, SimulationReportKind.READY)
     pid = simulation.pid
     (tmp_path / "bad.scene").write_bytes(b"no scene")
     for path in (tmp_path / "bad.scene", tmp_path / "missing.scene"):
         simulation.order(order_in(room, tmp_path).model_copy(update={"scene_path": path}))
         report = hear(simulation, *OUTCOMES)
-        assert (report.kind, report.reason) == (ReportKind.FAILURE, FailReason.CRASH)
+        assert (report.kind, report.reason) == (SimulationReportKind.FAILURE, FailReason.CRASH)
     assert simulation.pid == pid
     assert not list(tmp_path.glob("*.part"))
 
 
 def test_unforeseen_error_is_reported_and_ends_the_process(room, tmp_path, simulation):
-    hear(simulation, ReportKind.READY)
+    hear(simulation, SimulationReportKind.READY)
     simulation.order(order_in(room, tmp_path, template_id="train_01", target_id="nothing_999"))
     report = hear(simulation, *OUTCOMES)
     assert report.reason is FailReason.CRASH

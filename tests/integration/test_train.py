@@ -15,7 +15,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
-from factory.eval.driving.policy import EpisodeInfo, Observation
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from factory.eval.policies import Outside, find_policy, make_policy
 from factory.train.options import BcOptions
 from factory.train.run import TrainOrder, Watcher, train_bc
@@ -69,9 +69,9 @@ def weights(out: Path) -> dict[str, np.ndarray[Any, Any]]:
     return {name: tensor.numpy() for name, tensor in read_checkpoint(out).tensors["model"].items()}
 
 
-def observation(step: int = 0) -> Observation:
+def observation(step: int = 0) -> PolicyInput:
     rgb = np.random.default_rng(step).integers(0, 256, (640, 640, 3), dtype=np.uint8)
-    return Observation(rgb=rgb, depth=np.full((640, 640), 2.0, np.float32), instruction="", step=step)
+    return PolicyInput(rgb=rgb, depth=np.full((640, 640), 2.0, np.float32), instruction="", step=step)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")

@@ -20,7 +20,7 @@ from factory.dataset.reader import Dataset
 from factory.eval.models.messages import Setup
 from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.process.run import run_campaign
-from factory.eval.results.store import Manifest, Store
+from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
 from schemas.terms import Split
@@ -57,7 +57,7 @@ def test_a_policy_that_loads_triton_is_evaluated(drives: Dataset, tmp_path: Path
     setup = Setup(settings=specs.settings, renderer="gl", act_timeout_s=120.0)
     name = "tests.builders.policies:Compiles"
     campaign = Campaign(specs, drives.root, (name,), (Variant.ORIGINAL,), setup)
-    manifest = Manifest(run=specs.run, specs_digest=specs.digest, with_pose=False, act_timeout_s=120.0)
+    manifest = EvalManifest(run=specs.run, specs_digest=specs.digest, with_pose=False, act_timeout_s=120.0)
     with Store(tmp_path, specs, manifest) as store:
         assert run_campaign(campaign, store, threading.Event(), lambda _pace: None)
         assert [row.end for row in store.results(name)] == [EvalEnd.TIMEOUT], store.results(name)

@@ -20,7 +20,7 @@ from schemas.terms import FailReason
 from schemas.wire import Ack, Claim, ClaimReply, Done, Fail, Lease
 from workers.client.backoff import Backoff
 from workers.client.host import Host
-from workers.process.messages import Order, Report, ReportKind, failure
+from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure
 from workers.process.simulation import Death, Simulation
 
 __all__ = ["Slot"]
@@ -81,7 +81,7 @@ class Slot:
         while not (self._simulation.is_running or self._host.phase.closing.is_set()):
             self._simulation.start()
             heard = self._hear_ready()
-            if isinstance(heard, Report):
+            if isinstance(heard, SimulationReport):
                 self._tell_renderer(heard.renderer)
                 return
             pause_s = starts.fail()
@@ -93,7 +93,7 @@ class Slot:
                 )
             self._host.pause(pause_s)
 
-    def _hear_ready(self) -> Report | Death:
+    def _hear_ready(self) -> SimulationReport | Death:
         while True:
             heard = self._simulation.hear(_POLL_S)
             if self._host.phase.closing.is_set():
@@ -136,18 +136,18 @@ class Slot:
             except _Stopped:
                 self._give_up(lease)
                 report = failure(FailReason.RELEASED, "the worker was told to stop")
-            if report.kind is ReportKind.SUCCESS:
+            if report.kind is SimulationReportKind.SUCCESS:
                 report = self._hand_over(job, lease, report)
-            if report.kind is ReportKind.FAILURE:
+            if report.kind is SimulationReportKind.FAILURE:
                 self._host.spool.clear(lease)
-                self._confess(job, lease, report, time.monotonic() - begun)
+                self._report_failure(job, lease, report, time.monotonic() - begun)
         self._rest_after(report)
 
     def _give_up(self, lease: Lease) -> None:
         self._simulation.kill()
         self._host.spool.clear(lease)
 
-    def _attempt(self, job: Job, lease: Lease, given: ClaimReply) -> Report:
+    def _attempt(self, job: Job, lease: Lease, given: ClaimReply) -> SimulationReport:
         host = self._host
         try:
             scene = self._fetch(job.scene_sha256, job.scene_bytes, lease)
@@ -158,7 +158,7 @@ class Slot:
                 raise
             return failure(FailReason.RELEASED, f"no scene: {error}")
         bundle = host.spool.path_for(lease)
-        order = Order(
+        order = SimulationOrder(
             job=job,
             scene_path=scene,
             bundle_path=bundle,
@@ -172,7 +172,7 @@ class Slot:
             heard = self._simulation.hear(_POLL_S)
             if isinstance(heard, Death):
                 return failure(heard.reason, heard.detail, step)
-            if heard is not None and heard.kind in {ReportKind.SUCCESS, ReportKind.FAILURE}:
+            if heard is not None and heard.kind in {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}:
                 return heard
             self._check(lease)
             if heard is not None:
@@ -204,7 +204,7 @@ class Slot:
         if self._host.leases.is_lost(lease):
             raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) is somebody else's")
 
-    def _hand_over(self, job: Job, lease: Lease, report: Report) -> Report:
+    def _hand_over(self, job: Job, lease: Lease, report: SimulationReport) -> SimulationReport:
         """Spools and announces a bundle; returns the report, or the failure that a full disk has made of it."""
         host = self._host
         if report.sha256 is None or report.size is None:
@@ -219,7 +219,7 @@ class Slot:
         host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
         return report
 
-    def _confess(self, job: Job, lease: Lease, report: Report, seconds: float) -> None:
+    def _report_failure(self, job: Job, lease: Lease, report: SimulationReport, seconds: float) -> None:
         """Reports a failed attempt until the answer is known, the lease is lost, or time is up."""
         host, away = self._host, Backoff(0.1, 5.0)
         if report.reason is None:
@@ -242,7 +242,7 @@ class Slot:
             if host.phase.stopping.wait(pause_s):
                 time.sleep(min(pause_s, host.phase.left_s))
 
-    def _rest_after(self, report: Report) -> None:
+    def _rest_after(self, report: SimulationReport) -> None:
         """Pauses longer and longer when this machine seems to be at fault, so that it spoils few jobs."""
         if report.reason in {FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}:
             if not self._host.phase.stopping.is_set():
@@ -252,5 +252,5 @@ class Slot:
             self._trouble.succeed()
             self._failing.succeed()
 
-    def _bug(self, report: Report) -> NoReturn:
+    def _bug(self, report: SimulationReport) -> NoReturn:
         raise AssertionError(f"a report that its own model forbids: {report}")

@@ -13,12 +13,12 @@ from schemas.job import Job
 from schemas.terms import EndReason
 from workers.experts.sight import Sighting, is_obstacle_near, see
 from workers.geometry.pose import Pose
-from workers.render import Frame, Relief, Renderer
+from workers.render import DepthAndIds, RenderedFrame, Renderer
 
-__all__ = ["Camera", "View"]
+__all__ = ["LazyFrame", "Observation"]
 
 
-class Camera:
+class LazyFrame:
     """What the camera shows from one pose; drawn when somebody first looks, for most drivers never do.
 
     Args:
@@ -33,14 +33,14 @@ class Camera:
         self._job, self._instance_id = job, instance_id
 
     @cached_property
-    def frame(self) -> Frame:
+    def frame(self) -> RenderedFrame:
         """Colour, depth and ids."""
         return self._renderer().render(self._pose)
 
     @cached_property
-    def relief(self) -> Frame | Relief:
+    def relief(self) -> RenderedFrame | DepthAndIds:
         """Depth and ids, without colour where that has not been drawn already."""
-        return self.frame if "frame" in self.__dict__ else self._renderer().render_relief(self._pose)
+        return self.frame if "frame" in self.__dict__ else self._renderer().render_depth_and_ids(self._pose)
 
     @cached_property
     def sighting(self) -> Sighting:
@@ -54,10 +54,10 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class View:
+class Observation:
     """What there is before an action; after the end, what the last action was judged on. An expert's senses."""
 
-    camera: Camera
+    camera: LazyFrame
     pose: Pose
     """Of base_link in the world frame."""
     distance_m: float
@@ -70,7 +70,7 @@ class View:
     """Why the episode has ended, or `None` while it goes on."""
 
     @property
-    def frame(self) -> Frame:
+    def frame(self) -> RenderedFrame:
         """What the camera shows."""
         return self.camera.frame
 

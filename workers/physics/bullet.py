@@ -27,7 +27,7 @@ __all__ = [
     "BulletClient",
     "CameraImage",
     "Contact",
-    "Placement",
+    "ShapePlacement",
     "bullet_version",
 ]
 
@@ -74,7 +74,7 @@ class Contact(NamedTuple):
     """Gap between the surfaces in metres; negative where they overlap."""
 
 
-class Placement(NamedTuple):
+class ShapePlacement(NamedTuple):
     """Pose of a frame in the world: metres and quaternion (w, x, y, z)."""
 
     position: Vector
@@ -204,7 +204,7 @@ class BulletClient:
             physicsClientId=self._id,
         )
 
-    def place_base(self, body: int, placement: Placement) -> None:
+    def place_base(self, body: int, placement: ShapePlacement) -> None:
         """Puts the root link frame of a URDF body somewhere, with everything at rest and all joints at zero."""
         w, x, y, z = placement.orientation
         position, rotation = _p.multiplyTransforms(placement.position, (x, y, z, w), *self._inertial[body])
@@ -213,11 +213,11 @@ class BulletClient:
         for joint in range(_p.getNumJoints(body, physicsClientId=self._id)):
             _p.resetJointState(body, joint, 0, 0, physicsClientId=self._id)
 
-    def base_placement(self, body: int) -> Placement:
+    def base_placement(self, body: int) -> ShapePlacement:
         """Returns the pose of the root link frame of a URDF body, not that of its centre of mass."""
         centre = _p.getBasePositionAndOrientation(body, physicsClientId=self._id)
         position, (x, y, z, w) = _p.multiplyTransforms(*centre, *_p.invertTransform(*self._inertial[body]))
-        return Placement(position, (w, x, y, z))
+        return ShapePlacement(position, (w, x, y, z))
 
     def step(self) -> None:
         """Simulates one period."""

@@ -16,7 +16,7 @@ from typing import Self
 from schemas.config import RobotConfig
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
-from workers.physics.bullet import BulletClient, Placement
+from workers.physics.bullet import BulletClient, ShapePlacement
 from workers.physics.mesh_lists import MeshLists, mesh_lists, recycle
 from workers.physics.robot import BASE_LINK, CASTERS, LEFT_WHEEL, RIGHT_WHEEL, robot_urdf
 
@@ -92,7 +92,7 @@ class World:
             yaw: heading in radians.
         """
         height = self._floor_height + self._stance.height_m
-        self._rig.put(Placement((x, y, height), _heading_and_pitch(yaw, self._stance.pitch)))
+        self._rig.put(ShapePlacement((x, y, height), _heading_and_pitch(yaw, self._stance.pitch)))
         self._pose = self._previous = self._rig.pose().levelled(LEVEL_TILT_RAD)
 
     def command(self, v_mps: float, w_rps: float) -> None:
@@ -171,14 +171,14 @@ class _Rig:
             group, meets = (_BODY, _FLOOR | _OBSTACLE) if name == BASE_LINK else (_ROLLER, _FLOOR)
             self.client.set_collision_group(self._body, link, group, meets)
 
-    def put(self, placement: Placement) -> None:
+    def put(self, placement: ShapePlacement) -> None:
         self.client.place_base(self._body, placement)
         self.drive(0.0, 0.0)
 
     def drive(self, v_mps: float, w_rps: float) -> None:
         radius, half = self._robot.wheel_radius_m, w_rps * self._robot.track_m / 2
         speeds = ((v_mps - half) / radius, (v_mps + half) / radius)
-        self.client.drive_joints(self._body, self._wheels, speeds, self._robot.motor_force)
+        self.client.drive_joints(self._body, self._wheels, speeds, self._robot.motor_torque)
 
     def pose(self) -> Pose:
         position, orientation = self.client.base_placement(self._body)

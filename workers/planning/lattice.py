@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from workers.geometry.grid import DISC_OFFSETS_M, DISC_RADIUS_M, Grid
 
-__all__ = ["HEADINGS", "MOVES", "STEP_M", "Move", "PoseTable", "Waypoint", "heading_of", "pose_table", "yaw_at"]
+__all__ = [
+    "HEADINGS",
+    "MOVES",
+    "STEP_M",
+    "MotionPrimitive",
+    "PoseTable",
+    "Waypoint",
+    "heading_of",
+    "pose_table",
+    "yaw_at",
+]
 
 HEADINGS = 36
 STEP_M = 0.2
@@ -37,7 +47,7 @@ class Waypoint(NamedTuple):
     """Radians in (-pi, pi]."""
 
 
-class Move(NamedTuple):
+class MotionPrimitive(NamedTuple):
     """A move from one heading: an arc of `STEP_M` or, with `length_m` 0, a turn on the spot by one heading."""
 
     mid_x: float
@@ -70,10 +80,10 @@ def _arc(yaw: float, angle: float, length: float) -> tuple[float, float]:
     return round(chord * math.cos(along), _DECIMALS), round(chord * math.sin(along), _DECIMALS)
 
 
-def _moves_from(heading: int) -> tuple[Move, ...]:
+def _moves_from(heading: int) -> tuple[MotionPrimitive, ...]:
     yaw, step = yaw_at(heading), 2 * math.pi / HEADINGS
     arcs = (
-        Move(
+        MotionPrimitive(
             *_arc(yaw, bend * step / 2, STEP_M / 2),
             *_arc(yaw, bend * step, STEP_M),
             (heading + bend) % HEADINGS,
@@ -82,7 +92,7 @@ def _moves_from(heading: int) -> tuple[Move, ...]:
         )
         for bend in _BENDS
     )
-    turns = (Move(0.0, 0.0, 0.0, 0.0, (heading + turn) % HEADINGS, 0.0, 1) for turn in (1, -1))
+    turns = (MotionPrimitive(0.0, 0.0, 0.0, 0.0, (heading + turn) % HEADINGS, 0.0, 1) for turn in (1, -1))
     return (*arcs, *turns)
 
 

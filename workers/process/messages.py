@@ -13,10 +13,10 @@ from schemas.job import Job
 from schemas.terms import FailReason
 from schemas.wire import MAX_DETAIL_CHARS, Detail
 
-__all__ = ["Order", "Report", "ReportKind", "failure", "read_report", "to_line"]
+__all__ = ["SimulationOrder", "SimulationReport", "SimulationReportKind", "failure", "read_report", "to_line"]
 
 
-class Order(Model):
+class SimulationOrder(Model):
     """One attempt to simulate."""
 
     job: Job
@@ -32,7 +32,7 @@ class Order(Model):
     """The file that came with the errand, fetched and checked."""
 
 
-class ReportKind(StrEnum):
+class SimulationReportKind(StrEnum):
     """What a report is about."""
 
     READY = "ready"  # the renderer is open; orders may come
@@ -41,10 +41,10 @@ class ReportKind(StrEnum):
     FAILURE = "failure"  # the attempt brought no bundle
 
 
-class Report(Model):
+class SimulationReport(Model):
     """What a simulation has to say."""
 
-    kind: ReportKind
+    kind: SimulationReportKind
     step: Count = 0
     """Steps of the attempt so far."""
     reason: FailReason | None = None
@@ -60,30 +60,30 @@ class Report(Model):
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
-        if self.kind is ReportKind.FAILURE and self.reason is None:
+        if self.kind is SimulationReportKind.FAILURE and self.reason is None:
             raise ValueError("a failure needs a reason")
-        if self.kind is ReportKind.SUCCESS and (self.sha256 is None or self.size is None):
+        if self.kind is SimulationReportKind.SUCCESS and (self.sha256 is None or self.size is None):
             raise ValueError("a success needs sha256 and size of its bundle")
         return self
 
 
-def failure(reason: FailReason, detail: str, step: int = 0, seconds: float = 0.0) -> Report:
+def failure(reason: FailReason, detail: str, step: int = 0, seconds: float = 0.0) -> SimulationReport:
     """Returns the report of an attempt without a bundle; a long detail loses its middle."""
     detail = detail.replace("\0", "")
     if len(detail) > MAX_DETAIL_CHARS:
         half = MAX_DETAIL_CHARS // 2 - 3
         detail = f"{detail[:half]} ... {detail[-half:]}"
-    return Report(kind=ReportKind.FAILURE, reason=reason, detail=detail, step=step, seconds=seconds)
+    return SimulationReport(kind=SimulationReportKind.FAILURE, reason=reason, detail=detail, step=step, seconds=seconds)
 
 
-def to_line(message: Order | Report) -> bytes:
+def to_line(message: SimulationOrder | SimulationReport) -> bytes:
     """Returns the message as one line."""
     return message.model_dump_json().encode() + b"\n"
 
 
-def read_report(line: bytes) -> Report | None:
+def read_report(line: bytes) -> SimulationReport | None:
     """Returns the report on a line; `None` for anything else, such as the chatter of a library."""
     try:
-        return Report.model_validate_json(line)
+        return SimulationReport.model_validate_json(line)
     except ValidationError:
         return None

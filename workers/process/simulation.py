@@ -18,7 +18,7 @@ import structlog
 from schemas.errors import WorldError
 from schemas.support.child import child_environment
 from schemas.terms import FailReason
-from workers.process.messages import Order, Report, read_report, to_line
+from workers.process.messages import SimulationOrder, SimulationReport, read_report, to_line
 from workers.process.one_core import one_core
 
 __all__ = ["Death", "Simulation"]
@@ -52,7 +52,7 @@ class Simulation:
         self._hang_s = hang_s
         self._process: subprocess.Popen[bytes] | None = None
         self._reader: threading.Thread | None = None
-        self._reports: queue.Queue[Report | None] = queue.Queue()
+        self._reports: queue.Queue[SimulationReport | None] = queue.Queue()
         self._stderr: IO[bytes] | None = None
         self._silence_s = 0.0
 
@@ -87,7 +87,7 @@ class Simulation:
         self._reader = threading.Thread(target=_read, args=(self._process.stdout, self._reports), daemon=True)
         self._reader.start()
 
-    def order(self, order: Order) -> None:
+    def order(self, order: SimulationOrder) -> None:
         """Hands an order over; that the process died meanwhile is heard from `hear`."""
         if self._process is None or self._process.stdin is None:
             raise RuntimeError("order() before start()")
@@ -97,7 +97,7 @@ class Simulation:
             self._process.stdin.write(to_line(order))
             self._process.stdin.flush()
 
-    def hear(self, timeout_s: float) -> Report | Death | None:
+    def hear(self, timeout_s: float) -> SimulationReport | Death | None:
         """Returns what it says next, its death, or `None` after `timeout_s` without news.
 
         A process that is silent for longer than it may be is killed here and reported as hung.
@@ -109,7 +109,7 @@ class Simulation:
             self._silence_s += timeout_s
             return self._give_up() if self._silence_s > self._hang_s else None
         if report is None:
-            return self._bury()
+            return self._reap()
         self._silence_s = 0.0
         return report
 
@@ -132,14 +132,14 @@ class Simulation:
                     pipe.close()
 
     def _give_up(self) -> Death:
-        pid, said = self.pid, self._last_words()
+        pid, said = self.pid, self._last_output()
         self.kill()
         detail = f"no progress for {self._silence_s:.1f} s (limit {self._hang_s:g} s), killed" + said
         log.warning("simulation_hung", pid=pid, detail=detail)
         return Death(FailReason.HANG, detail)
 
-    def _bury(self) -> Death:
-        process, said = self._process, self._last_words()
+    def _reap(self) -> Death:
+        process, said = self._process, self._last_output()
         if process is None:
             return Death(FailReason.CRASH, "not started")
         try:
@@ -151,7 +151,7 @@ class Simulation:
         log.warning("simulation_died", pid=process.pid, detail=how + said)
         return Death(FailReason.CRASH, how + said)
 
-    def _last_words(self) -> str:
+    def _last_output(self) -> str:
         if self._stderr is None:
             return ""
         self._stderr.seek(0, os.SEEK_END)
@@ -164,7 +164,7 @@ class Simulation:
             os.ftruncate(self._stderr.fileno(), 0)
 
 
-def _read(stream: IO[bytes], reports: queue.Queue[Report | None]) -> None:
+def _read(stream: IO[bytes], reports: queue.Queue[SimulationReport | None]) -> None:
     with contextlib.suppress(ValueError, OSError):  # closed under our hands when killed
         for line in stream:
             report = read_report(line)

@@ -16,11 +16,11 @@ from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
 
-__all__ = ["Frame", "Relief", "Renderer"]
+__all__ = ["DepthAndIds", "RenderedFrame", "Renderer"]
 
 
 @dataclass(frozen=True)
-class Frame:
+class RenderedFrame:
     """One look of the camera; rows from the top, arrays freshly owned by the frame."""
 
     rgb: NDArray[np.uint8]
@@ -32,7 +32,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Relief:
+class DepthAndIds:
     """A look without its colour; what it has is a frame's, bit for bit."""
 
     depth: NDArray[np.float32]
@@ -51,7 +51,7 @@ class Renderer(Protocol):
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
         """Makes `scene` the one that `camera` shows. Scenes shown lately stay ready, so that going back is cheap."""
 
-    def render(self, pose: Pose, size: int | None = None) -> Frame:
+    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns what the camera sees when base_link stands at `pose` in the world.
 
         Args:
@@ -63,7 +63,7 @@ class Renderer(Protocol):
             UsageError: no scene was loaded.
         """
 
-    def render_relief(self, pose: Pose) -> Relief:
+    def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids of what `render` returns; on OpenGL at half the cost.
 
         Raises:

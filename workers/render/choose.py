@@ -13,7 +13,7 @@ import structlog
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import require_package
-from schemas.support.stage_timer import Lap, no_lap
+from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.render import Renderer
 
@@ -25,7 +25,7 @@ _log = structlog.get_logger(__name__)
 
 
 def open_renderer(
-    kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: Lap = no_lap, apart: bool = False
+    kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer, apart: bool = False
 ) -> Renderer:
     """Opens a renderer; the caller closes it.
 
@@ -51,7 +51,9 @@ def open_renderer(
     return open_first(_open_gl, size, lap)
 
 
-def open_first(preferred: Callable[[int, Lap], Renderer], size: int, lap: Lap = no_lap) -> Renderer:
+def open_first(
+    preferred: Callable[[int, StageTimer], Renderer], size: int, lap: StageTimer = no_stage_timer
+) -> Renderer:
     """Opens the preferred renderer, or TinyRenderer with a word of warning where that one has no driver."""
     try:
         return preferred(size, lap)
@@ -60,20 +62,20 @@ def open_first(preferred: Callable[[int, Lap], Renderer], size: int, lap: Lap = 
         return _open_tiny(size, lap)
 
 
-def _open_apart(kind: RendererKind, size: int, lap: Lap) -> Renderer:
+def _open_apart(kind: RendererKind, size: int, lap: StageTimer) -> Renderer:
     from workers.render.process import ProcessRenderer
 
     return ProcessRenderer(kind, size, lap)
 
 
-def _open_gl(size: int, lap: Lap) -> Renderer:
+def _open_gl(size: int, lap: StageTimer) -> Renderer:
     require_package("moderngl", "the renderer gl")
     from workers.render.gl import GlRenderer
 
     return GlRenderer(size, lap)
 
 
-def _open_tiny(size: int, lap: Lap) -> Renderer:
+def _open_tiny(size: int, lap: StageTimer) -> Renderer:
     from workers.render.tiny import TinyRenderer
 
     return TinyRenderer(size, lap)

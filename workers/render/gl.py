@@ -19,10 +19,10 @@ from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene
 from schemas.support.portable import product
-from schemas.support.stage_timer import Lap, no_lap
+from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
-from workers.render import Frame, Relief
+from workers.render import DepthAndIds, RenderedFrame
 from workers.render.gl_scene import GpuScene, Programs
 from workers.render.gl_target import GlTarget, onto_target
 from workers.render.shelf import SceneShelf
@@ -41,7 +41,7 @@ _used_by: set[int] = set()
 class GlRenderer:
     """A `Renderer` on an OpenGL 4.5 context of its own; every call makes that context current."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
+    def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
         """Opens the context and its targets.
 
         Args:
@@ -95,7 +95,7 @@ class GlRenderer:
         with self._context:
             self._scene = self._shelf.take(scene)
 
-    def render(self, pose: Pose, size: int | None = None) -> Frame:
+    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns what the camera sees when base_link stands at `pose` in the world.
 
         Args:
@@ -116,9 +116,9 @@ class GlRenderer:
             rgb = target.read_colour()
             relief = target.read_relief(self._camera, rgb)
         self._lap("read-back")
-        return Frame(rgb, relief.depth, relief.ids)
+        return RenderedFrame(rgb, relief.depth, relief.ids)
 
-    def render_relief(self, pose: Pose) -> Relief:
+    def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids without drawing colour; the same parts in the same order give the same bits.
 
         Raises:

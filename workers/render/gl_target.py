@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
-from workers.render import Relief
+from workers.render import DepthAndIds
 
 __all__ = ["GlTarget", "onto_target"]
 
@@ -81,7 +81,7 @@ class GlTarget:
         self._images.read_into(rgb, components=3, attachment=0)
         return rgb
 
-    def read_relief(self, camera: CameraConfig, *beside: NDArray[np.uint8]) -> Relief:
+    def read_relief(self, camera: CameraConfig, *beside: NDArray[np.uint8]) -> DepthAndIds:
         """Returns depth and ids; blanks ids, and what was read `beside` them, where nothing is in the clip range."""
         shape = (self._size, self._size)
         depth, ids = np.empty(shape, np.float32), np.empty(shape, np.uint16)
@@ -95,7 +95,7 @@ class GlTarget:
             for image in images:
                 image.reshape(self._size * self._size, -1)[void] = 0
         np.divide(near, depth, out=depth)
-        return Relief(depth, ids)
+        return DepthAndIds(depth, ids)
 
 
 def _least_height(camera: CameraConfig) -> np.float32:

@@ -14,10 +14,10 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, encode_scene
-from schemas.support.stage_timer import Lap, no_lap
+from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
-from workers.render import Frame, Relief
+from workers.render import DepthAndIds, RenderedFrame
 from workers.render.process_link import RenderingProcess
 from workers.render.process_wire import MAX_SIZE_PX, RequestKind
 from workers.render.shelf import SceneShelf
@@ -30,7 +30,9 @@ _KEPT_SCENES = 2
 class ProcessRenderer:
     """A `Renderer` whose frames equal, bit for bit, those of the renderer that its process opens."""
 
-    def __init__(self, kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
+    def __init__(
+        self, kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer
+    ) -> None:
         """Starts the process and waits until its renderer is open.
 
         Args:
@@ -64,7 +66,7 @@ class ProcessRenderer:
         stored = self._shelf.take(scene)
         self._process.ask(RequestKind.LOAD, scene=stored.number, camera=camera)
 
-    def render(self, pose: Pose, size: int | None = None) -> Frame:
+    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns what the camera sees when base_link stands at `pose` in the world.
 
         Args:
@@ -82,7 +84,7 @@ class ProcessRenderer:
         self._lap("read-back")
         return frame
 
-    def render_relief(self, pose: Pose) -> Relief:
+    def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids of what `render` returns; raises as it does."""
         self._process.ask(RequestKind.RELIEF, pose=pose)
         self._lap("render")

@@ -16,7 +16,7 @@ from schemas.scene import CompiledScene, decode_scene
 from workers.process.pipes import listen, take_stdout
 from workers.render import Renderer
 from workers.render.choose import open_renderer
-from workers.render.process_wire import FrameMemory, Reply, ReplyKind, Request, RequestKind, to_line
+from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
 
 __all__ = ["main"]
 
@@ -36,7 +36,7 @@ def main() -> int:
             server = _Server(renderer, FrameMemory(arguments.frames), arguments.scenes)
             out.write(to_line(Reply(number=0, detail=renderer.description)))
             while True:
-                out.write(to_line(server.serve(Request.model_validate_json(lines.get()))))
+                out.write(to_line(server.serve(RenderRequest.model_validate_json(lines.get()))))
     except (BrokenPipeError, ConnectionResetError):
         return 0  # the caller is gone
     except FactoryError as error:
@@ -51,7 +51,7 @@ class _Server:
         self._renderer, self._frames, self._scene_descriptor = renderer, frames, scene_descriptor
         self._scenes: dict[int, CompiledScene] = {}
 
-    def serve(self, request: Request) -> Reply:
+    def serve(self, request: RenderRequest) -> Reply:
         """Does what is asked; an error goes back to the caller."""
         try:
             self._do(request)
@@ -61,7 +61,7 @@ class _Server:
             return _failure(request.number, error)
         return Reply(number=request.number)
 
-    def _do(self, request: Request) -> None:
+    def _do(self, request: RenderRequest) -> None:
         match request.kind:
             case RequestKind.STORE:
                 self._scenes[request.scene] = self._read_scene()
@@ -72,7 +72,7 @@ class _Server:
             case RequestKind.RENDER:
                 self._frames.put(self._renderer.render(request.pose, request.size))
             case RequestKind.RELIEF:
-                self._frames.put(self._renderer.render_relief(request.pose))
+                self._frames.put(self._renderer.render_depth_and_ids(request.pose))
 
     def _read_scene(self) -> CompiledScene:
         with os.fdopen(self._scene_descriptor, "rb", closefd=False) as file:

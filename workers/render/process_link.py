@@ -18,7 +18,7 @@ from schemas.support.child import python_module
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
 from workers.process.one_core import one_core
-from workers.render.process_wire import FrameMemory, Reply, ReplyKind, Request, RequestKind, to_line
+from workers.render.process_wire import FrameMemory, RenderRequest, Reply, ReplyKind, RequestKind, to_line
 
 __all__ = ["RenderingProcess"]
 
@@ -69,7 +69,7 @@ class RenderingProcess:
         """
         self._require_open()
         self._number += 1
-        request = Request(number=self._number, kind=kind, scene=scene, camera=camera, pose=pose, size=size)
+        request = RenderRequest(number=self._number, kind=kind, scene=scene, camera=camera, pose=pose, size=size)
         with contextlib.suppress(ConnectionError):  # the death of the process is found when reading
             self._socket.sendall(to_line(request))
         self._receive(self._number)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from schemas.base import Model
 from schemas.config import CameraConfig
 from workers.geometry.pose import Pose
-from workers.render import Frame, Relief
+from workers.render import DepthAndIds, RenderedFrame
 
-__all__ = ["MAX_SIZE_PX", "FrameMemory", "Reply", "ReplyKind", "Request", "RequestKind", "to_line"]
+__all__ = ["MAX_SIZE_PX", "FrameMemory", "RenderRequest", "Reply", "ReplyKind", "RequestKind", "to_line"]
 
 MAX_SIZE_PX = 2048
 """Largest width and height of a frame, pixels."""
@@ -36,7 +36,7 @@ class RequestKind(StrEnum):
     RELIEF = "relief"  # draw depth and ids
 
 
-class Request(Model):
+class RenderRequest(Model):
     """One request; each gets one reply."""
 
     number: int
@@ -69,7 +69,7 @@ class Reply(Model):
     """The description, or the message of an error."""
 
 
-def to_line(message: Request | Reply) -> bytes:
+def to_line(message: RenderRequest | Reply) -> bytes:
     """Returns the message as one line."""
     return message.model_dump_json(exclude_defaults=True).encode() + b"\n"
 
@@ -92,21 +92,21 @@ class FrameMemory:
         os.ftruncate(descriptor, _BYTES)
         return descriptor
 
-    def put(self, seen: Frame | Relief) -> None:
+    def put(self, seen: RenderedFrame | DepthAndIds) -> None:
         """Stores a frame, or depth and ids of one."""
         size = len(seen.depth)
         self._depth(size)[:] = seen.depth
         self._ids(size)[:] = seen.ids
-        if isinstance(seen, Frame):
+        if isinstance(seen, RenderedFrame):
             self._rgb(size)[:] = seen.rgb
 
-    def take_frame(self, size: int) -> Frame:
+    def take_frame(self, size: int) -> RenderedFrame:
         """Returns a copy of the frame of that size that was stored last."""
-        return Frame(self._rgb(size).copy(), self._depth(size).copy(), self._ids(size).copy())
+        return RenderedFrame(self._rgb(size).copy(), self._depth(size).copy(), self._ids(size).copy())
 
-    def take_relief(self, size: int) -> Relief:
+    def take_relief(self, size: int) -> DepthAndIds:
         """Returns a copy of its depth and ids."""
-        return Relief(self._depth(size).copy(), self._ids(size).copy())
+        return DepthAndIds(self._depth(size).copy(), self._ids(size).copy())
 
     def close(self) -> None:
         """Unmaps the memory; closing twice is harmless."""

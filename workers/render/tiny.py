@@ -19,12 +19,12 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene
-from schemas.support.stage_timer import Lap, no_lap
+from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
 from workers.physics.bullet import BulletClient, CameraImage, bullet_version
 from workers.physics.mesh_lists import MESH_TRIANGLES
-from workers.render import Frame, Relief
+from workers.render import DepthAndIds, RenderedFrame
 from workers.render.shelf import SceneShelf
 
 __all__ = ["TinyRenderer", "TinyScene"]
@@ -37,7 +37,7 @@ _TEXTURE_PX = 128
 class TinyRenderer:
     """A `Renderer` in software that runs wherever PyBullet does."""
 
-    def __init__(self, size: int = FRAME_SIZE_PX, lap: Lap = no_lap) -> None:
+    def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
         """Makes the renderer.
 
         Args:
@@ -69,7 +69,7 @@ class TinyRenderer:
         self._camera = camera
         self._scene = self._shelf.take(scene)
 
-    def render(self, pose: Pose, size: int | None = None) -> Frame:
+    def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
         """Returns what the camera sees when base_link stands at `pose` in the world.
 
         Args:
@@ -90,16 +90,16 @@ class TinyRenderer:
         self._lap("read-back")
         return frame
 
-    def render_relief(self, pose: Pose) -> Relief:
+    def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
         """Returns depth and ids; saves nothing here."""
         frame = self.render(pose)
-        return Relief(frame.depth, frame.ids)
+        return DepthAndIds(frame.depth, frame.ids)
 
-    def _frame(self, image: CameraImage, instance_of_body: NDArray[np.uint16]) -> Frame:
+    def _frame(self, image: CameraImage, instance_of_body: NDArray[np.uint16]) -> RenderedFrame:
         near, far = self._camera.near_m, self._camera.far_m
         depth = far * near / (far - (far - near) * image.depth.astype(np.float64))
         hit = (image.bodies >= 0) & (depth >= near) & (depth <= far)
-        return Frame(
+        return RenderedFrame(
             rgb=image.rgba[:, :, :3] * hit[:, :, None].astype(np.uint8),
             depth=np.where(hit, depth, 0.0).astype(np.float32),
             ids=np.where(hit, instance_of_body[image.bodies], 0).astype(np.uint16),

@@ -21,10 +21,10 @@ from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
 from workers.sim.rollout import Drive, drive
-from workers.sim.scene_renderer import LoadedScene, Stage
+from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import draw_poses, is_spawn_firm
 
-__all__ = ["Failure", "Outcome", "Success", "run_attempt"]
+__all__ = ["AttemptFailure", "Outcome", "Success", "run_attempt"]
 
 _FAIL_REASON = {EndReason.COLLISION: FailReason.COLLISION, EndReason.TIMEOUT: FailReason.TIMEOUT}
 _NO_DIGEST = "0" * 32
@@ -38,7 +38,7 @@ class Success:
 
 
 @dataclass(frozen=True)
-class Failure:
+class AttemptFailure:
     """The world said no; what was written is rubbish."""
 
     reason: FailReason
@@ -46,10 +46,10 @@ class Failure:
     steps: int
 
 
-Outcome = Success | Failure
+Outcome = Success | AttemptFailure
 
 
-def run_attempt(job: Job, stage: Stage, out: BinaryIO, sid: str, on_step: Callable[[int], None]) -> Outcome:
+def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step: Callable[[int], None]) -> Outcome:
     """Simulates one attempt and streams its bundle into `out`.
 
     Args:
@@ -70,10 +70,12 @@ def run_attempt(job: Job, stage: Stage, out: BinaryIO, sid: str, on_step: Callab
             expert = make_expert(job)
             planned = expert.begin(world.pose(), place.grid, target)
             if planned is None:
-                return Failure(FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_words(start)}", 0)
+                return AttemptFailure(
+                    FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_words(start)}", 0
+                )
             return _drive_and_seal(job, target, place, stage, world, expert, planned, draws, out, sid, on_step)
     detail = f"no firm start for {job.target_id} in tier {job.tier} within {job.spawn.physics_draws} draws"
-    return Failure(FailReason.SPAWN, detail, 0)
+    return AttemptFailure(FailReason.SPAWN, detail, 0)
 
 
 def _words(pose: Pose) -> str:
@@ -84,7 +86,7 @@ def _drive_and_seal(
     job: Job,
     target: Target,
     place: LoadedScene,
-    stage: Stage,
+    stage: SceneRenderer,
     world: World,
     expert: Expert,
     planned: tuple[Waypoint, ...],
@@ -109,7 +111,7 @@ def _drive_and_seal(
     )
     if done.end_reason is not EndReason.SUCCESS:
         writer.abandon()
-        return Failure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
+        return AttemptFailure(_FAIL_REASON[done.end_reason], done.end, len(done.arrays.poses))
     reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task.success_radius_m)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)

@@ -16,7 +16,7 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.terms import EndReason
 from schemas.tokens import tokens_of
-from workers.experts.observation import Camera, View
+from workers.experts.observation import LazyFrame, Observation
 from workers.geometry.slew import Twist, slew
 from workers.physics.world import World
 from workers.render import Renderer
@@ -92,18 +92,18 @@ class ClosedLoop:
         """From now on nothing is drawn any more, for the renderer may show another scene; what was drawn stays."""
         self._lent.take_back()
 
-    def _judge(self, view: View) -> EndReason | None:
+    def _judge(self, view: Observation) -> EndReason | None:
         """Looks for obstacles only where it matters: where there is no progress."""
         x, y, v = view.pose.x, view.pose.y, self.command.v_mps
         blocked = view.is_touching or (self._termination.would_stall(x, y, v) and view.obstacle_near)
         return self._termination.judge(x, y, view.distance_m, blocked, v)
 
-    def _look(self) -> View:
+    def _look(self) -> Observation:
         pose = self._world.pose()
         self._poses.append((pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz))
         dx, dy = self._target.centroid_m[0] - pose.x, self._target.centroid_m[1] - pose.y
-        return View(
-            camera=Camera(self._lent.renderer, pose, self._job, self._target.instance_id),
+        return Observation(
+            camera=LazyFrame(self._lent.renderer, pose, self._job, self._target.instance_id),
             pose=pose,
             distance_m=math.hypot(dx, dy),
             bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),

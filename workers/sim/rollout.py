@@ -11,18 +11,18 @@ from dataclasses import dataclass
 from schemas.bundle import EpisodeArrays
 from schemas.job import Job
 from schemas.scene import Target
-from schemas.support.stage_timer import Lap, no_lap
+from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import EndReason
 from workers.experts import Expert
 from workers.physics.world import World
-from workers.render import Frame, Renderer
+from workers.render import RenderedFrame, Renderer
 from workers.sim.closed_loop import ClosedLoop
 
 __all__ = ["Drive", "drive"]
 
-FrameSink = Callable[[Frame], None]
+FrameSink = Callable[[RenderedFrame], None]
 """Takes each frame as it is made."""
-StepListener = Callable[[int], None]
+StepCallback = Callable[[int], None]
 """Is told the number of steps done."""
 
 
@@ -47,8 +47,8 @@ def drive(
     renderer: Renderer,
     expert: Expert,
     sink: FrameSink,
-    on_step: StepListener,
-    lap: Lap = no_lap,
+    on_step: StepCallback,
+    lap: StageTimer = no_stage_timer,
 ) -> Drive:
     """Drives until success, collision or timeout.
 

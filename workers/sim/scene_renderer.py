@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
-from schemas.support.stage_timer import Lap, no_lap
+from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.grid import Grid, body_centre
 from workers.physics.world import ColliderMesh
@@ -25,7 +25,7 @@ from workers.render import Renderer
 from workers.render.choose import open_renderer
 from workers.sim.fingerprint import make_fingerprint
 
-__all__ = ["LoadedScene", "Stage", "prepare_scene"]
+__all__ = ["LoadedScene", "SceneRenderer", "prepare_scene"]
 
 _KEPT_SCENES = 2
 
@@ -48,10 +48,12 @@ class LoadedScene:
         return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
 
 
-class Stage:
+class SceneRenderer:
     """Opens the renderer; loads scenes on demand and keeps the few used last."""
 
-    def __init__(self, renderer_kind: RendererKind = "auto", lap: Lap = no_lap, apart: bool = False) -> None:
+    def __init__(
+        self, renderer_kind: RendererKind = "auto", lap: StageTimer = no_stage_timer, apart: bool = False
+    ) -> None:
         """Opens the renderer.
 
         Args:

@@ -24,10 +24,10 @@ from pathlib import Path
 
 from schemas.errors import FactoryError
 from schemas.terms import FailReason
-from workers.process.messages import Order, Report, ReportKind, failure, to_line
+from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind, failure, to_line
 from workers.process.pipes import listen, take_stdout
-from workers.sim.attempt import Failure, run_attempt
-from workers.sim.scene_renderer import Stage
+from workers.sim.attempt import AttemptFailure, run_attempt
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["main"]
 
@@ -35,7 +35,7 @@ _PROGRESS_S = 0.25
 _DISK_FULL = {errno.ENOSPC, errno.EDQUOT}
 _OK, _WORLD, _BUG = 0, 1, 3
 
-Tell = Callable[[Report], None]
+SendReport = Callable[[SimulationReport], None]
 
 
 def main() -> int:
@@ -47,13 +47,13 @@ def main() -> int:
     out = take_stdout()
     orders = listen(0)
 
-    def tell(report: Report) -> None:
+    def tell(report: SimulationReport) -> None:
         out.write(to_line(report))
 
     try:
-        with Stage(arguments.renderer) as stage:
-            tell(Report(kind=ReportKind.READY, renderer=stage.renderer.description))
-            while _serve(Order.model_validate_json(orders.get()), stage, tell):
+        with SceneRenderer(arguments.renderer) as stage:
+            tell(SimulationReport(kind=SimulationReportKind.READY, renderer=stage.renderer.description))
+            while _serve(SimulationOrder.model_validate_json(orders.get()), stage, tell):
                 pass
     except BrokenPipeError:
         return _OK  # nobody listens any more
@@ -63,7 +63,7 @@ def main() -> int:
     return _BUG
 
 
-def _serve(order: Order, stage: Stage, tell: Tell) -> bool:
+def _serve(order: SimulationOrder, stage: SceneRenderer, tell: SendReport) -> bool:
     """Does one order; returns whether the process is still sound."""
     pace = _Pace(tell)
     part = Path(f"{order.bundle_path}.part")
@@ -84,11 +84,11 @@ def _serve(order: Order, stage: Stage, tell: Tell) -> bool:
     return sound
 
 
-def _attempt(order: Order, stage: Stage, part: Path, pace: _Pace) -> Report:
+def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, pace: _Pace) -> SimulationReport:
     stage.load(order.scene_path, order.job.scene_sha256)
     with part.open("w+b") as file:
         outcome = run_attempt(order.job, stage, file, order.sid, pace)
-        if isinstance(outcome, Failure):
+        if isinstance(outcome, AttemptFailure):
             return failure(outcome.reason, outcome.detail, outcome.steps, pace.seconds())
         file.flush()
         size = file.seek(0, os.SEEK_END)
@@ -96,13 +96,15 @@ def _attempt(order: Order, stage: Stage, part: Path, pace: _Pace) -> Report:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         os.fsync(file.fileno())
     part.rename(order.bundle_path)
-    return Report(kind=ReportKind.SUCCESS, step=pace.step, sha256=digest, size=size, seconds=pace.seconds())
+    return SimulationReport(
+        kind=SimulationReportKind.SUCCESS, step=pace.step, sha256=digest, size=size, seconds=pace.seconds()
+    )
 
 
 class _Pace:
     """Passes steps on a few times a second: often enough to be seen alive, too seldom to cost."""
 
-    def __init__(self, tell: Tell) -> None:
+    def __init__(self, tell: SendReport) -> None:
         self.step = 0
         self._tell = tell
         self._begun = self._told = time.monotonic()
@@ -112,7 +114,7 @@ class _Pace:
         now = time.monotonic()
         if now - self._told >= _PROGRESS_S:
             self._told = now
-            self._tell(Report(kind=ReportKind.PROGRESS, step=step))
+            self._tell(SimulationReport(kind=SimulationReportKind.PROGRESS, step=step))
 
     def seconds(self) -> float:
         """Wall time since the order."""

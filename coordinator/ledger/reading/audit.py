@@ -18,7 +18,7 @@ from coordinator.expansion.draw import redraw
 from coordinator.ledger.engine import open_reader, sqlite_files
 from coordinator.ledger.opening import planned_digest, planned_of, read_info
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.states import OPEN_STATES, Event, State
+from coordinator.ledger.states import OPEN_STATES, Event, JobState
 from coordinator.ledger.tables import ADDED_LATER, METADATA, PLANNED, info, jobs
 from schemas.errors import FactoryError, UsageError, WorldError
 from schemas.plan import Plan
@@ -32,15 +32,15 @@ _LATEST_S = 32503680000.0
 _OUTCOMES = (SUCCESS, "expired", "lost", "cancelled", *FailReason)
 _ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = MappingProxyType(
     {
-        ("jobs", "state"): tuple(State),
+        ("jobs", "state"): tuple(JobState),
         ("jobs", "tier"): tuple(Tier),
         ("jobs", "split"): tuple(Split),
         ("events", "event"): tuple(Event),
-        ("events", "state"): tuple(State),
+        ("events", "state"): tuple(JobState),
         ("attempts", "outcome"): _OUTCOMES,
     }
 )
-_WORLD = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_of_the_world)
+_WORLD = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_task_failure)
 _OPEN = ", ".join(f"'{state}'" for state in OPEN_STATES)
 _RULES: Mapping[str, str] = MappingProxyType(
     {
@@ -49,27 +49,28 @@ _RULES: Mapping[str, str] = MappingProxyType(
             HAVING count(*) != max(draw) + 1 OR min(draw) != 0 OR min(idx) < 1
                 OR sum(CASE WHEN superseded THEN 0 ELSE 1 END) != 1
                 OR max(CASE WHEN superseded THEN -1 ELSE draw END) != max(draw)""",
-        "a superseded draw has not failed": f"SELECT idx FROM jobs WHERE superseded AND state != '{State.FAILED}'",
+        "a superseded draw has not failed": f"SELECT idx FROM jobs WHERE superseded AND state != '{JobState.FAILED}'",
         "a job is archived and its episode is not recorded as it is": f"""
             SELECT jobs.idx FROM jobs LEFT JOIN episodes ON episodes.idx = jobs.idx
-            WHERE jobs.state = '{State.ARCHIVED}' AND (episodes.idx IS NULL OR episodes.job_id != jobs.id
+            WHERE jobs.state = '{JobState.ARCHIVED}' AND (episodes.idx IS NULL OR episodes.job_id != jobs.id
                 OR episodes.attempt != jobs.attempt)""",
         "an episode is recorded and its job is not archived": f"""
             SELECT episodes.idx FROM episodes LEFT JOIN jobs ON jobs.id = episodes.job_id
-            WHERE jobs.id IS NULL OR jobs.idx != episodes.idx OR jobs.superseded OR jobs.state != '{State.ARCHIVED}'""",
+            WHERE jobs.id IS NULL OR jobs.idx != episodes.idx OR jobs.superseded
+                OR jobs.state != '{JobState.ARCHIVED}'""",
         "a job does not stand where its last event left it": f"""
             SELECT jobs.idx FROM jobs JOIN events ON events.id =
                 (SELECT max(last.id) FROM events AS last WHERE last.job_id = jobs.id)
-            WHERE NOT jobs.superseded AND jobs.state != '{State.ARCHIVED}'
+            WHERE NOT jobs.superseded AND jobs.state != '{JobState.ARCHIVED}'
                 AND (events.state != jobs.state OR events.fence != jobs.fence OR events.attempt > jobs.attempt)""",
         "a job that nothing has happened to does not wait": f"""
-            SELECT jobs.idx FROM jobs WHERE jobs.state != '{State.PENDING}'
+            SELECT jobs.idx FROM jobs WHERE jobs.state != '{JobState.PENDING}'
                 AND NOT EXISTS (SELECT 1 FROM events WHERE events.job_id = jobs.id)""",
         "a held job has no lease": f"""
-            SELECT idx FROM jobs WHERE state IN ('{State.LEASED}', '{State.SUBMITTED}')
+            SELECT idx FROM jobs WHERE state IN ('{JobState.LEASED}', '{JobState.SUBMITTED}')
                 AND (token IS NULL OR lease_until IS NULL)""",
         "an announced job has no bundle": f"""
-            SELECT idx FROM jobs WHERE state IN ('{State.SUBMITTED}', '{State.ARCHIVED}')
+            SELECT idx FROM jobs WHERE state IN ('{JobState.SUBMITTED}', '{JobState.ARCHIVED}')
                 AND (sha256 IS NULL OR size IS NULL)""",
         "an attempt belongs to another job": """
             SELECT attempts.idx FROM attempts LEFT JOIN jobs ON jobs.id = attempts.job_id

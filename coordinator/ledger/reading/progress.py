@@ -14,7 +14,7 @@ from coordinator.ledger.hosts import troubled
 from coordinator.ledger.keepers import count_by_gateway
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
-from coordinator.ledger.states import OPEN_STATES, State
+from coordinator.ledger.states import OPEN_STATES, JobState
 from coordinator.ledger.tables import attempts, episodes, jobs, workers
 from schemas.wire import Progress, WorkerStatus
 
@@ -80,7 +80,7 @@ def _count_by(cells: list[Row[Any]] | Any, column: str | None) -> dict[str, dict
     groups: dict[str, Counter[str]] = {} if column else {"": Counter()}
     for row in cells:
         groups.setdefault(getattr(row, column) if column else "", Counter())[row.state] += row.jobs
-    return {name: {state.value: groups[name][state] for state in State} for name in sorted(groups)}
+    return {name: {state.value: groups[name][state] for state in JobState} for name in sorted(groups)}
 
 
 def _workers(connection: Connection, now: datetime, lease_ttl_s: float) -> tuple[WorkerStatus, ...]:

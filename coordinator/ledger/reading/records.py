@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from sqlalchemy import Row, Select, func, select
 from sqlalchemy.engine import Connection
 
-from coordinator.ledger.states import State
+from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from schemas.dataset import EpisodeSummary
 from schemas.errors import WorldError
@@ -39,7 +39,7 @@ R = TypeVar("R", "JobRecord", "AttemptRecord", "EventRecord")
 class JobFilter:
     """Which current draws are meant; an empty field means any."""
 
-    states: tuple[State, ...] = ()
+    states: tuple[JobState, ...] = ()
     scenes: tuple[str, ...] = ()
     tiers: tuple[Tier, ...] = ()
     splits: tuple[Split, ...] = ()
@@ -53,7 +53,7 @@ class JobRecord:
 
     index: int
     draw: int
-    state: State
+    state: JobState
     superseded: bool
     scene: str
     tier: Tier
@@ -96,7 +96,7 @@ class EventRecord:
     draw: int
     attempt: int
     event: str
-    state: State
+    state: JobState
     worker: str
     detail: str
     at: datetime
@@ -143,7 +143,7 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
         .order_by(events.c.id)
     )
     for row in connection.execute(query):
-        state, at = State(row.state), _utc(row.at)
+        state, at = JobState(row.state), _utc(row.at)
         yield _printable(EventRecord(row.draw, row.attempt, row.event, state, row.sid, row.detail, at))
 
 
@@ -210,7 +210,7 @@ def _job_record(row: Row[Any]) -> JobRecord:
         JobRecord(
             index=row.idx,
             draw=row.draw,
-            state=State(row.state),
+            state=JobState(row.state),
             superseded=row.superseded,
             scene=row.scene,
             tier=Tier(row.tier),

@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 
 import click
 
-from coordinator.archive.contract import EPISODES
 from coordinator.expansion.file import load_plan
 from coordinator.ledger.opening import require_plan
 from factory.cli.common.options import shrunk_plan
-from factory.dataset.parts import is_dataset, is_part
 from factory.dataset.site import Site
 from factory.runs.ledger import plan_of
+from schemas.dataset_files import EPISODES, is_dataset, is_part
 from schemas.errors import UsageError
 from schemas.plan import Plan
 from schemas.storage.disk import translated

@@ -21,7 +21,7 @@ from factory.eval.policies import check_name, require_at_hand
 from factory.eval.process.run import Pace
 from factory.eval.results.publish import publish
 from factory.eval.results.score import Evaluation
-from factory.eval.results.store import Manifest, Store
+from factory.eval.results.store import EvalManifest, Store
 from factory.eval.specs.ablation import ABLATIONS
 from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import specs_of_dataset
@@ -84,7 +84,7 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
 
 def open_store(campaign: Campaign, folder: Path) -> Store:
     """Opens the directory of the results, or goes on with it."""
-    manifest = Manifest(
+    manifest = EvalManifest(
         run=Dataset(campaign.root).meta.run,
         specs_digest=campaign.specs.digest,
         with_pose=campaign.with_pose,

@@ -30,7 +30,7 @@ from factory.cli.eval.specs import command as specs_command
 from factory.cli.eval.tables import print_evaluation
 from factory.dataset.reader import Dataset
 from factory.eval.process.run import run_campaign
-from factory.eval.remote.fleet import Door, run_fleet
+from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.eval.results.publish import evaluation_of
 from factory.eval.results.score import Evaluation
 from factory.eval.results.store import Store
@@ -164,7 +164,7 @@ def _judged(evaluation: Evaluation) -> int:
 
 def _door(
     listen: tuple[str, ...], connect: tuple[str, ...], tls: Path | None, out: Path | None, workers: int | None
-) -> Door | None:
+) -> FleetAccess | None:
     """Returns how workers are reached; `None` where this machine drives."""
     if not (listen or connect):
         if tls is not None:
@@ -178,10 +178,10 @@ def _door(
         if listen:
             raise UsageError("with --tls give --listen or --connect: a certificate is for one of them")
         require_tls_endpoints(connect)
-        return Door((), connect, Guard(tls, listens=False), _invite)
+        return FleetAccess((), connect, Guard(tls, listens=False), _invite)
     require_loopback(connect)
     guard, endpoints = open_door(tls, listen) if listen else (None, ())
-    return Door(endpoints, connect, guard, _invite)
+    return FleetAccess(endpoints, connect, guard, _invite)
 
 
 def _invite(endpoints: tuple[str, ...]) -> None:
@@ -189,7 +189,7 @@ def _invite(endpoints: tuple[str, ...]) -> None:
         click.echo(f"factory worker --cores 2 --connect {endpoint}", err=True)
 
 
-def _drive(campaign: Campaign, store: Store, door: Door | None) -> bool:
+def _drive(campaign: Campaign, store: Store, door: FleetAccess | None) -> bool:
     with stop_on_signals() as (stop, _), pace_bars(campaign) as tell:
         if door is None:
             return run_campaign(campaign, store, stop, tell)

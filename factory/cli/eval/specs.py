@@ -19,7 +19,7 @@ from factory.eval.specs.unfiltered import unfiltered_specs
 from factory.support.logs import configure_logs
 from schemas.storage.place import Place
 from schemas.terms import Split
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["command"]
 
@@ -59,7 +59,7 @@ def command(
             bar.update(task, completed=done, total=of)
 
         if unfiltered:
-            with Stage() as stage:
+            with SceneRenderer() as stage:
                 found = unfiltered_specs(dataset, chosen, episodes or 100, seed, stage, tell)
         else:
             found = specs_of_dataset(dataset, chosen, tell, episodes)

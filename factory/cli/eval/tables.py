@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import click
 
 from factory.cli.common.output import print_table, print_text
-from factory.eval.results.compare import Comparison
-from factory.eval.results.estimate import Estimate
+from factory.eval.results.compare import PairedComparison
+from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.stats.model import Share
@@ -43,7 +43,7 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     print_text("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP is to the closest point")
 
 
-def print_comparison(comparison: Comparison) -> None:
+def print_comparison(comparison: PairedComparison) -> None:
     """Prints a paired comparison."""
     one, other = comparison.first, comparison.second
     print_text(f"{comparison.pairs} episodes that both drove ({comparison.variant} instruction)")
@@ -98,7 +98,7 @@ def _plain(share: Share) -> str:
     return "-" if share.share is None else f"{100 * share.share:.1f}"
 
 
-def _estimate(value: Estimate, digits: int = 2) -> str:
+def _estimate(value: IntervalEstimate, digits: int = 2) -> str:
     if value.mean is None:
         return "-"
     if value.low is None or value.high is None:

@@ -13,7 +13,7 @@ from factory.cli.common.options import ledger_option
 from factory.cli.common.output import json_option, print_json, print_table
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-from factory.verify.repair_input import examine
+from factory.verify.repair_input import inspect_dataset
 
 __all__ = ["command"]
 
@@ -41,7 +41,7 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
     configure_logs()
     with Bars(transient=True) as bar:
         task = bar.add_task("gathering", total=None)
-        patient = examine(
+        patient = inspect_dataset(
             root, root, None, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
         )
         report = gather(

@@ -13,7 +13,7 @@ import click
 from coordinator.expansion.file import scene_of
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.reading.records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
-from coordinator.ledger.states import State
+from coordinator.ledger.states import JobState
 from coordinator.protocol.tls import read_credentials
 from factory.cli.common.episodes import episode_index
 from factory.cli.common.filters import filter_option, scene_filter, split_filter, tier_filter
@@ -38,7 +38,7 @@ def command() -> None:
 
 @command.command("list")
 @site_argument
-@filter_option("--state", "states", State)
+@filter_option("--state", "states", JobState)
 @scene_filter()
 @tier_filter()
 @split_filter()
@@ -59,7 +59,7 @@ def list_(
 ) -> None:
     """List the current draw of each episode of a run."""
     wanted = JobFilter(
-        states=tuple(map(State, states or ())),
+        states=tuple(map(JobState, states or ())),
         scenes=scenes or (),
         tiers=tuple(map(Tier, tiers or ())),
         splits=tuple(map(Split, splits or ())),

@@ -16,7 +16,7 @@ from factory.cli.common.output import json_option, print_json, print_table
 from factory.dataset.site import Site
 from factory.support.logs import configure_logs
 from factory.support.settings import scene_cache
-from factory.verify.repair_input import examine
+from factory.verify.repair_input import inspect_dataset
 
 __all__ = ["command"]
 
@@ -50,7 +50,7 @@ def command(
     plan = load_plan(plan_name) if plan_name is not None else None
     with Bars(transient=True) as bar, Validator() as validator:
         task = bar.add_task("examining", total=None)
-        patient = examine(
+        patient = inspect_dataset(
             site.place, site.home, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
         )
         report = repair(

@@ -11,7 +11,7 @@ from factory.cli.common.bars import Bars
 from factory.cli.common.options import place_argument, workers_option
 from factory.cli.common.output import json_option, print_json
 from factory.support.logs import configure_logs
-from factory.verify.dataset import Report, verify
+from factory.verify.dataset import VerifyReport, verify
 from schemas.storage.place import Place
 
 __all__ = ["command"]
@@ -39,7 +39,7 @@ def command(root: Place, deep: bool, workers: int | None, as_json: bool) -> int:
     return 0 if report.ok else 1
 
 
-def _plain(report: Report) -> dict[str, Any]:
+def _plain(report: VerifyReport) -> dict[str, Any]:
     return {
         "dataset": str(report.root),
         "deep": report.deep,
@@ -51,7 +51,7 @@ def _plain(report: Report) -> dict[str, Any]:
     }
 
 
-def _print(report: Report) -> None:
+def _print(report: VerifyReport) -> None:
     for finding in report.findings:
         click.echo(f"{finding.kind}: {finding.file}: {finding.text}")
     how = "every byte" if report.deep else "files and tables; --deep looks inside"

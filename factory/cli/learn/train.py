@@ -18,7 +18,7 @@ from factory.cli.common.places import PLACE
 from factory.dataset.reader import Dataset
 from factory.support.logs import configure_logs
 from factory.train import BcOptions, EpochMeasures, TrainReport
-from factory.train.look import SIZES
+from factory.train.preprocess import SIZES
 from factory.train.run import TrainOrder, Watcher, train_bc
 from schemas.errors import UsageError
 from schemas.storage.place import Place

@@ -26,7 +26,7 @@ from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import make_sample
-from factory.bench.watch import Watch
+from factory.bench.watch import ProcessWatch
 from factory.bench.work import first_attempts, narrow
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
@@ -45,7 +45,7 @@ from schemas.plan import Plan
 from schemas.storage.place import Place
 from schemas.terms import RendererKind
 from workers.client.settings import WorkerSettings
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["command"]
 
@@ -96,12 +96,12 @@ def rollout(
     time of the process, which does not depend on the load of the machine.
     """
     plan = narrow(load_plan(plan_name), scenes or (), episodes)
-    machine, watch = describe_machine(), Watch()
+    machine, watch = describe_machine(), ProcessWatch()
     with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with Stage(cast(RendererKind, renderer), watch) as stage:
+            with SceneRenderer(cast(RendererKind, renderer), watch) as stage:
                 jobs = first_attempts(plan, catalog, name)
                 plain_frames = frames if against else 0
                 results[name] = bench_rollout(jobs, entry, stage, watch, repeats, plain_frames, tell)
@@ -119,12 +119,12 @@ def rollout(
 def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
     """Time rendering at the same random poses of each scene."""
     plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
-    machine, watch = describe_machine(), Watch()
+    machine, watch = describe_machine(), ProcessWatch()
     with _bar("render", len(plan.scenes)) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with Stage(cast(RendererKind, renderer), watch) as stage:
+            with SceneRenderer(cast(RendererKind, renderer), watch) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
                 results[name] = bench_render(scene, stage.renderer, watch, CameraConfig(), frames, repeats)
                 described = stage.renderer.description
@@ -170,7 +170,7 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
     plan = load_plan("paper").model_copy(update={"scenes": (part,)})
     with _bar("coordinator", 2) as tell, _nowhere() as nowhere:
         catalog = open_catalog(sample_plan, nowhere, scene_cache())
-        with Stage() as stage:
+        with SceneRenderer() as stage:
             samples = make_sample(nowhere / "sample", sample_plan, catalog, stage, tell)
         report = bench_coordinator(
             plan,
@@ -208,7 +208,7 @@ def read(
 
 
 def _make_sample(root: Path, plan: Plan, nowhere: Path) -> None:
-    with _bar("sample", plan.episodes) as tell, Stage() as stage:
+    with _bar("sample", plan.episodes) as tell, SceneRenderer() as stage:
         make_sample(root, plan, open_catalog(plan, nowhere, scene_cache()), stage, tell)
 
 

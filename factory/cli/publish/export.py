@@ -16,10 +16,10 @@ from factory.cli.common.options import former_option, place_argument, workers_op
 from factory.cli.common.output import json_option, print_json, say_duration, stderr
 from factory.cli.publish.export_options import format_options
 from factory.export.base import Options
-from factory.export.estimate import Estimate, estimate_export
+from factory.export.estimate import ExportEstimate, estimate_export
 from factory.export.registry import EXPORTERS, check_format, find_exporter
 from factory.export.report import ExportReport
-from factory.export.run import ExportOrder, Progress, run_export
+from factory.export.run import ExportOrder, ExportProgress, run_export
 from factory.export.selection import parse_episodes
 from factory.support.logs import configure_logs
 from schemas.errors import UsageError
@@ -130,7 +130,7 @@ def _estimate(order: ExportOrder, as_json: bool) -> int:
     return 0 if estimate.fits else 1
 
 
-def _print_estimate(estimate: Estimate) -> None:
+def _print_estimate(estimate: ExportEstimate) -> None:
     click.echo(f"{estimate.format}: {estimate.episodes} episodes, {estimate.frames} frames")
     click.echo(f"size about {_megabytes(estimate.bytes)}, while it is made {_megabytes(estimate.peak_bytes)}")
     click.echo(f"time about {say_duration(estimate.seconds)} with {estimate.workers} processes")
@@ -160,7 +160,7 @@ class _ExportBar(Bars):
         super().__init__(transient=True)
         self._task = self.add_task(name, total=None)
 
-    def tell(self, progress: Progress) -> None:
+    def tell(self, progress: ExportProgress) -> None:
         """Shows where the export stands."""
         elapsed = self.tasks[0].elapsed or 0.0
         rate = f"{progress.frames / elapsed:.0f} frames/s" if progress.frames and elapsed else ""

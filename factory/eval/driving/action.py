@@ -12,14 +12,14 @@ from factory.eval.driving.policy import PolicyFailure, PolicyFault
 from schemas.tokens import GRID_POINTS, actions_of
 from workers.geometry.slew import Twist
 
-__all__ = ["ACTION_KINDS", "MAX_CHUNK", "Chunk", "read_actions"]
+__all__ = ["ACTION_KINDS", "MAX_CHUNK", "ActionChunk", "read_actions"]
 
 ACTION_KINDS = ("continuous", "tokens")
 MAX_CHUNK = 1000
 """Most actions of one answer."""
 
 
-class Chunk(NamedTuple):
+class ActionChunk(NamedTuple):
     """The actions of one answer, in order."""
 
     twists: tuple[Twist, ...]
@@ -28,7 +28,7 @@ class Chunk(NamedTuple):
     """How many of them were out of range."""
 
 
-def read_actions(answer: Any, kind: str, max_v_mps: float, max_w_rps: float) -> Chunk:
+def read_actions(answer: Any, kind: str, max_v_mps: float, max_w_rps: float) -> ActionChunk:
     """Returns the twists that an answer asks for.
 
     Args:
@@ -49,7 +49,7 @@ def read_actions(answer: Any, kind: str, max_v_mps: float, max_w_rps: float) -> 
         numbers = actions_of(_tokens(numbers)).astype(np.float64)
     low, high = np.array((0.0, -max_w_rps)), np.array((max_v_mps, max_w_rps))
     beyond = int(((numbers < low) | (numbers > high)).any(axis=1).sum())
-    return Chunk(tuple(Twist(float(v), float(w)) for v, w in numbers), beyond)
+    return ActionChunk(tuple(Twist(float(v), float(w)) for v, w in numbers), beyond)
 
 
 def _unwrap(answer: Mapping[Any, Any]) -> tuple[Any, str]:

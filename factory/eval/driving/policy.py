@@ -18,13 +18,13 @@ from schemas.job import Job
 
 __all__ = [
     "EpisodeInfo",
-    "Insider",
-    "Observation",
     "Policy",
     "PolicyFailure",
     "PolicyFault",
+    "PolicyInput",
+    "PrivilegedPolicy",
+    "PrivilegedState",
     "ServerAway",
-    "Situation",
     "is_built_in",
     "is_insider",
     "kind_of_actions",
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 
-class Observation(TypedDict):
+class PolicyInput(TypedDict):
     """What a policy is shown before each action."""
 
     rgb: NDArray[np.uint8]
@@ -69,13 +69,13 @@ class Policy(Protocol):
         """Begins an episode and forgets the one before."""
         ...
 
-    def act(self, observation: Observation) -> Any:
+    def act(self, observation: PolicyInput) -> Any:
         """Returns an action: v in m/s and w in rad/s, or two tokens 0..6; or a chunk (H, 2) of them to carry out."""
         ...
 
 
 @dataclass(frozen=True)
-class Situation:
+class PrivilegedState:
     """What only built-in policies that say so are let into: the running simulation, goal and map included."""
 
     simulator: Simulator
@@ -86,10 +86,10 @@ class Situation:
 
 
 @runtime_checkable
-class Insider(Protocol):
+class PrivilegedPolicy(Protocol):
     """A built-in policy with more knowledge than a model has; its attribute `knows` says what."""
 
-    def enter(self, situation: Situation) -> None:
+    def enter(self, situation: PrivilegedState) -> None:
         """Is called after the simulator's reset and before the policy's own."""
         ...
 
@@ -124,7 +124,7 @@ def is_built_in(policy: Policy) -> bool:
 
 def is_insider(policy: Policy) -> bool:
     """Whether a policy is let into the running simulation."""
-    return isinstance(policy, Insider) and is_built_in(policy)
+    return isinstance(policy, PrivilegedPolicy) and is_built_in(policy)
 
 
 def looks(policy: Policy) -> bool:

@@ -18,48 +18,50 @@ from factory.eval.driving.action import read_actions
 from factory.eval.driving.odometry import odometry, yaws_of
 from factory.eval.driving.policy import (
     EpisodeInfo,
-    Insider,
-    Observation,
     Policy,
     PolicyFailure,
     PolicyFault,
+    PolicyInput,
+    PrivilegedPolicy,
+    PrivilegedState,
     ServerAway,
-    Situation,
     is_insider,
     kind_of_actions,
     looks,
 )
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.messages import Order
-from factory.eval.models.request import Question
+from factory.eval.models.messages import EvalOrder
+from factory.eval.models.request import EvalRequest
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
 from schemas.terms import ExpertName
-from workers.experts.observation import View
+from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
-__all__ = ["TRACK_HZ", "Watch", "describe_question", "progresses", "run_episode", "thin_track"]
+__all__ = ["TRACK_HZ", "StatusWatch", "describe_question", "progresses", "run_episode", "thin_track"]
 
 TRACK_HZ = 10
 
 
-class Watch(Protocol):
+class StatusWatch(Protocol):
     """Is told what goes on, so that somebody outside can tell a policy that hangs from a simulation that does."""
 
-    def asks(self, simulator: Simulator, view: View) -> None:
+    def asks(self, simulator: Simulator, view: Observation) -> None:
         """The policy is about to be asked about a view; the first call of an episode is its reset."""
 
     def has_answer(self) -> None:
         """The policy has answered, or failed to."""
 
 
-def run_episode(order: Order, policy: Policy, simulator: Simulator, place: LoadedScene, watch: Watch) -> EpisodeResult:
+def run_episode(
+    order: EvalOrder, policy: Policy, simulator: Simulator, place: LoadedScene, watch: StatusWatch
+) -> EpisodeResult:
     """Drives an episode to its end and measures it.
 
     Args:
         order: what is asked, and of whom.
-        policy: who drives; an `Insider` is let in.
+        policy: who drives; an `PrivilegedPolicy` is let in.
         simulator: open, with the settings of the set.
         place: the scene of the spec.
         watch: told before and after each call of the policy.
@@ -79,20 +81,20 @@ def run_episode(order: Order, policy: Policy, simulator: Simulator, place: Loade
 class _Drive:
     """A policy at the wheel; keeps the clock and the count of its answers."""
 
-    order: Order
+    order: EvalOrder
     policy: Policy
     simulator: Simulator
-    watch: Watch
+    watch: StatusWatch
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
 
     @property
-    def question(self) -> Question:
+    def question(self) -> EvalRequest:
         """What is asked."""
         return self.order.question
 
-    def run(self, view: View) -> tuple[EvalEnd, str]:
+    def run(self, view: Observation) -> tuple[EvalEnd, str]:
         """Returns how the episode ended."""
         try:
             self._begin(view)
@@ -104,7 +106,7 @@ class _Drive:
         words = f"{end} after {self.simulator.steps} steps, {view.distance_m:.2f} m from {self.question.spec.target_id}"
         return end, words
 
-    def _begin(self, view: View) -> None:
+    def _begin(self, view: Observation) -> None:
         settings, spec = self.simulator.settings, self.question.spec
         info = EpisodeInfo(
             episode=spec.spec_id,
@@ -118,11 +120,11 @@ class _Drive:
         with self._asking(view):
             if is_insider(self.policy):
                 expert = getattr(self.policy, "expert", ExpertName.PROPORTIONAL)
-                situation = Situation(self.simulator, spec.job(settings, expert), self.order.actions)
-                cast(Insider, self.policy).enter(situation)
+                situation = PrivilegedState(self.simulator, spec.job(settings, expert), self.order.actions)
+                cast(PrivilegedPolicy, self.policy).enter(situation)
             self.policy.reset(self.question.instruction, info)
 
-    def _turn(self, view: View) -> View:
+    def _turn(self, view: Observation) -> Observation:
         """Asks once and carries the answer out."""
         observation = self._observation(view)
         with self._asking(view):
@@ -137,17 +139,17 @@ class _Drive:
                 break
         return view
 
-    def _observation(self, view: View) -> Observation:
+    def _observation(self, view: Observation) -> PolicyInput:
         words, step = self.question.instruction, self.simulator.steps
         if not looks(self.policy):
-            return cast(Observation, {"instruction": words, "step": step})  # it would not look at pictures
-        seen = Observation(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
+            return cast(PolicyInput, {"instruction": words, "step": step})  # it would not look at pictures
+        seen = PolicyInput(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
         if self.question.with_pose:
             seen["pose"] = odometry(self.simulator.track)
         return seen
 
     @contextmanager
-    def _asking(self, view: View) -> Iterator[None]:
+    def _asking(self, view: Observation) -> Iterator[None]:
         """Around a call of the policy: watched, timed, and every exception of it turned into its failure."""
         self.watch.asks(self.simulator, view)
         begun = time.monotonic()
@@ -181,7 +183,7 @@ def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float
 
 
 def _measured(
-    order: Order,
+    order: EvalOrder,
     simulator: Simulator,
     end: EvalEnd,
     detail: str,
@@ -215,7 +217,7 @@ def _measured(
     )
 
 
-def describe_question(order: Order) -> dict[str, Any]:
+def describe_question(order: EvalOrder) -> dict[str, Any]:
     """Returns the fields of a result that are known before the drive."""
     question, spec = order.question, order.question.spec
     return {

@@ -16,12 +16,12 @@ from factory.eval.models.spec import EvalSettings, EvalSpec
 from schemas.bundle import EpisodeArrays
 from schemas.errors import WorldError
 from schemas.scene import Target
-from workers.experts.observation import View
+from workers.experts.observation import Observation
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.physics.world import World
 from workers.sim.closed_loop import ClosedLoop
-from workers.sim.scene_renderer import LoadedScene, Stage
+from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 from workers.sim.spawn import is_spawn_firm
 
 __all__ = ["NoFirmStand", "Simulator"]
@@ -34,7 +34,7 @@ class NoFirmStand(WorldError):
 class Simulator:
     """One episode at a time; `reset`, then `step` until a view has an end. A context manager."""
 
-    def __init__(self, stage: Stage, settings: EvalSettings) -> None:
+    def __init__(self, stage: SceneRenderer, settings: EvalSettings) -> None:
         """Keeps the caller's open stage, whose renderer it uses."""
         self._stage = stage
         self.settings = settings
@@ -54,7 +54,7 @@ class Simulator:
         self._held.close()
         self._loop = None
 
-    def reset(self, spec: EvalSpec, place: LoadedScene) -> View:
+    def reset(self, spec: EvalSpec, place: LoadedScene) -> Observation:
         """Puts the robot at the start of an episode and returns the first view.
 
         Args:
@@ -81,7 +81,7 @@ class Simulator:
         self._held.callback(self._loop.leave)
         return self._loop.view
 
-    def step(self, wanted: Twist) -> View:
+    def step(self, wanted: Twist) -> Observation:
         """Asks for a twist and simulates one period, unless the episode ends with this action.
 
         Args:
@@ -121,7 +121,7 @@ class Simulator:
         """Returns the steps so far as the archive has them: poses and actions of equal length."""
         return self._running.arrays()
 
-    def observe(self) -> View:
+    def observe(self) -> Observation:
         """Returns the present view: ground truth, never given to a model."""
         return self._running.view
 

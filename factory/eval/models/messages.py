@@ -8,13 +8,13 @@ from typing import Annotated, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from factory.eval.models.request import Actions, Question
+from factory.eval.models.request import Actions, EvalRequest
 from factory.eval.models.result import EpisodeResult
 from factory.eval.models.spec import EvalSettings
 from schemas.base import Model, Positive
 from schemas.terms import RendererKind
 
-__all__ = ["Errand", "Order", "Report", "ReportKind", "Setup", "read_report", "to_line"]
+__all__ = ["EvalOrder", "EvalReport", "EvalReportKind", "EvalTask", "Setup", "read_report", "to_line"]
 
 
 class Setup(Model):
@@ -27,12 +27,12 @@ class Setup(Model):
     reconnect_s: Positive = 30.0
 
 
-class Order(Model):
+class EvalOrder(Model):
     """One episode to drive."""
 
     number: Annotated[int, Field(ge=0)]
     policy: str
-    question: Question
+    question: EvalRequest
     package: Path
     """The compiled scene."""
     actions: Actions | None = None
@@ -41,17 +41,17 @@ class Order(Model):
     """What the policy is made of, where it is not at the place that its name says."""
 
 
-class Errand(Model):
+class EvalTask(Model):
     """One episode to drive, as it goes to a worker of another machine."""
 
     setup: Setup
     policy: str
-    question: Question
+    question: EvalRequest
     actions: Actions | None = None
 
-    def order(self, number: int, package: Path, file: Path | None) -> Order:
+    def order(self, number: int, package: Path, file: Path | None) -> EvalOrder:
         """Returns the order for a driving process there."""
-        return Order(
+        return EvalOrder(
             number=number,
             policy=self.policy,
             question=self.question,
@@ -61,7 +61,7 @@ class Errand(Model):
         )
 
 
-class ReportKind(StrEnum):
+class EvalReportKind(StrEnum):
     """What a report is about."""
 
     READY = "ready"  # the renderer is open
@@ -72,10 +72,10 @@ class ReportKind(StrEnum):
     DEFECT = "defect"  # our own mistake
 
 
-class Report(Model):
+class EvalReport(Model):
     """What a driving process has to say."""
 
-    kind: ReportKind
+    kind: EvalReportKind
     number: int = -1
     """Of the order."""
     detail: str = ""
@@ -86,7 +86,7 @@ class Report(Model):
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
-        if (self.kind is ReportKind.RESULT) != (self.result is not None):
+        if (self.kind is EvalReportKind.RESULT) != (self.result is not None):
             raise ValueError("a result, and nothing else, carries a result")
         return self
 
@@ -96,9 +96,9 @@ def to_line(message: Model) -> bytes:
     return message.model_dump_json().encode() + b"\n"
 
 
-def read_report(line: bytes) -> Report | None:
+def read_report(line: bytes) -> EvalReport | None:
     """Returns the report on a line; `None` for anything else, such as the chatter of a library."""
     try:
-        return Report.model_validate_json(line)
+        return EvalReport.model_validate_json(line)
     except ValidationError:
         return None

@@ -6,7 +6,7 @@ from factory.eval.models.result import Variant
 from factory.eval.models.spec import EvalSpec
 from schemas.base import Model, Name, Sha256
 
-__all__ = ["Actions", "Key", "Question"]
+__all__ = ["Actions", "EvalRequest", "Key"]
 
 Actions = tuple[tuple[float, float], ...]
 """(v, w) in m/s and rad/s, one pair a step."""
@@ -14,7 +14,7 @@ Key = tuple[str, Variant, str]
 """Spec id, variant and words: what a finished episode is known by among those of one policy."""
 
 
-class Question(Model):
+class EvalRequest(Model):
     """An episode, and what the policy is told of it."""
 
     spec: EvalSpec

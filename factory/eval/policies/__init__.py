@@ -22,8 +22,8 @@ from schemas.terms import ExpertName
 
 __all__ = [
     "POLICIES",
-    "Entry",
     "Outside",
+    "PolicyEntry",
     "check_name",
     "describe_knowledge",
     "file_of",
@@ -38,7 +38,7 @@ Maker = Callable[[str, Outside], Policy]
 """Takes what stands behind the first colon of the name, and what a policy may need."""
 
 
-class Entry(NamedTuple):
+class PolicyEntry(NamedTuple):
     """A kind of policy."""
 
     make: Maker
@@ -57,28 +57,30 @@ class Entry(NamedTuple):
 
 
 _WIRE = ("websockets", "msgpack")
-POLICIES: Mapping[str, Entry] = MappingProxyType(
+POLICIES: Mapping[str, PolicyEntry] = MappingProxyType(
     {
-        "expert": Entry(lambda rest, _: ExpertPolicy(_expert_name(rest)), "expert[:NAME]"),
-        "planner": Entry(lambda _rest, _: ExpertPolicy(ExpertName.PLANNER), "planner"),
-        "random": Entry(lambda _rest, _: RandomPolicy(), "random"),
-        "stop": Entry(lambda _rest, _: StopPolicy(), "stop"),
-        "replay": Entry(lambda _rest, _: ReplayPolicy(), "replay", needs_recording=True),
-        "playback": Entry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
-        "bc": Entry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",), True),
-        "ws": Entry(
+        "expert": PolicyEntry(lambda rest, _: ExpertPolicy(_expert_name(rest)), "expert[:NAME]"),
+        "planner": PolicyEntry(lambda _rest, _: ExpertPolicy(ExpertName.PLANNER), "planner"),
+        "random": PolicyEntry(lambda _rest, _: RandomPolicy(), "random"),
+        "stop": PolicyEntry(lambda _rest, _: StopPolicy(), "stop"),
+        "replay": PolicyEntry(lambda _rest, _: ReplayPolicy(), "replay", needs_recording=True),
+        "playback": PolicyEntry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
+        "bc": PolicyEntry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",), True),
+        "ws": PolicyEntry(
             lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True, None, _WIRE
         ),
-        "wss": Entry(
+        "wss": PolicyEntry(
             lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True, None, _WIRE
         ),
     }
 )
 """By the word before the first colon; any other name is taken for `package.module:Class`."""
-_FOREIGN = Entry(lambda name, _: load_class(name), "package.module:Class", reads_instruction=True, renders_apart=True)
+_FOREIGN = PolicyEntry(
+    lambda name, _: load_class(name), "package.module:Class", reads_instruction=True, renders_apart=True
+)
 
 
-def find_policy(name: str) -> Entry:
+def find_policy(name: str) -> PolicyEntry:
     """Returns the kind of a policy without making it.
 
     Raises:

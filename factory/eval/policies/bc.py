@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.eval.driving.policy import EpisodeInfo, Observation
-from factory.train import look
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput
+from factory.train import preprocess
 from factory.train.checkpoint import POLICY, checkpoint_path, read_checkpoint
 from factory.train.torch_door import load_torch
 from factory.train.words import encode
@@ -85,11 +85,12 @@ class BcPolicy:
         self._words = self._torch.from_numpy(words[None])
         self._stops = 0
 
-    def act(self, observation: Observation) -> NDArray[np.float32]:
+    def act(self, observation: PolicyInput) -> NDArray[np.float32]:
         """Returns (hold, 2) twists."""
         size = self.meta.options.size
-        picture = look.to_input(
-            look.shrink_rgb(observation["rgb"], size)[None], look.shrink_depth(observation["depth"], size)[None]
+        picture = preprocess.to_input(
+            preprocess.shrink_rgb(observation["rgb"], size)[None],
+            preprocess.shrink_depth(observation["depth"], size)[None],
         )
         with self._torch.inference_mode():
             answer = self._network(self._torch.from_numpy(picture), self._words)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factory.eval.driving.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, Situation
+from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, PrivilegedState
 from schemas.terms import ExpertName
 from workers.experts import make_expert
 from workers.geometry.slew import Twist
@@ -19,7 +19,7 @@ class ExpertPolicy:
     def __init__(self, expert: ExpertName) -> None:
         self.expert = expert
 
-    def enter(self, situation: Situation) -> None:
+    def enter(self, situation: PrivilegedState) -> None:
         """Takes the running simulation."""
         self._situation = situation
 
@@ -36,6 +36,6 @@ class ExpertPolicy:
             where = f"({start.x:.2f}, {start.y:.2f}) m"
             raise PolicyFailure(PolicyFault.RAISED, f"no drivable path to {simulator.target.target_id} from {where}")
 
-    def act(self, observation: Observation) -> Twist:  # noqa: ARG002
+    def act(self, observation: PolicyInput) -> Twist:  # noqa: ARG002
         """Returns the wanted twist."""
         return self._expert.act(self._situation.simulator.observe())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factory.eval.driving.policy import EpisodeInfo, Observation, Situation
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput, PrivilegedState
 from schemas.errors import UsageError
 from workers.geometry.slew import Twist
 
@@ -14,7 +14,7 @@ class _Recorded:
 
     looks = False
 
-    def enter(self, situation: Situation) -> None:
+    def enter(self, situation: PrivilegedState) -> None:
         """Takes the actions."""
         if situation.actions is None:
             raise UsageError(f"{situation.simulator.spec.spec_id} was not taken from an archived episode")
@@ -23,7 +23,7 @@ class _Recorded:
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Has nothing to forget."""
 
-    def act(self, observation: Observation) -> Twist:
+    def act(self, observation: PolicyInput) -> Twist:
         """Returns the action that was recorded at this step."""
         step = observation["step"]
         return Twist(*self._actions[step]) if step < len(self._actions) else Twist(0.0, 0.0)

@@ -9,7 +9,7 @@ import time
 from contextlib import ExitStack, suppress
 from typing import Any
 
-from factory.eval.driving.policy import EpisodeInfo, Observation, PolicyFailure, PolicyFault, ServerAway
+from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
 from factory.eval.policies.outside import Outside
 from factory.eval.policies.wire import MAX_ANSWER_BYTES, WireError, pack, unpack
 from schemas.errors import UsageError
@@ -43,7 +43,7 @@ class RemotePolicy:
         if self._connection is None:
             self._connect(self._outside.reconnect_s)
 
-    def act(self, observation: Observation) -> Any:
+    def act(self, observation: PolicyInput) -> Any:
         """Returns the server's answer, for the caller to judge.
 
         Raises:

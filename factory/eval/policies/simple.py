@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factory.eval.driving.policy import EpisodeInfo, Observation
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from workers.geometry.slew import Twist
 
 __all__ = ["RandomPolicy", "StopPolicy"]
@@ -22,7 +22,7 @@ class StopPolicy:
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Has nothing to forget."""
 
-    def act(self, observation: Observation) -> Twist:  # noqa: ARG002
+    def act(self, observation: PolicyInput) -> Twist:  # noqa: ARG002
         """Returns standstill."""
         return Twist(0.0, 0.0)
 
@@ -39,7 +39,7 @@ class RandomPolicy:
         self._rng = np.random.default_rng(info.seed)
         self._held = max(1, round(_HELD_S * info.control_hz))
 
-    def act(self, observation: Observation) -> Twist:
+    def act(self, observation: PolicyInput) -> Twist:
         """Returns the twist of this half second."""
         if observation["step"] % self._held == 0:
             v, w = (float(self._rng.uniform(*bounds)) for bounds in (self._info.v_range_mps, self._info.w_range_rps))

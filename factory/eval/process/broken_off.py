@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from factory.eval.driving.policy import PolicyFault
 from factory.eval.driving.rollout import describe_question, progresses
-from factory.eval.models.messages import Order
+from factory.eval.models.messages import EvalOrder
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.process.shared_status import State
+from factory.eval.process.shared_status import DriverStatus
 from schemas.config import TaskConfig
 
 __all__ = ["result_of_end"]
 
 
-def result_of_end(order: Order, detail: str, fault: PolicyFault, state: State, task: TaskConfig) -> EpisodeResult:
+def result_of_end(
+    order: EvalOrder, detail: str, fault: PolicyFault, state: DriverStatus, task: TaskConfig
+) -> EpisodeResult:
     """Returns the result of an episode whose driving process had to be ended.
 
     Args:

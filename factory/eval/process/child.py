@@ -23,18 +23,18 @@ from collections.abc import Callable
 from factory.eval.driving.policy import Policy, ServerAway, is_insider
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.messages import Order, Report, ReportKind, Setup, to_line
+from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies import Outside, describe_knowledge, make_policy
-from factory.eval.process.shared_status import Busy, Sheet
+from factory.eval.process.shared_status import Activity, SharedStatus
 from factory.eval.process.status_updates import SheetWatch
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["main"]
 
-Tell = Callable[[Report], None]
+SendReport = Callable[[EvalReport], None]
 
 
 def main() -> int:
@@ -46,27 +46,27 @@ def main() -> int:
     parser.add_argument("--render-apart", action="store_true", help="Render in a process of its own.")
     arguments = parser.parse_args()
     faulthandler.enable()
-    sheet = Sheet(arguments.sheet)
+    sheet = SharedStatus(arguments.sheet)
     out = take_stdout()
     lines = listen(0)
 
-    def tell(report: Report) -> None:
+    def tell(report: EvalReport) -> None:
         out.write(to_line(report))
 
     try:
         setup = Setup.model_validate_json(lines.get())
         with (
-            Stage(setup.renderer, apart=arguments.render_apart) as stage,
+            SceneRenderer(setup.renderer, apart=arguments.render_apart) as stage,
             Simulator(stage, setup.settings) as simulator,
         ):
             driver = _Driver(setup, stage, simulator, sheet, tell)
-            tell(Report(kind=ReportKind.READY, detail=stage.renderer.description))
-            while driver.serve(Order.model_validate_json(driver.wait(lines))):
+            tell(EvalReport(kind=EvalReportKind.READY, detail=stage.renderer.description))
+            while driver.serve(EvalOrder.model_validate_json(driver.wait(lines))):
                 pass
     except BrokenPipeError:
         return 0  # nobody listens any more
     except FactoryError as error:
-        tell(Report(kind=ReportKind.REFUSED, detail=str(error), exit_code=_exit_code(error)))
+        tell(EvalReport(kind=EvalReportKind.REFUSED, detail=str(error), exit_code=_exit_code(error)))
         return 1
     return 3
 
@@ -78,7 +78,9 @@ def _exit_code(error: FactoryError) -> int:
 class _Driver:
     """Keeps the policy that was asked for last, and notes on the sheet what it is at."""
 
-    def __init__(self, setup: Setup, stage: Stage, simulator: Simulator, sheet: Sheet, tell: Tell) -> None:
+    def __init__(
+        self, setup: Setup, stage: SceneRenderer, simulator: Simulator, sheet: SharedStatus, tell: SendReport
+    ) -> None:
         self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
         self._watch = SheetWatch(sheet)
         self._name = ""
@@ -86,44 +88,44 @@ class _Driver:
 
     def wait(self, lines: queue.Queue[bytes]) -> bytes:
         """Returns the next order."""
-        self._watch.note(Busy.IDLE)
+        self._watch.note(Activity.IDLE)
         return lines.get()
 
-    def serve(self, order: Order) -> bool:
+    def serve(self, order: EvalOrder) -> bool:
         """Does one order; returns whether the process is still sound."""
         try:
             result = self._drive(order)
         except ServerAway as error:
-            self._tell(Report(kind=ReportKind.AWAY, number=order.number, detail=str(error)))
+            self._tell(EvalReport(kind=EvalReportKind.AWAY, number=order.number, detail=str(error)))
         except FactoryError as error:
             code = _exit_code(error)
-            self._tell(Report(kind=ReportKind.REFUSED, number=order.number, detail=str(error), exit_code=code))
+            self._tell(EvalReport(kind=EvalReportKind.REFUSED, number=order.number, detail=str(error), exit_code=code))
         except Exception as error:  # noqa: BLE001 - the worker loop: told, and the process given up
             traceback.print_exc()
-            self._tell(Report(kind=ReportKind.DEFECT, number=order.number, detail=describe_error(error)))
+            self._tell(EvalReport(kind=EvalReportKind.DEFECT, number=order.number, detail=describe_error(error)))
             return False
         else:
-            self._tell(Report(kind=ReportKind.RESULT, number=order.number, result=result))
+            self._tell(EvalReport(kind=EvalReportKind.RESULT, number=order.number, result=result))
         return True
 
-    def _drive(self, order: Order) -> EpisodeResult:
+    def _drive(self, order: EvalOrder) -> EpisodeResult:
         policy = self._policy_of(order)
-        self._watch.begin(Busy.SIMULATING)
+        self._watch.begin(Activity.SIMULATING)
         place = self._stage.load(order.package, order.question.spec.scene_sha256)
         result = run_episode(order, policy, self._simulator, place, self._watch)
         if result.end is EvalEnd.POLICY_LOST:
             # the server may have been started again: its episode begins anew, once
             self._watch.is_warm = False
-            self._watch.begin(Busy.SIMULATING)
+            self._watch.begin(Activity.SIMULATING)
             result = run_episode(order, policy, self._simulator, place, self._watch)
         if result.end in {EvalEnd.POLICY_LOST, EvalEnd.POLICY_HUNG}:
             self._watch.is_warm = False  # its next answer comes over a new connection
         return result
 
-    def _policy_of(self, order: Order) -> Policy:
+    def _policy_of(self, order: EvalOrder) -> Policy:
         name = order.policy
         if self._policy is None or name != self._name:
-            self._watch.begin(Busy.MAKING)
+            self._watch.begin(Activity.MAKING)
             close = getattr(self._policy, "close", None)
             if callable(close):
                 with contextlib.suppress(Exception):
@@ -136,7 +138,9 @@ class _Driver:
             )
             self._policy = make_policy(name, outside, order.file)
             self._watch.is_warm, self._watch.is_insider = False, is_insider(self._policy)
-            self._tell(Report(kind=ReportKind.POLICY, number=order.number, detail=describe_knowledge(self._policy)))
+            self._tell(
+                EvalReport(kind=EvalReportKind.POLICY, number=order.number, detail=describe_knowledge(self._policy))
+            )
         return self._policy
 
 

@@ -16,13 +16,13 @@ import time
 from typing import IO, NamedTuple
 
 from factory.eval.driving.policy import PolicyFault
-from factory.eval.models.messages import Order, Report, ReportKind, Setup, read_report, to_line
+from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind, Setup, read_report, to_line
 from factory.eval.policies import renders_apart
-from factory.eval.process.shared_status import Busy, Sheet, State
+from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from schemas.support.child import SAFE_PATH, child_environment, python_module
 from workers.process.one_core import one_core
 
-__all__ = ["CHILD", "Ended", "Seat"]
+__all__ = ["CHILD", "DriverEnded", "DriverProcess"]
 
 CHILD = python_module("factory.eval.process.child")
 _SIMULATION_S = 120.0
@@ -32,17 +32,17 @@ _TAIL_BYTES = 4000
 _REAP_S = 3.0
 
 
-class Ended(NamedTuple):
+class DriverEnded(NamedTuple):
     """A driving process is no more; it has been reaped."""
 
     fault: PolicyFault | None
     """What the policy did, or `None` where it was not being asked."""
     detail: str
-    state: State
+    state: DriverStatus
     """What it was at."""
 
 
-class Seat:
+class DriverProcess:
     """One driving process, started again when needed."""
 
     def __init__(self, setup: Setup) -> None:
@@ -50,10 +50,10 @@ class Seat:
         """What it was made with."""
         self._renders_apart = False
         self._process: subprocess.Popen[bytes] | None = None
-        self._reports: queue.Queue[Report | None] = queue.Queue()
-        self._sheet: Sheet | None = None
+        self._reports: queue.Queue[EvalReport | None] = queue.Queue()
+        self._sheet: SharedStatus | None = None
         self._stderr: IO[bytes] | None = None
-        self.order_at_hand: Order | None = None
+        self.current_order: EvalOrder | None = None
         """What it is driving."""
         self.made: dict[str, str] = {}
         """What the policies that could be made here go by."""
@@ -70,7 +70,7 @@ class Seat:
         """Of the episode that is being driven."""
         return self._sheet.read().steps if self._sheet is not None else 0
 
-    def give(self, order: Order) -> None:
+    def give(self, order: EvalOrder) -> None:
         """Hands an order over, to a fresh process where there is none; its death is heard from `hear`.
 
         A process that renders by itself is replaced where the policy's libraries must not meet OpenGL's.
@@ -80,10 +80,10 @@ class Seat:
             self._renders_apart = True
         if self._process is None:
             self._start()
-        self.order_at_hand = order
+        self.current_order = order
         self._write(to_line(order))
 
-    def hear(self, timeout_s: float) -> Report | Ended | None:
+    def hear(self, timeout_s: float) -> EvalReport | DriverEnded | None:
         """Returns what came of its order, its end, or `None` after `timeout_s` or news on the way."""
         if self._process is None:
             return None
@@ -92,7 +92,7 @@ class Seat:
         except queue.Empty:
             return self._end_if_late()
         if report is None:
-            return self._bury()
+            return self._reap()
         return report if self._is_outcome(report) else None
 
     def kill(self) -> None:
@@ -115,7 +115,7 @@ class Seat:
             self._stderr = None
 
     def _start(self) -> None:
-        self._sheet = Sheet.fresh()
+        self._sheet = SharedStatus.fresh()
         self._stderr = tempfile.TemporaryFile(mode="a+b")  # noqa: SIM115 - closed by kill
         os.set_inheritable(self._sheet.descriptor, True)
         options = ("--render-apart",) if self._renders_apart else ()
@@ -132,11 +132,11 @@ class Seat:
         threading.Thread(target=_read, args=(self._process.stdout, self._reports), daemon=True).start()
         self._write(to_line(self.setup))
 
-    def _is_outcome(self, report: Report) -> bool:
-        if report.kind is ReportKind.READY:
+    def _is_outcome(self, report: EvalReport) -> bool:
+        if report.kind is EvalReportKind.READY:
             self.renderer = report.detail
-        elif report.kind is ReportKind.POLICY and self.order_at_hand is not None:
-            self.made[self.order_at_hand.policy] = report.detail
+        elif report.kind is EvalReportKind.POLICY and self.current_order is not None:
+            self.made[self.current_order.policy] = report.detail
         else:
             return True
         return False
@@ -147,42 +147,42 @@ class Seat:
                 self._process.stdin.write(line)
                 self._process.stdin.flush()
 
-    def _end_if_late(self) -> Ended | None:
-        if self._sheet is None or self.order_at_hand is None:
+    def _end_if_late(self) -> DriverEnded | None:
+        if self._sheet is None or self.current_order is None:
             return None
         state = self._sheet.read()
         limit_s = {
-            Busy.ASKING: self.setup.act_timeout_s + _GRACE_S * self._is_remote,
-            Busy.MAKING: self.setup.load_timeout_s + (_GRACE_S + self.setup.reconnect_s) * self._is_remote,
+            Activity.ASKING: self.setup.act_timeout_s + _GRACE_S * self._is_remote,
+            Activity.MAKING: self.setup.load_timeout_s + (_GRACE_S + self.setup.reconnect_s) * self._is_remote,
         }.get(state.busy, _SIMULATION_S)
         if time.monotonic() - state.since_s <= limit_s:
             return None
-        words = self._last_words()
+        words = self._last_output()
         self.kill()
-        is_policy = state.busy in {Busy.ASKING, Busy.MAKING}
+        is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         who = "no answer from the policy" if is_policy else "no progress of the simulation"
-        return Ended(PolicyFault.HUNG if is_policy else None, f"{who} within {limit_s:g} s, killed{words}", state)
+        return DriverEnded(PolicyFault.HUNG if is_policy else None, f"{who} within {limit_s:g} s, killed{words}", state)
 
     @property
     def _is_remote(self) -> bool:
-        return self.order_at_hand is not None and self.order_at_hand.policy.startswith(("ws:", "wss:"))
+        return self.current_order is not None and self.current_order.policy.startswith(("ws:", "wss:"))
 
-    def _bury(self) -> Ended:
+    def _reap(self) -> DriverEnded:
         process, sheet = self._process, self._sheet
         if process is None or sheet is None:
             raise RuntimeError("no process to bury")
-        state, words = sheet.read(), self._last_words()
+        state, words = sheet.read(), self._last_output()
         try:
             status = process.wait(_REAP_S)
         except subprocess.TimeoutExpired:
             status = -signal.SIGKILL  # closed its stdout and lives on: not ours any more
         self.kill()
         how = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        is_policy = state.busy in {Busy.ASKING, Busy.MAKING}
+        is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         whom = "the process died in the policy" if is_policy else "the driving process died"
-        return Ended(PolicyFault.DIED if is_policy else None, f"{whom}: {how}{words}", state)
+        return DriverEnded(PolicyFault.DIED if is_policy else None, f"{whom}: {how}{words}", state)
 
-    def _last_words(self) -> str:
+    def _last_output(self) -> str:
         if self._stderr is None:
             return ""
         end = self._stderr.seek(0, os.SEEK_END)
@@ -196,7 +196,7 @@ def _environment() -> dict[str, str]:
     return {name: value for name, value in child_environment(os.environ).items() if name != SAFE_PATH}
 
 
-def _read(stream: IO[bytes], reports: queue.Queue[Report | None]) -> None:
+def _read(stream: IO[bytes], reports: queue.Queue[EvalReport | None]) -> None:
     with contextlib.suppress(ValueError, OSError):  # closed under our hands when killed
         for line in stream:
             report = read_report(line)

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from factory.eval.models.messages import Order, Report, ReportKind
+from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies.note import note_of
 from factory.eval.process.broken_off import result_of_end
-from factory.eval.process.driver_process import Ended, Seat
+from factory.eval.process.driver_process import DriverEnded, DriverProcess
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, orders_for, with_actions
 from factory.eval.specs.from_dataset import Places
@@ -39,10 +39,10 @@ class Pace:
     successes: int
 
 
-Tell = Callable[[Pace], None]
+PaceCallback = Callable[[Pace], None]
 
 
-def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: Tell) -> bool:
+def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: PaceCallback) -> bool:
     """Drives every episode that is not finished yet; returns whether all are done, or `stop` was set before.
 
     Args:
@@ -57,7 +57,7 @@ def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: 
     """
     places = Places(campaign.root)
     with ExitStack() as stack:
-        seats = [Seat(campaign.setup) for _ in range(campaign.processes)]
+        seats = [DriverProcess(campaign.setup) for _ in range(campaign.processes)]
         for seat in seats:
             stack.callback(seat.kill)
         for policy in campaign.policies:
@@ -72,11 +72,11 @@ class _Round:
     def __init__(
         self,
         campaign: Campaign,
-        orders: list[Order],
+        orders: list[EvalOrder],
         store: Store,
-        seats: list[Seat],
+        seats: list[DriverProcess],
         stop: threading.Event,
-        tell: Tell,
+        tell: PaceCallback,
     ) -> None:
         self._campaign, self._orders, self._store = campaign, orders, store
         self._policy = orders[0].policy
@@ -98,36 +98,36 @@ class _Round:
                 self._tell(pace)
         return pace.done >= pace.total
 
-    def _turns(self, waiting: deque[Order]) -> Iterator[EpisodeResult]:
+    def _turns(self, waiting: deque[EvalOrder]) -> Iterator[EpisodeResult]:
         """Gives every idle seat an order and hears every busy one once."""
         busy = 0
         for seat in self._seats:
-            if seat.order_at_hand is None and waiting:
+            if seat.current_order is None and waiting:
                 seat.give(with_actions(waiting.popleft(), self._campaign.root))
-            busy += seat.order_at_hand is not None
+            busy += seat.current_order is not None
         for seat in self._seats:
-            if seat.order_at_hand is None:
+            if seat.current_order is None:
                 continue
             heard = seat.hear(_POLL_S / max(1, busy))
-            result = self._after_end(seat, heard, waiting) if isinstance(heard, Ended) else self._after(heard)
+            result = self._after_end(seat, heard, waiting) if isinstance(heard, DriverEnded) else self._after(heard)
             if result is not None:
-                seat.order_at_hand = None
+                seat.current_order = None
                 yield result
 
-    def _after(self, report: Report | None) -> EpisodeResult | None:
+    def _after(self, report: EvalReport | None) -> EpisodeResult | None:
         if report is None:
             return None
-        if report.kind is ReportKind.REFUSED:
+        if report.kind is EvalReportKind.REFUSED:
             raise UsageError(report.detail) if report.exit_code == 2 else WorldError(report.detail)
-        if report.kind is ReportKind.AWAY:
+        if report.kind is EvalReportKind.AWAY:
             kept = f"results so far are kept in {self._store.root}"
             raise WorldError(f"{report.detail}; {kept}: start the server and run the same command again")
-        if report.kind is ReportKind.DEFECT:
+        if report.kind is EvalReportKind.DEFECT:
             raise RuntimeError(f"a driving process broke: {report.detail}")
         return report.result
 
-    def _after_end(self, seat: Seat, ended: Ended, waiting: deque[Order]) -> EpisodeResult | None:
-        order = seat.order_at_hand
+    def _after_end(self, seat: DriverProcess, ended: DriverEnded, waiting: deque[EvalOrder]) -> EpisodeResult | None:
+        order = seat.current_order
         if order is None:
             return None
         if ended.fault is not None and self._made() is not None:
@@ -138,11 +138,11 @@ class _Round:
         self._deaths[order.number] = self._deaths.get(order.number, 0) + 1
         if self._deaths[order.number] >= _TRIES:
             raise WorldError(f"{order.question.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")
-        seat.order_at_hand = None
+        seat.current_order = None
         waiting.appendleft(order)
         return None
 
-    def _made(self) -> Seat | None:
+    def _made(self) -> DriverProcess | None:
         """A seat in which the policy could be made."""
         return next((seat for seat in self._seats if self._policy in seat.made), None)
 

@@ -15,14 +15,14 @@ import zlib
 from enum import IntEnum
 from typing import NamedTuple, Self
 
-__all__ = ["Busy", "Sheet", "State"]
+__all__ = ["Activity", "DriverStatus", "SharedStatus"]
 
 _LAYOUT = struct.Struct("=qdqddddq")
 _CHECK = struct.Struct("=L")
 _TRIES = 100
 
 
-class Busy(IntEnum):
+class Activity(IntEnum):
     """What the process is at."""
 
     STARTING = 0  # opening the renderer
@@ -32,10 +32,10 @@ class Busy(IntEnum):
     IDLE = 4  # waiting for an order
 
 
-class State(NamedTuple):
+class DriverStatus(NamedTuple):
     """What stands on a sheet; the distances are those of the running episode, metres."""
 
-    busy: Busy = Busy.STARTING
+    busy: Activity = Activity.STARTING
     since_s: float = 0.0
     """On the monotonic clock, which all processes of a machine share."""
     steps: int = 0
@@ -46,13 +46,13 @@ class State(NamedTuple):
     contact_steps: int = 0
 
 
-class Sheet:
+class SharedStatus:
     """One writer, one reader; handed on by its file descriptor."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
         self._memory = mmap.mmap(descriptor, _LAYOUT.size + _CHECK.size)
-        self._last = State(since_s=time.monotonic())
+        self._last = DriverStatus(since_s=time.monotonic())
 
     @classmethod
     def fresh(cls) -> Self:
@@ -61,19 +61,19 @@ class Sheet:
             file.truncate(_LAYOUT.size + _CHECK.size)
             return cls(os.dup(file.fileno()))
 
-    def write(self, state: State) -> None:
+    def write(self, state: DriverStatus) -> None:
         """Replaces what stands there."""
         body = _LAYOUT.pack(*state)
         self._memory[:] = body + _CHECK.pack(zlib.crc32(body))
 
-    def read(self) -> State:
+    def read(self) -> DriverStatus:
         """Returns what stands there, or what was read last where the writer got stuck or died in the middle."""
         for _ in range(_TRIES):
             data = self._memory[:]
             body, check = data[: _LAYOUT.size], data[_LAYOUT.size :]
             if check == _CHECK.pack(zlib.crc32(body)):
                 busy, *rest = _LAYOUT.unpack(body)
-                self._last = State(Busy(busy), *rest)
+                self._last = DriverStatus(Activity(busy), *rest)
                 break
         return self._last
 

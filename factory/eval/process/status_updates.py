@@ -9,8 +9,8 @@ import math
 import time
 
 from factory.eval.driving.simulator import Simulator
-from factory.eval.process.shared_status import Busy, Sheet, State
-from workers.experts.observation import View
+from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
+from workers.experts.observation import Observation
 
 __all__ = ["SheetWatch"]
 
@@ -18,9 +18,9 @@ __all__ = ["SheetWatch"]
 class SheetWatch:
     """Writes every turn down; a `Watch` of the rollout."""
 
-    def __init__(self, sheet: Sheet) -> None:
+    def __init__(self, sheet: SharedStatus) -> None:
         self._sheet = sheet
-        self._state = State()
+        self._state = DriverStatus()
         self._last: tuple[float, float] | None = None
         self._calls = 0
         self.is_warm = False
@@ -28,17 +28,17 @@ class SheetWatch:
         self.is_insider = False
         """Whether it is one of ours that draws and plans for itself: simulation, as far as time goes."""
 
-    def note(self, busy: Busy) -> None:
+    def note(self, busy: Activity) -> None:
         """Writes down what is being done from now on."""
         self._state = self._state._replace(busy=busy, since_s=time.monotonic())
         self._sheet.write(self._state)
 
-    def begin(self, busy: Busy) -> None:
+    def begin(self, busy: Activity) -> None:
         """The same, with the distances of a new episode."""
-        self._state, self._last, self._calls = State(), None, 0
+        self._state, self._last, self._calls = DriverStatus(), None, 0
         self.note(busy)
 
-    def asks(self, simulator: Simulator, view: View) -> None:
+    def asks(self, simulator: Simulator, view: Observation) -> None:
         """The policy is about to be asked."""
         self._calls += 1
         here, state = (view.pose.x, view.pose.y), self._state
@@ -54,9 +54,9 @@ class SheetWatch:
         )
         if not self.is_insider:
             is_reset = self._calls == 1
-            self.note(Busy.ASKING if self.is_warm and not is_reset else Busy.MAKING)
+            self.note(Activity.ASKING if self.is_warm and not is_reset else Activity.MAKING)
 
     def has_answer(self) -> None:
         """The policy has answered."""
         self.is_warm = self.is_warm or self._calls > 1  # the first one is the reset
-        self.note(Busy.SIMULATING)
+        self.note(Activity.SIMULATING)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from factory.eval.driving import measure
 from factory.eval.driving.rollout import TRACK_HZ, describe_question, progresses
-from factory.eval.models.messages import Order
+from factory.eval.models.messages import EvalOrder
 from factory.eval.models.result import EpisodeResult
 from factory.eval.models.spec import EvalSettings
 from schemas.scene import Target
@@ -26,7 +26,7 @@ _SPEED_SLACK, _PUSH_M = 1.5, 0.05
 """A skidding robot is faster than it was told, and an obstacle pushes it aside."""
 
 
-def result_findings(result: EpisodeResult, order: Order, settings: EvalSettings, target: Target) -> list[str]:
+def result_findings(result: EpisodeResult, order: EvalOrder, settings: EvalSettings, target: Target) -> list[str]:
     """Returns every reason for which a result cannot be that of an order; none when it may be kept.
 
     Args:
@@ -78,7 +78,7 @@ def _of_the_measures(result: EpisodeResult, settings: EvalSettings) -> Iterator[
         yield f"closest point {result.min_ne_m:.3f} m away, farther than start or end"
 
 
-def _of_the_track(result: EpisodeResult, order: Order, settings: EvalSettings, target: Target) -> Iterator[str]:
+def _of_the_track(result: EpisodeResult, order: EvalOrder, settings: EvalSettings, target: Target) -> Iterator[str]:
     track, spec, hz = result.track, order.question.spec, settings.task.control_hz
     every = max(1, round(hz / TRACK_HZ))
     x, y, yaw = spec.spawn_pose

@@ -12,13 +12,13 @@ from pydantic import ValidationError
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies.note import PolicyNote
 from schemas.base import Model
-from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
 
 __all__ = ["Driven", "read_driven", "write_driven"]
 
 _MEMBER = "driven.json"
-_LIMITS = Limits(members=1, member_bytes=4 << 20)
+_LIMITS = ContainerLimits(members=1, member_bytes=4 << 20)
 
 
 class Driven(Model):

@@ -14,18 +14,18 @@ import time
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from factory.eval.models.messages import Errand, ReportKind
-from factory.eval.models.messages import Order as Drive
-from factory.eval.models.messages import Report as Outcome
+from factory.eval.models.messages import EvalOrder as Drive
+from factory.eval.models.messages import EvalReport as Outcome
+from factory.eval.models.messages import EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies import is_foreign
 from factory.eval.policies.note import note_of
 from factory.eval.process.broken_off import result_of_end
-from factory.eval.process.driver_process import Ended, Seat
+from factory.eval.process.driver_process import DriverEnded, DriverProcess
 from factory.eval.remote.driven import Driven, write_driven
 from schemas.terms import FailReason, RendererKind
 from workers.process import messages as worker
-from workers.process.messages import Order, failure
+from workers.process.messages import SimulationOrder, failure
 from workers.process.pipes import listen, take_stdout
 
 __all__ = ["main"]
@@ -46,9 +46,13 @@ def main() -> int:
     out, lines = take_stdout(), listen(0)
     station = _Station(renderer, arguments.import_policies, out)
     try:
-        station.tell(worker.Report(kind=worker.ReportKind.READY, renderer=f"{renderer}, with the first episode"))
+        station.tell(
+            worker.SimulationReport(
+                kind=worker.SimulationReportKind.READY, renderer=f"{renderer}, with the first episode"
+            )
+        )
         while True:
-            station.serve(Order.model_validate_json(lines.get()))
+            station.serve(SimulationOrder.model_validate_json(lines.get()))
     except BrokenPipeError:
         return 0  # nobody listens any more
 
@@ -58,16 +62,16 @@ class _Station:
 
     def __init__(self, renderer: RendererKind, may_import: bool, out: BinaryIO) -> None:
         self._renderer, self._may_import, self._out = renderer, may_import, out
-        self._seat: Seat | None = None
+        self._seat: DriverProcess | None = None
 
-    def tell(self, report: worker.Report) -> None:
+    def tell(self, report: worker.SimulationReport) -> None:
         """Tells the worker."""
         self._out.write(worker.to_line(report))
 
-    def serve(self, order: Order) -> None:
+    def serve(self, order: SimulationOrder) -> None:
         """Does one order and tells what came of it."""
         begun = time.monotonic()
-        errand = Errand.model_validate_json(order.errand or "")
+        errand = EvalTask.model_validate_json(order.errand or "")
         if is_foreign(errand.policy) and not self._may_import:
             # the name came over the network, and importing it runs whatever is there
             self.tell(failure(FailReason.CRASH, f"policy {errand.policy}: {_NO_IMPORTS}"))
@@ -76,23 +80,23 @@ class _Station:
         drive = errand.order(order.job.index, order.scene_path, order.attachment_path)
         seat.give(drive)
         heard = self._wait(seat)
-        seat.order_at_hand = None
+        seat.current_order = None
         result = _result(heard, drive, errand, seat)
-        if isinstance(result, worker.Report):
+        if isinstance(result, worker.SimulationReport):
             self.tell(result)
         else:
             note = note_of(drive.policy, seat.made[drive.policy], seat.renderer)
             self.tell(_seal(Driven(result=result, note=note), order.bundle_path, time.monotonic() - begun))
 
-    def _seat_for(self, errand: Errand) -> Seat:
+    def _seat_for(self, errand: EvalTask) -> DriverProcess:
         setup = errand.setup.model_copy(update={"renderer": self._renderer})
         if self._seat is None or self._seat.setup != setup:
             if self._seat is not None:
                 self._seat.kill()
-            self._seat = Seat(setup)
+            self._seat = DriverProcess(setup)
         return self._seat
 
-    def _wait(self, seat: Seat) -> Outcome | Ended:
+    def _wait(self, seat: DriverProcess) -> Outcome | DriverEnded:
         """Returns what came of the order at hand; the worker hears meanwhile that it goes on."""
         told = time.monotonic()
         while True:
@@ -101,23 +105,25 @@ class _Station:
                 return heard
             if time.monotonic() - told > _TELL_S:
                 told = time.monotonic()
-                self.tell(worker.Report(kind=worker.ReportKind.PROGRESS, step=seat.steps))
+                self.tell(worker.SimulationReport(kind=worker.SimulationReportKind.PROGRESS, step=seat.steps))
 
 
-def _result(heard: Outcome | Ended, drive: Drive, errand: Errand, seat: Seat) -> EpisodeResult | worker.Report:
+def _result(
+    heard: Outcome | DriverEnded, drive: Drive, errand: EvalTask, seat: DriverProcess
+) -> EpisodeResult | worker.SimulationReport:
     """Returns the result of a drive, or what is wrong with this machine, its way to a server, or the errand."""
-    if isinstance(heard, Ended):
+    if isinstance(heard, DriverEnded):
         if heard.fault is not None and drive.policy in seat.made:
             return result_of_end(drive, heard.detail, heard.fault, heard.state, errand.setup.settings.task)
         where = "" if heard.fault is None else f"policy {drive.policy} cannot be made: "
         return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
     if heard.result is not None:
         return heard.result
-    is_of_this_machine = heard.kind is ReportKind.AWAY or heard.number != drive.number
+    is_of_this_machine = heard.kind is EvalReportKind.AWAY or heard.number != drive.number
     return failure(FailReason.RELEASED if is_of_this_machine else FailReason.CRASH, heard.detail)
 
 
-def _seal(driven: Driven, path: Path, seconds: float) -> worker.Report:
+def _seal(driven: Driven, path: Path, seconds: float) -> worker.SimulationReport:
     """Leaves a bundle, whole or not at all."""
     part = Path(f"{path}.part")
     try:
@@ -132,7 +138,9 @@ def _seal(driven: Driven, path: Path, seconds: float) -> worker.Report:
         part.unlink(missing_ok=True)
         return failure(FailReason.RELEASED, f"cannot write {part.name}: {error.strerror}", seconds=seconds)
     step = driven.result.num_steps
-    return worker.Report(kind=worker.ReportKind.SUCCESS, step=step, sha256=sha256, size=size, seconds=seconds)
+    return worker.SimulationReport(
+        kind=worker.SimulationReportKind.SUCCESS, step=step, sha256=sha256, size=size, seconds=seconds
+    )
 
 
 if __name__ == "__main__":

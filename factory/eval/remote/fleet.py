@@ -12,14 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator.expansion.evaluation import Errands, Parcel
+from coordinator.expansion.evaluation import Errands, EvalPayload
 from coordinator.ledger import operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.reading.records import JobFilter, list_jobs
-from coordinator.ledger.states import State
+from coordinator.ledger.states import JobState
 from coordinator.protocol.ask import ask_presence
 from coordinator.protocol.tls import Guard
 from coordinator.service import Coordinator, utc_now
@@ -33,7 +33,7 @@ from factory.eval.specs.campaign import Campaign
 from schemas.errors import WorldError
 from schemas.plan import Plan
 
-__all__ = ["Door", "run_fleet"]
+__all__ = ["FleetAccess", "run_fleet"]
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
@@ -43,7 +43,7 @@ _NAMED = 5
 
 
 @dataclass(frozen=True)
-class Door:
+class FleetAccess:
     """How workers are reached."""
 
     listen: tuple[str, ...] = ()
@@ -57,7 +57,7 @@ class Door:
 
 
 def run_fleet(
-    campaign: Campaign, plan: Plan, store: Store, door: Door, stop: threading.Event, tell: Callable[[Pace], None]
+    campaign: Campaign, plan: Plan, store: Store, door: FleetAccess, stop: threading.Event, tell: Callable[[Pace], None]
 ) -> bool:
     """Has every episode driven that is not finished yet; returns whether all are done, or `stop` was set before.
 
@@ -83,9 +83,9 @@ def run_fleet(
     root = store.root / _FOLDER / run_plan.run
     planned = tuple(planned_of(order, index) for index, order in intake.left.items())
 
-    def find(index: int) -> Parcel:
+    def find(index: int) -> EvalPayload:
         attachment, _ = attached.get(orders[index].policy, (None, None))
-        return Parcel(text_of(campaign, orders[index]), attachment)
+        return EvalPayload(text_of(campaign, orders[index]), attachment)
 
     errands = Errands(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
     judge = ResultJudge(orders, campaign.specs.settings)
@@ -118,7 +118,7 @@ def run_fleet(
     return is_over
 
 
-def _look_for_coordinator(door: Door) -> None:
+def _look_for_coordinator(door: FleetAccess) -> None:
     """Says so when nobody is there."""
     if door.guard is None:
         ask_presence(door.connect)
@@ -141,7 +141,7 @@ def _try_failed_again(root: Path) -> None:
 
 def _require_whole(root: Path, store: Store) -> None:
     with look_into(ledger_url_of(root)) as connection:
-        failed = list_jobs(connection, JobFilter(states=(State.FAILED,)), limit=_NAMED)
+        failed = list_jobs(connection, JobFilter(states=(JobState.FAILED,)), limit=_NAMED)
     if failed:
         reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)
         raise WorldError(

@@ -8,7 +8,7 @@ from pathlib import Path
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.reading.records import read_archived
-from factory.eval.models.messages import Order
+from factory.eval.models.messages import EvalOrder
 from factory.eval.process.run import Pace
 from factory.eval.remote.driven import read_driven
 from factory.eval.results.store import Store
@@ -27,7 +27,7 @@ class Intake:
         tell: told how far each policy is.
     """
 
-    def __init__(self, store: Store, orders: Mapping[int, Order], tell: Callable[[Pace], None]) -> None:
+    def __init__(self, store: Store, orders: Mapping[int, EvalOrder], tell: Callable[[Pace], None]) -> None:
         self._store, self._orders, self._tell = store, orders, tell
         policies = dict.fromkeys(order.policy for order in orders.values())
         kept = {name: {result.key: result.success for result in store.results(name)} for name in policies}
@@ -40,7 +40,7 @@ class Intake:
             self._tell(self._pace(policy))
 
     @property
-    def left(self) -> Mapping[int, Order]:
+    def left(self) -> Mapping[int, EvalOrder]:
         """The orders whose results are still wanted."""
         return {index: order for index, order in self._orders.items() if index not in self._done}
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from factory.eval.models.messages import Order
+from factory.eval.models.messages import EvalOrder
 from factory.eval.models.result import EpisodeResult
 from factory.eval.models.spec import EvalSettings
 from factory.eval.remote.check_result import result_findings
@@ -20,13 +20,13 @@ from schemas.job import Job
 from schemas.plan import canonical_json
 from schemas.scene import Target
 
-__all__ = ["Receipt", "ResultJudge", "result_digest"]
+__all__ = ["EvalReceipt", "ResultJudge", "result_digest"]
 
 _CLOCKS = {"act_ms", "seconds"}
 """What does not repeat."""
 
 
-class Receipt(Model):
+class EvalReceipt(Model):
     """What the ledger keeps of a result."""
 
     index: Annotated[int, Field(ge=1)]
@@ -50,10 +50,10 @@ class ResultJudge:
         settings: of the set.
     """
 
-    def __init__(self, orders: Mapping[int, Order], settings: EvalSettings) -> None:
+    def __init__(self, orders: Mapping[int, EvalOrder], settings: EvalSettings) -> None:
         self._orders, self._settings = orders, settings
 
-    def check(self, path: Path, job: Job, target: Target | None = None) -> Receipt:
+    def check(self, path: Path, job: Job, target: Target | None = None) -> EvalReceipt:
         """Returns what the ledger keeps of a bundle.
 
         Raises:
@@ -69,7 +69,7 @@ class ResultJudge:
             findings.append(f"note of policy {driven.note.policy!r}, asked {order.policy!r}")
         if findings:
             raise InvalidBundle("result refused", findings)
-        return Receipt(
+        return EvalReceipt(
             index=job.index,
             num_steps=driven.result.num_steps,
             content_digest=result_digest(driven.result),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.draw import PlannedJob
-from factory.eval.models.messages import Errand, Order
+from factory.eval.models.messages import EvalOrder, EvalTask
 from factory.eval.policies import file_of
 from factory.eval.specs.campaign import Campaign, orders_for, with_actions
 from factory.eval.specs.from_dataset import Places
@@ -26,14 +26,14 @@ _BUDGET = Budget(attempts_per_draw=1, draws=1)
 """A policy that does not arrive has a result too: no worker has a reason to report a failure of the world."""
 
 
-def number_orders(campaign: Campaign) -> Mapping[int, Order]:
+def number_orders(campaign: Campaign) -> Mapping[int, EvalOrder]:
     """Returns the orders of all policies, by job index; the same campaign gives the same numbers."""
     places = Places(campaign.root)
     orders = (order for policy in campaign.policies for order in orders_for(campaign, policy, places))
     return dict(enumerate(orders, 1))
 
 
-def catalog_of(orders: Mapping[int, Order]) -> Catalog:
+def catalog_of(orders: Mapping[int, EvalOrder]) -> Catalog:
     """Returns the scenes of the orders.
 
     Raises:
@@ -69,7 +69,7 @@ def attachments_of(campaign: Campaign) -> Attached:
     return found
 
 
-def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, Order], attached: Attached) -> Plan:
+def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], attached: Attached) -> Plan:
     """Returns the plan of the run: scenes and settings as those of the specs, named after all that is asked.
 
     Args:
@@ -94,7 +94,7 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, Order], attache
     return plan.model_copy(update={"name": name, "scenes": scenes, "budget": _BUDGET, **numbers})
 
 
-def planned_of(order: Order, index: int) -> PlannedJob:
+def planned_of(order: EvalOrder, index: int) -> PlannedJob:
     """Returns an order as a row of the ledger."""
     question, spec = order.question, order.question.spec
     return PlannedJob(
@@ -111,18 +111,18 @@ def planned_of(order: Order, index: int) -> PlannedJob:
     )
 
 
-def text_of(campaign: Campaign, order: Order) -> str:
+def text_of(campaign: Campaign, order: EvalOrder) -> str:
     """Returns what a worker is told of an order.
 
     Raises:
         ArchiveCorrupt: it needs a recorded episode that the dataset lacks.
     """
     whole = with_actions(order, campaign.root)
-    errand = Errand(setup=campaign.setup, policy=whole.policy, question=whole.question, actions=whole.actions)
+    errand = EvalTask(setup=campaign.setup, policy=whole.policy, question=whole.question, actions=whole.actions)
     return errand.model_dump_json()
 
 
-def _digest(campaign: Campaign, orders: Mapping[int, Order], attached: Attached) -> str:
+def _digest(campaign: Campaign, orders: Mapping[int, EvalOrder], attached: Attached) -> str:
     digest = hashlib.sha256(canonical_json(campaign.setup).encode())
     for order in orders.values():
         digest.update(f"{order.policy}\n{canonical_json(order.question)}\n".encode())

@@ -8,19 +8,19 @@ from typing import Annotated
 from pydantic import Field
 
 from factory.eval.models.result import EpisodeResult, Variant
-from factory.eval.results.estimate import Estimate, mcnemar_p, means_of
+from factory.eval.results.estimate import IntervalEstimate, mcnemar_p, means_of
 from factory.eval.results.score import MEANS
 from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model
 from schemas.errors import UsageError
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["PairedComparison", "compare"]
 
 Count = Annotated[int, Field(ge=0)]
 
 
-class Comparison(Model):
+class PairedComparison(Model):
     """The second run against the first; a difference is second minus first."""
 
     first: str
@@ -38,12 +38,12 @@ class Comparison(Model):
     neither: Count
     p: Fraction
     """Two-sided, of the exact McNemar test."""
-    success_difference: Estimate
-    differences: dict[str, Estimate]
+    success_difference: IntervalEstimate
+    differences: dict[str, IntervalEstimate]
     """Means of the paired differences with BCa intervals, by measure."""
 
 
-def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], variant: Variant) -> Comparison:
+def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], variant: Variant) -> PairedComparison:
     """Returns the paired comparison of two policies' results under one variant of the instruction.
 
     Raises:
@@ -65,7 +65,7 @@ def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], var
             **{name: [_minus(getattr(b, field), getattr(a, field)) for a, b in pairs] for name, field in MEANS.items()},
         }
     )
-    return Comparison(
+    return PairedComparison(
         first=pairs[0][0].policy,
         second=pairs[0][1].policy,
         variant=variant,

@@ -14,7 +14,7 @@ from scipy import stats
 
 from schemas.base import Model
 
-__all__ = ["RESAMPLES", "Estimate", "mcnemar_p", "mean_of", "means_of"]
+__all__ = ["RESAMPLES", "IntervalEstimate", "mcnemar_p", "mean_of", "means_of"]
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -22,7 +22,7 @@ _SEED = 20180718
 _BATCH = 250
 
 
-class Estimate(Model):
+class IntervalEstimate(Model):
     """A mean with its bias-corrected and accelerated bootstrap interval (B. Efron, 1987)."""
 
     n: Annotated[int, Field(ge=0)]
@@ -33,14 +33,14 @@ class Estimate(Model):
     """Ends of the interval; `None` where a single value, or a spread that BCa is not defined for, gives none."""
 
 
-def mean_of(values: Sequence[float | None]) -> Estimate:
+def mean_of(values: Sequence[float | None]) -> IntervalEstimate:
     """Returns the mean of the values that are there, with its interval; the same values give the same interval."""
     return means_of({"": values})[""]
 
 
-def means_of(columns: Mapping[str, Sequence[float | None]]) -> dict[str, Estimate]:
+def means_of(columns: Mapping[str, Sequence[float | None]]) -> dict[str, IntervalEstimate]:
     """Returns the means of several columns of the same rows; resampled together, which is quicker than one by one."""
-    found: dict[str, Estimate] = {}
+    found: dict[str, IntervalEstimate] = {}
     full: dict[str, NDArray[np.float64]] = {}
     for name, column in columns.items():
         values = np.array([value for value in column if value is not None], np.float64)
@@ -66,16 +66,16 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
     return 1.0 if discordant == 0 else float(stats.binomtest(only_first, discordant, 0.5).pvalue)
 
 
-def _certain(values: NDArray[np.float64]) -> Estimate:
+def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
     """Of equal values, whose interval is a point, and of a single one, which has none."""
     if len(values) == 0:
-        return Estimate(n=0, mean=None, low=None, high=None)
+        return IntervalEstimate(n=0, mean=None, low=None, high=None)
     mean = float(values[0])
     ends = mean if len(values) > 1 else None
-    return Estimate(n=len(values), mean=mean, low=ends, high=ends)
+    return IntervalEstimate(n=len(values), mean=mean, low=ends, high=ends)
 
 
-def _resampled(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, Estimate]:
+def _resampled(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, IntervalEstimate]:
     data = np.stack(list(columns.values()))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # told by NaN, which becomes None
@@ -90,7 +90,7 @@ def _resampled(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, Estimate
             rng=np.random.default_rng(_SEED),
         ).confidence_interval
     return {
-        name: Estimate(n=len(values), mean=float(values.mean()), low=_finite(low), high=_finite(high))
+        name: IntervalEstimate(n=len(values), mean=float(values.mean()), low=_finite(low), high=_finite(high))
         for (name, values), low, high in zip(columns.items(), interval.low, interval.high, strict=True)
     }
 

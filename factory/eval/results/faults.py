@@ -10,10 +10,10 @@ from pydantic import Field
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from schemas.base import Model, Name
 
-__all__ = ["Fault", "faults_of"]
+__all__ = ["FaultCount", "faults_of"]
 
 
-class Fault(Model):
+class FaultCount(Model):
     """All drives of a policy that it ended by failing in one way, whatever words it was given."""
 
     end: EvalEnd
@@ -26,7 +26,7 @@ class Fault(Model):
     """What was said there, with its place in the code where it has one."""
 
 
-def faults_of(results: Sequence[EpisodeResult]) -> tuple[Fault, ...]:
+def faults_of(results: Sequence[EpisodeResult]) -> tuple[FaultCount, ...]:
     """Returns the ways in which a policy failed, the most frequent first.
 
     Args:
@@ -37,7 +37,7 @@ def faults_of(results: Sequence[EpisodeResult]) -> tuple[Fault, ...]:
         if row.end.is_of_the_policy:
             rows.setdefault(row.end, []).append(row)
     faults = (
-        Fault(end=end, drives=len(found), of=len(results), first=found[0].spec_id, detail=found[0].detail)
+        FaultCount(end=end, drives=len(found), of=len(results), first=found[0].spec_id, detail=found[0].detail)
         for end, found in rows.items()
     )
     return tuple(sorted(faults, key=lambda fault: (-fault.drives, fault.end)))

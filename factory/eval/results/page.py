@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from factory.eval.models.result import EpisodeResult
-from factory.eval.results.estimate import Estimate
+from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
 from factory.html import data_uri, render
 from factory.stats.model import Share
 
-__all__ = ["Failure", "write_page"]
+__all__ = ["FailureExample", "write_page"]
 
 _HEAD = (
     "n",
@@ -37,7 +37,7 @@ _DASH = "–"
 
 
 @dataclass(frozen=True)
-class Failure:
+class FailureExample:
     """A failed episode, its film (MP4) and the last picture of it (JPEG)."""
 
     row: EpisodeResult
@@ -67,7 +67,7 @@ class _Table:
     note: str = ""
 
 
-def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[Failure]]) -> str:
+def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureExample]]) -> str:
     """Returns the page.
 
     Args:
@@ -150,7 +150,7 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
         yield _Table("words", "Other words", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
 
 
-def _film(failure: Failure) -> dict[str, object]:
+def _film(failure: FailureExample) -> dict[str, object]:
     row = failure.row
     facts = f"{row.scene}, {row.tier}, {row.split}; {row.target_id}; NE {row.final_ne_m:.2f} m, {row.num_steps} steps"
     return {
@@ -188,7 +188,7 @@ def _share(share: Share) -> _Cell:
     return _Cell(f"{value:.1f}", f"{low:.0f} to {high:.0f}", (low, value, high))
 
 
-def _estimate(value: Estimate, digits: int = 2) -> _Cell:
+def _estimate(value: IntervalEstimate, digits: int = 2) -> _Cell:
     if value.mean is None:
         return _Cell(_DASH)
     if value.low is None or value.high is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from factory.eval.results.estimate import Estimate
+from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import PolicyScores
 from factory.stats.model import Share
 
@@ -12,7 +12,9 @@ __all__ = ["ablation_rows", "deaf_policies", "ends_of", "faults_in_words"]
 
 
 def ablation_rows(
-    policies: Sequence[PolicyScores], share: Callable[[Share], object], estimate: Callable[[Estimate, int], object]
+    policies: Sequence[PolicyScores],
+    share: Callable[[Share], object],
+    estimate: Callable[[IntervalEstimate, int], object],
 ) -> Iterator[tuple[object, ...]]:
     """Yields policy, words, episodes, n, success, gap to the true words and McNemar's p, for each set of other words.
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from factory.eval.models.result import EpisodeResult, Variant
-from factory.eval.results.page import Failure, write_page
+from factory.eval.results.page import FailureExample, write_page
 from factory.eval.results.score import Evaluation, score_policy
 from factory.eval.results.store import Store
 from factory.eval.results.video import FILM_CRF, FILM_RATE, choose_failures, draw_frames, draw_poster
@@ -17,18 +17,20 @@ from factory.eval.specs.campaign import Campaign
 from factory.eval.specs.from_dataset import Places
 from factory.visualize.film import write_mp4
 from schemas.errors import WorldError
-from workers.sim.scene_renderer import Stage
+from workers.sim.scene_renderer import SceneRenderer
 
 __all__ = ["PAGE_FILE", "RESULTS_FILE", "TABLE_FILE", "evaluation_of", "publish"]
 
 RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index.html"
 _VIDEOS = "videos"
 
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 """Is told (videos drawn, videos in all)."""
 
 
-def publish(campaign: Campaign, store: Store, videos: int, tell: Tell = lambda _done, _total: None) -> Evaluation:
+def publish(
+    campaign: Campaign, store: Store, videos: int, tell: ProgressCallback = lambda _done, _total: None
+) -> Evaluation:
     """Writes all results of an evaluation and returns them.
 
     Args:
@@ -51,7 +53,7 @@ def publish(campaign: Campaign, store: Store, videos: int, tell: Tell = lambda _
     return evaluation
 
 
-def _failures(campaign: Campaign, store: Store, videos: int, tell: Tell) -> dict[str, list[Failure]]:
+def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallback) -> dict[str, list[FailureExample]]:
     """The videos of each policy; those of an earlier run are taken as they are."""
     chosen = {
         name: choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
@@ -62,8 +64,8 @@ def _failures(campaign: Campaign, store: Store, videos: int, tell: Tell) -> dict
         return {}
     shas = {spec.scene: spec.scene_sha256 for spec in campaign.specs.specs}
     settings, places = campaign.specs.settings, Places(campaign.root)
-    found: dict[str, list[Failure]] = {name: [] for name in chosen}
-    with Stage(campaign.setup.renderer) as stage:
+    found: dict[str, list[FailureExample]] = {name: [] for name in chosen}
+    with SceneRenderer(campaign.setup.renderer) as stage:
         for name, rows in chosen.items():
             folder = store.folder(name) / _VIDEOS
             folder.mkdir(exist_ok=True)
@@ -75,7 +77,7 @@ def _failures(campaign: Campaign, store: Store, videos: int, tell: Tell) -> dict
                     pictures = list(draw_frames(row, scene, radius_m, stage.renderer, settings.camera))
                     _write(poster, draw_poster(pictures[-1]))
                     write_mp4(film, pictures, FILM_RATE, FILM_CRF)
-                found[name].append(Failure(row, film.read_bytes(), poster.read_bytes()))
+                found[name].append(FailureExample(row, film.read_bytes(), poster.read_bytes()))
                 tell(sum(map(len, found.values())), total)
     return found
 

@@ -11,8 +11,8 @@ from pydantic import Field
 
 from factory.eval.models.result import RESULTS_FORMAT, EpisodeResult, EvalEnd, Variant
 from factory.eval.policies.note import PolicyNote
-from factory.eval.results.estimate import Estimate, mcnemar_p, means_of
-from factory.eval.results.faults import Fault, faults_of
+from factory.eval.results.estimate import IntervalEstimate, mcnemar_p, means_of
+from factory.eval.results.faults import FaultCount, faults_of
 from factory.stats.measures import share_of
 from factory.stats.model import Share
 from schemas.base import Fraction, Model, Sha256
@@ -68,14 +68,14 @@ class Score(Model):
     """Ended because the policy raised, hung, died or gave no action."""
     contact: Share
     """Touched anything but the floor."""
-    ne_m: Estimate
-    trajectory_length_m: Estimate
-    spl: Estimate
-    soft_spl: Estimate
-    progress_final: Estimate
-    progress_max: Estimate
-    progress_normalised: Estimate
-    num_steps: Estimate
+    ne_m: IntervalEstimate
+    trajectory_length_m: IntervalEstimate
+    spl: IntervalEstimate
+    soft_spl: IntervalEstimate
+    progress_final: IntervalEstimate
+    progress_max: IntervalEstimate
+    progress_normalised: IntervalEstimate
+    num_steps: IntervalEstimate
 
 
 class Ablation(Model):
@@ -88,7 +88,7 @@ class Ablation(Model):
     """Pairs of episodes."""
     success: Share
     """Under these words."""
-    gap: Estimate
+    gap: IntervalEstimate
     """Success under the true words minus that under these."""
     p: Fraction
     """Of the exact McNemar test."""
@@ -105,7 +105,7 @@ class PolicyScores(Model):
     overall: Score
     groups: tuple[Score, ...]
     ends: dict[EvalEnd, int]
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[FaultCount, ...] = ()
     """Where it failed as a program, under whatever words."""
     ablation: tuple[Ablation, ...]
     act_ms: float | None

@@ -22,12 +22,12 @@ from factory.eval.policies.note import PolicyNote
 from schemas.base import Model, NonNegative, Sha256
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["Manifest", "Store", "folder_name", "read_policy_folder"]
+__all__ = ["EvalManifest", "Store", "folder_name", "read_policy_folder"]
 
 _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "policies", "episodes.jsonl", "policy.json"
 
 
-class Manifest(Model):
+class EvalManifest(Model):
     """What an evaluation directory is about; a run with another one is refused."""
 
     format: int = RESULTS_FORMAT
@@ -41,7 +41,7 @@ class Manifest(Model):
 class Store:
     """An evaluation directory, open for writing."""
 
-    def __init__(self, root: Path, specs: SpecSet, manifest: Manifest) -> None:
+    def __init__(self, root: Path, specs: SpecSet, manifest: EvalManifest) -> None:
         """Opens or makes the directory.
 
         Raises:
@@ -109,7 +109,7 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
-    def _agree(self, manifest: Manifest) -> None:
+    def _agree(self, manifest: EvalManifest) -> None:
         if not (self.root / _MANIFEST).exists():
             if any(self.root.iterdir()):
                 raise UsageError(f"{self.root} is not empty and holds no evaluation; give another -o")
@@ -118,7 +118,7 @@ class Store:
         found = read_manifest(self.root)
         different = [
             f"{name} {_short(getattr(found, name))}, now {_short(getattr(manifest, name))}"
-            for name in Manifest.model_fields
+            for name in EvalManifest.model_fields
             if name != "format" and getattr(found, name) != getattr(manifest, name)
         ]
         if different and self._has_results():
@@ -131,7 +131,7 @@ class Store:
         others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES}
         return bool(others) or any((self.root / _POLICIES).glob(f"*/{_LOG}"))
 
-    def _begin(self, manifest: Manifest) -> None:
+    def _begin(self, manifest: EvalManifest) -> None:
         write_specs(self._specs, self.root / _SPECS)
         _write(self.root / _MANIFEST, manifest)
 
@@ -141,7 +141,7 @@ def _short(value: object) -> str:
     return f"{value[:12]}..." if isinstance(value, str) and len(value) == 64 else repr(value)
 
 
-def read_manifest(root: Path) -> Manifest:
+def read_manifest(root: Path) -> EvalManifest:
     """Reads what an evaluation directory is about.
 
     Raises:
@@ -149,7 +149,7 @@ def read_manifest(root: Path) -> Manifest:
     """
     path = root / _MANIFEST
     try:
-        found = Manifest.model_validate_json(path.read_bytes())
+        found = EvalManifest.model_validate_json(path.read_bytes())
     except FileNotFoundError as error:
         raise WorldError(
             f"{root} holds no evaluation ({_MANIFEST} is missing): give the -o of `factory eval`"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from factory.eval.models.messages import Order, Setup
-from factory.eval.models.request import Question
+from factory.eval.models.messages import EvalOrder, Setup
+from factory.eval.models.request import EvalRequest
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.policies import find_policy
@@ -34,7 +34,7 @@ class Campaign:
     """Whether policies are given the pose in the frame of the start."""
 
 
-def orders_for(campaign: Campaign, policy: str, places: Places) -> list[Order]:
+def orders_for(campaign: Campaign, policy: str, places: Places) -> list[EvalOrder]:
     """Returns all episodes of a policy in the order of work: by variant, scene and place in the set."""
     entry = find_policy(policy)
     specs = campaign.specs
@@ -46,15 +46,15 @@ def orders_for(campaign: Campaign, policy: str, places: Places) -> list[Order]:
         spec.scene_sha256: places.load(spec.scene, spec.scene_sha256).scene.info for spec in specs.specs if needs_scenes
     }
     recorded = _recordings(policy, specs) if entry.needs_recording else {}
-    orders: list[Order] = []
+    orders: list[EvalOrder] = []
     for variant in variants:
         words = instructions(specs, variant, scenes)
         for spec in sorted(specs.specs, key=lambda spec: spec.scene):
             orders.append(
-                Order(
+                EvalOrder(
                     number=len(orders),
                     policy=policy,
-                    question=Question(
+                    question=EvalRequest(
                         spec=spec,
                         spec_digest=specs.spec_digest(spec),
                         instruction=words[spec.spec_id],
@@ -68,7 +68,7 @@ def orders_for(campaign: Campaign, policy: str, places: Places) -> list[Order]:
     return orders
 
 
-def with_actions(order: Order, root: Path) -> Order:
+def with_actions(order: EvalOrder, root: Path) -> EvalOrder:
     """Returns the order with the actions of the episode that its question names, where it names one.
 
     Raises:

@@ -28,7 +28,7 @@ _SAME_PLACE_M = 0.005
 """Largest displacement in the warm-up of a pose that is taken for the one that was put down."""
 _SAME_HEADING_RAD = 0.01
 
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 """Is told (done, total)."""
 
 
@@ -60,7 +60,7 @@ class Places:
 def specs_of_dataset(
     dataset: Dataset,
     splits: Collection[Split],
-    tell: Tell = lambda _done, _total: None,
+    tell: ProgressCallback = lambda _done, _total: None,
     episodes: int | None = None,
 ) -> SpecSet:
     """Returns one spec for each archived episode of some splits, in the order of the plan.

@@ -25,7 +25,7 @@ from schemas.scene import Target
 from schemas.terms import TIER_RANGE_M, ExpertName, Split, Tier
 from workers.geometry.grid import body_centre
 from workers.planning import geodesic_m
-from workers.sim.scene_renderer import LoadedScene, Stage
+from workers.sim.scene_renderer import LoadedScene, SceneRenderer
 
 __all__ = ["unfiltered_specs"]
 
@@ -33,7 +33,7 @@ _DRAW_STREAM, _SEED_STREAM = 21, 22
 _REDRAWS = 40
 
 Pose = tuple[float, float, float]
-Tell = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 def unfiltered_specs(
@@ -41,8 +41,8 @@ def unfiltered_specs(
     splits: Collection[Split],
     episodes: int,
     seed: int,
-    stage: Stage,
-    tell: Tell = lambda _done, _total: None,
+    stage: SceneRenderer,
+    tell: ProgressCallback = lambda _done, _total: None,
 ) -> SpecSet:
     """Returns freshly drawn episodes in the shares of a dataset's plan.
 

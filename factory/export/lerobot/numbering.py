@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.export.base import Piece
+from factory.export.base import ExportPiece
 from factory.export.lerobot.piece import LeRobotFacts
 from schemas.terms import Split
 
@@ -46,7 +46,7 @@ ABOUT = (
 class Numbered:
     """A piece with its place in the dataset."""
 
-    piece: Piece[LeRobotFacts]
+    piece: ExportPiece[LeRobotFacts]
     episode_index: int
     task_index: int
     task: str
@@ -85,7 +85,7 @@ class Numbering:
         return len(self.episodes)
 
 
-def number_pieces(pieces: Sequence[Piece[LeRobotFacts]], stride: int) -> Numbering:
+def number_pieces(pieces: Sequence[ExportPiece[LeRobotFacts]], stride: int) -> Numbering:
     """Returns the pieces by split, within a split in the order of the plan.
 
     Args:
@@ -105,7 +105,7 @@ def number_pieces(pieces: Sequence[Piece[LeRobotFacts]], stride: int) -> Numberi
     return Numbering(found, tuple(tasks), _ranges(ordered), first)
 
 
-def _ranges(ordered: Sequence[Piece[LeRobotFacts]]) -> dict[str, str]:
+def _ranges(ordered: Sequence[ExportPiece[LeRobotFacts]]) -> dict[str, str]:
     starts: dict[str, int] = {}
     stops: dict[str, int] = {}
     for number, piece in enumerate(ordered):

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.export.base import Facts
+from factory.export.base import EpisodeFacts
 from factory.export.lerobot.columns import FrameColumns, frame_columns, kept_frames
 from factory.export.lerobot.depth import LARGEST_CODE, DepthCode
 from factory.export.lerobot.features import DEPTH, FILES, IDS, RGB, VECTORS, LeRobotOptions, data_schema, video_keys
@@ -31,7 +31,7 @@ _CODECS = {RGB: RGB_CODEC, DEPTH: DEPTH_CODEC}
 _LARGEST = {RGB: 255, DEPTH: LARGEST_CODE, IDS: 65535}
 
 
-class LeRobotFacts(Facts):
+class LeRobotFacts(EpisodeFacts):
     """What both versions must know of a piece."""
 
     images: dict[str, ImageCounts]

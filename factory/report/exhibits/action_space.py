@@ -8,7 +8,7 @@ from factory.html.palette import colour
 from factory.report.canvas import Axes, draw_panel
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, number, percent
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from schemas.tokens import GRID_POINTS, V_GRID_MPS, W_GRID_RPS
 
 __all__ = ["draw"]
@@ -19,7 +19,7 @@ _MOST = 8
 """Rows of the table."""
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns the heat map and the most frequent tokens."""
     drives = material.drives
     title, source = "Action space, and what of it is used", "Fig. 1; the paper shows the grid alone"

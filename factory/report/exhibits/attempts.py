@@ -10,13 +10,13 @@ from factory.html.palette import REASON_COLOURS, colour
 from factory.report.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import DASH, count, name, percent, scene_label
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from factory.stats.model import AttemptRow, Share
 
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns the bars of outcomes and the rates of success."""
     title, source = "Attempts and success", "Sec. V-A; no figure in the paper"
     rows = material.statistics.attempts

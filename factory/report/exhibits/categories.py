@@ -11,12 +11,12 @@ from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import DASH, count, name, percent
-from factory.report.material import Material
+from factory.report.material import ReportInput
 
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns bars by category, and the counts by category and scene."""
     title, source = "Object categories", "Fig. 6"
     if not material.episodes:
@@ -34,11 +34,11 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("categories", title, source, caption, (panel,), (_table(material),))
 
 
-def _counts(material: Material) -> Counter[tuple[str, str]]:
+def _counts(material: ReportInput) -> Counter[tuple[str, str]]:
     return Counter((row.scene, row.target_category) for row in material.episodes)
 
 
-def _paint(axes: Axes, material: Material) -> None:
+def _paint(axes: Axes, material: ReportInput) -> None:
     rows, counts, total = material.statistics.categories, _counts(material), len(material.episodes)
     places, left = np.arange(len(rows)), np.zeros(len(rows))
     for scene, fill in scene_colours(material.scenes).items():
@@ -59,7 +59,7 @@ def _paint(axes: Axes, material: Material) -> None:
     write_legend(axes, columns=2)
 
 
-def _table(material: Material) -> Table:
+def _table(material: ReportInput) -> Table:
     counts = _counts(material)
     rows = tuple(
         (

@@ -8,7 +8,7 @@ from factory.html.palette import DASHES, colour, scene_colours
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, name, number, percent
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from factory.stats import paper
 
 __all__ = ["draw"]
@@ -16,7 +16,7 @@ __all__ = ["draw"]
 _MARGIN_M = 0.004
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns the curves and the quantiles."""
     title, source = "Navigation error", "Fig. 8, Table VI"
     if not material.episodes:
@@ -33,7 +33,7 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("errors", title, source, caption, (panel,), (_table(material),))
 
 
-def _paint(axes: Axes, material: Material) -> None:
+def _paint(axes: Axes, material: ReportInput) -> None:
     radius = material.statistics.success_radius_m
     every = [row.final_ne_m for row in material.episodes]
     low, high = min(*every, radius) - _MARGIN_M, max(*every, radius) + _MARGIN_M
@@ -61,7 +61,7 @@ def _paint(axes: Axes, material: Material) -> None:
     write_legend(axes, columns=2)
 
 
-def _table(material: Material) -> Table:
+def _table(material: ReportInput) -> Table:
     rows = tuple(
         (
             name(row.group),

@@ -8,7 +8,7 @@ from factory.html.palette import TIER_COLOURS, TIER_MARKERS, colour
 from factory.report.canvas import Axes, draw_panel, mark, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import DASH, count, name, number
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from factory.stats.model import Fit
 from schemas.terms import Tier
 
@@ -17,7 +17,7 @@ __all__ = ["draw"]
 _PRINTED_P = 0.001
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns the scatter and the fits of all groups."""
     title, source = "Spawn distance and trajectory length", "Fig. 11"
     if not material.episodes:
@@ -45,7 +45,7 @@ def _said(fit: Fit) -> str:
     )
 
 
-def _paint(axes: Axes, material: Material, fit: Fit) -> None:
+def _paint(axes: Axes, material: ReportInput, fit: Fit) -> None:
     for tier in Tier:
         rows = [row for row in material.episodes if row.spawn_tier is tier]
         if rows:
@@ -81,7 +81,7 @@ def _paint(axes: Axes, material: Material, fit: Fit) -> None:
     write_legend(axes)
 
 
-def _table(material: Material) -> Table:
+def _table(material: ReportInput) -> Table:
     rows = []
     for fit in material.statistics.correlation:
         if fit.r is None or fit.p is None:

@@ -8,7 +8,7 @@ from factory.html.palette import colour, scene_colours
 from factory.report.canvas import Axes, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.words import count, name, number
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from factory.stats import paper
 
 __all__ = ["draw"]
@@ -16,7 +16,7 @@ __all__ = ["draw"]
 _BIN_M = 0.5
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns the histogram."""
     title, source = "Trajectory length", "Fig. 7, Table V"
     if not material.episodes:
@@ -34,7 +34,7 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("lengths", title, source, caption, (panel,))
 
 
-def _paint(axes: Axes, material: Material) -> None:
+def _paint(axes: Axes, material: ReportInput) -> None:
     lengths = {scene: [row.trajectory_length_m for row in material.of(scene)] for scene in material.scenes}
     everything = [length for group in lengths.values() for length in group]
     edges = [float(edge) for edge in np.arange(0, max(everything) + _BIN_M, _BIN_M)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from factory.report.canvas import WIDTH_IN, Axes, draw_panel
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.words import count, name
-from factory.report.material import Material, Sample
+from factory.report.material import FrameSample, ReportInput
 
 __all__ = ["draw", "outlined"]
 
@@ -23,7 +23,7 @@ _TILE_PX, _GAP_PX, _TEXT_PX = 320, 14, 74
 _LETTERS = 36
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns one panel of all samples."""
     samples = material.drives.samples
     title, source = "What the robot sees", "Fig. 3"
@@ -41,7 +41,7 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("samples", title, source, caption, (panel,), wide=True)
 
 
-def outlined(sample: Sample) -> NDArray[np.uint8]:
+def outlined(sample: FrameSample) -> NDArray[np.uint8]:
     """Returns the frame with its target's outline: (640, 640, 3) sRGB."""
     mask = sample.target
     inner = mask.copy()
@@ -53,7 +53,7 @@ def outlined(sample: Sample) -> NDArray[np.uint8]:
     return shown
 
 
-def _paint(axes: Axes, samples: list[Sample]) -> None:
+def _paint(axes: Axes, samples: list[FrameSample]) -> None:
     turns = [samples[start : start + _COLUMNS] for start in range(0, len(samples), _COLUMNS)]
     for row, turn in enumerate(turns):
         for column, sample in enumerate(turn):

@@ -7,13 +7,13 @@ from factory.report.canvas import Axes, Panel, draw_panel, mark, write_legend
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.exhibits.words import count, file_part, name
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from schemas.terms import Tier
 
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns a panel for each scene."""
     surveyed = ", ".join(f"{name(scene)} {len(floor.surveyed_m)}" for scene, floor in material.maps.items())
     beside = "; the paper has 40 a scene" if material.statistics.beside_paper else ""
@@ -33,7 +33,7 @@ def draw(material: Material) -> Exhibit:
     )
 
 
-def _panel(material: Material, scene: str) -> Panel:
+def _panel(material: ReportInput, scene: str) -> Panel:
     floor, episodes = material.maps.get(scene), material.of(scene)
 
     def paint(axes: Axes) -> None:

@@ -8,13 +8,13 @@ from factory.html.palette import SPLIT_COLOURS, colour
 from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, name, number, percent, scene_label
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from schemas.terms import Split
 
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns stacked bars, the rollouts of each split and what instances it shares with training."""
     title, source = "Splits", "Fig. 5, Table VI"
     if not material.episodes:
@@ -32,7 +32,7 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("splits", title, source, caption, (panel,), (_rollouts(material), _overlap(material)))
 
 
-def _paint(axes: Axes, material: Material) -> None:
+def _paint(axes: Axes, material: ReportInput) -> None:
     totals = [max(len(material.of(scene)), 1) for scene in material.scenes]
     places, left = np.arange(len(totals)), np.zeros(len(totals))
     for split in Split:
@@ -53,7 +53,7 @@ def _paint(axes: Axes, material: Material) -> None:
     write_legend(axes, columns=2)
 
 
-def _rollouts(material: Material) -> Table:
+def _rollouts(material: ReportInput) -> Table:
     rows = []
     for row in material.statistics.splits:
         means = (number(row.ne_mean_m, 3), number(row.tl_mean_m), number(row.tl_median_m))
@@ -62,7 +62,7 @@ def _rollouts(material: Material) -> Table:
     return Table(columns, tuple(rows), "Rollouts by split, metres")
 
 
-def _overlap(material: Material) -> Table:
+def _overlap(material: ReportInput) -> Table:
     rows = tuple(
         (row.split, str(row.targets), str(row.shared), percent(row.share))
         for row in material.statistics.overlap

@@ -10,12 +10,12 @@ from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count, name, number, scene_label
 from factory.report.facts import facts_of
-from factory.report.material import Material
+from factory.report.material import ReportInput
 
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns the boxes."""
     title, source = "Steps by scene", "Fig. 9"
     if not material.episodes:
@@ -35,7 +35,7 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("steps", title, source, caption, (panel,), (_geometry(material),))
 
 
-def _paint(axes: Axes, material: Material) -> None:
+def _paint(axes: Axes, material: ReportInput) -> None:
     groups = [[row.num_steps for row in material.of(scene)] for scene in material.scenes]
     boxes = axes.boxplot(
         groups,
@@ -75,7 +75,7 @@ def _paint(axes: Axes, material: Material) -> None:
     axes.set_xlabel("steps")
 
 
-def _geometry(material: Material) -> Table:
+def _geometry(material: ReportInput) -> Table:
     """What lies behind the steps of a scene."""
     rows = []
     for scene in material.scenes:

@@ -6,14 +6,14 @@ from factory.html.palette import colour
 from factory.report.canvas import Axes, Panel, count_whole, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.words import count, percent
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from factory.stats.model import CountRow
 from schemas.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
 
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns one panel for the training pool, one for the paraphrases."""
     title, source = "Instruction templates", "Fig. 12, Table III"
     if not material.episodes:

@@ -9,7 +9,7 @@ from factory.report.canvas import Axes, draw_panel, write_legend
 from factory.report.exhibit import Exhibit, Table
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count, name, number
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from factory.stats import paper
 from factory.stats.model import RolloutRow
 from schemas.terms import Tier
@@ -17,7 +17,7 @@ from schemas.terms import Tier
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns two bar charts."""
     title, source = "Tiers in length and steps", "Fig. 10, Table VII"
     if not material.episodes:
@@ -76,7 +76,7 @@ def _bars(axes: Axes, rows: dict[str, RolloutRow], field: str, label: str, digit
         write_legend(axes)
 
 
-def _table(material: Material) -> Table:
+def _table(material: ReportInput) -> Table:
     rows = tuple(
         (name(row.group), str(row.n), number(row.tl_mean_m), number(row.steps_mean, 1), number(row.ne_mean_m, 3))
         for row in material.statistics.scene_tiers

@@ -9,7 +9,7 @@ from factory.report.canvas import Axes, count_whole, draw_panel, mark, write_leg
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.paper_mark import mark_paper
 from factory.report.exhibits.words import count
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from schemas.terms import TIER_RANGE_M, Tier
 
 __all__ = ["draw"]
@@ -17,7 +17,7 @@ __all__ = ["draw"]
 _BIN_M = 0.5
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns the shares and the histogram of distances."""
     total = len(material.episodes)
     title, source = "Spawn tiers", "Fig. 2"
@@ -38,7 +38,7 @@ def draw(material: Material) -> Exhibit:
     return Exhibit("tiers", title, source, caption, (shares, distances))
 
 
-def _shares(axes: Axes, material: Material) -> None:
+def _shares(axes: Axes, material: ReportInput) -> None:
     rows = {row.group: row for row in material.statistics.tiers}
     places = np.arange(len(Tier))
     ours = [100 * (rows[tier].share or 0) for tier in Tier]
@@ -60,7 +60,7 @@ def _shares(axes: Axes, material: Material) -> None:
     write_legend(axes)
 
 
-def _distances(axes: Axes, material: Material) -> None:
+def _distances(axes: Axes, material: ReportInput) -> None:
     farthest = max(row.spawn_dist_m for row in material.episodes)
     edges = [float(edge) for edge in np.arange(0, farthest + _BIN_M, _BIN_M)]
     values = [[row.spawn_dist_m for row in material.episodes if row.spawn_tier is tier] for tier in Tier]

@@ -7,13 +7,13 @@ from factory.report.canvas import Axes, Panel, draw_panel, write_legend
 from factory.report.exhibit import Exhibit
 from factory.report.exhibits.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.exhibits.words import count, file_part, name
-from factory.report.material import Material
+from factory.report.material import ReportInput
 from schemas.terms import Tier
 
 __all__ = ["draw"]
 
 
-def draw(material: Material) -> Exhibit:
+def draw(material: ReportInput) -> Exhibit:
     """Returns a panel for each scene."""
     tracks = material.drives.tracks
     title, source = "Ways driven", "not in the paper"
@@ -30,7 +30,7 @@ def draw(material: Material) -> Exhibit:
     )
 
 
-def _panel(material: Material, scene: str) -> Panel:
+def _panel(material: ReportInput, scene: str) -> Panel:
     floor = material.maps.get(scene)
     episodes = [row for row in material.of(scene) if row.episode_id in material.drives.tracks]
 

@@ -16,7 +16,7 @@ import numpy as np
 from factory.scenes.author.layout_hospital import lay_out_hospital
 from factory.scenes.author.layout_office import lay_out_office
 from factory.scenes.author.layout_warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
-from factory.scenes.author.placement import Plan
+from factory.scenes.author.placement import FloorPlan
 from schemas.errors import UsageError
 
 __all__ = ["AUTHOR_VERSION", "BUILTIN_SCENES", "BuiltinScene", "author_scene"]
@@ -39,7 +39,7 @@ class BuiltinScene:
     name: str
     summary: str
     metres_per_unit: float
-    lay_out: Callable[[Plan], None]
+    lay_out: Callable[[FloorPlan], None]
 
 
 _SCENES = (
@@ -86,8 +86,8 @@ def author_scene(name: str, seed: int, directory: Path) -> Path:
     return write_scene(plan, name, directory, scene.metres_per_unit)
 
 
-def lay_out_scene(scene: BuiltinScene, seed: int) -> Plan:
+def lay_out_scene(scene: BuiltinScene, seed: int) -> FloorPlan:
     """The laid-out plan of a scene, before it is written."""
-    plan = Plan(seed, np.random.default_rng([seed, zlib.crc32(scene.name.encode())]))
+    plan = FloorPlan(seed, np.random.default_rng([seed, zlib.crc32(scene.name.encode())]))
     scene.lay_out(plan)
     return plan

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import block, fitted_block
-from factory.scenes.author.materials import Material, Piece, painted, textured, tinted
-from factory.scenes.author.placement import Plan, Rectangle
-from factory.scenes.author.room import PLAIN, WALL_THICKNESS_M, Door, Trim, ceiling, floor, wall
+from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted, textured, tinted
+from factory.scenes.author.placement import FloorPlan, Rectangle
+from factory.scenes.author.room import PLAIN, WALL_THICKNESS_M, Doorway, Trim, ceiling, floor, wall
 
 __all__ = ["Cell", "Room", "Style", "build_wings", "divide"]
 
@@ -27,8 +27,8 @@ GRIP = painted("Steel", 0.35, 1.0)
 class Style:
     """How a kind of room looks: floor, wall paint, whether it has windows, what runs along its walls."""
 
-    floor: Material
-    paint: Material
+    floor: SurfaceMaterial
+    paint: SurfaceMaterial
     has_windows: bool = True
     trim: Trim = PLAIN
 
@@ -56,7 +56,7 @@ class Room:
 
     kind: str
     area: Rectangle
-    door: Door
+    door: Doorway
     outer: str
     inner: str
 
@@ -74,7 +74,7 @@ def divide(rng: Generator, cells: Sequence[Cell], length: float) -> list[tuple[C
 
 
 def build_wings(
-    plan: Plan,
+    plan: FloorPlan,
     size: tuple[float, float],
     corridor: tuple[float, float],
     wings: dict[str, list[tuple[Cell, float, float]]],
@@ -109,7 +109,7 @@ def build_wings(
 
 
 def _build_wing(
-    plan: Plan,
+    plan: FloorPlan,
     side: str,
     depth: tuple[float, float],
     spans: list[tuple[Cell, float, float]],
@@ -151,12 +151,12 @@ def _facing(is_south: bool, first: Trim | None, second: Trim | None) -> tuple[Tr
     return (first, second) if is_south else (second, first)
 
 
-def _draw_door(rng: Generator, cell: Cell, x0: float, x1: float) -> Door:
+def _draw_door(rng: Generator, cell: Cell, x0: float, x1: float) -> Doorway:
     reach = cell.door_width / 2 + 0.35
-    return Door(float(rng.uniform(x0 + reach, x1 - reach)), cell.door_width)
+    return Doorway(float(rng.uniform(x0 + reach, x1 - reach)), cell.door_width)
 
 
-def _hang_leaves(plan: Plan, room: Room) -> None:
+def _hang_leaves(plan: FloorPlan, room: Room) -> None:
     """Door leaves folded open against the corridor wall, on each side of the door where they fit."""
     width = room.door.width if room.door.width <= 1.3 else room.door.width / 2
     face, into = (room.area.y1, -1.0) if room.inner == "N" else (room.area.y0, 1.0)
@@ -171,13 +171,13 @@ def _hang_leaves(plan: Plan, room: Room) -> None:
         g0, g1 = sorted((face + into * 0.065, face + into * 0.10))
         plan.build(
             "SM_DoorLeaf",
-            Piece(LEAF, fitted_block((x0, y0, 0.01), (x1, y1, room.door.height - 0.02))),
-            Piece(GRIP, block((grip, g0, 0.98), (grip + 0.06, g1, 1.01))),
+            PropPiece(LEAF, fitted_block((x0, y0, 0.01), (x1, y1, room.door.height - 0.02))),
+            PropPiece(GRIP, block((grip, g0, 0.98), (grip + 0.06, g1, 1.01))),
         )
         plan.taken.append(Rectangle(x0, y0 - 0.05, x1, y1 + 0.05))
 
 
-def _hang_windows(plan: Plan, room: Room) -> None:
+def _hang_windows(plan: FloorPlan, room: Room) -> None:
     """As many windows as the outer wall holds at a pitch of about 2.2 m."""
     count = max(1, int(room.area.width // 2.3))
     model = plan.workshop.model("SM_Window", 0)

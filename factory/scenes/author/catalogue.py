@@ -23,15 +23,15 @@ from factory.scenes.author import (
     props_wall,
 )
 from factory.scenes.author.geometry import Floats, bounds
-from factory.scenes.author.materials import Piece
+from factory.scenes.author.materials import PropPiece
 
-__all__ = ["CATALOGUE", "Entry", "Model", "Workshop"]
+__all__ = ["CATALOGUE", "CatalogueEntry", "PropModel", "Workshop"]
 
-Builder = Callable[[int, Generator], list[Piece]]
+Builder = Callable[[int, Generator], list[PropPiece]]
 
 
 @dataclass(frozen=True)
-class Entry:
+class CatalogueEntry:
     """One line of the registry: who builds it and how many variants exist."""
 
     build: Builder
@@ -39,7 +39,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Model:
+class PropModel:
     """A built prop.
 
     Attributes:
@@ -50,64 +50,64 @@ class Model:
     """
 
     name: str
-    pieces: tuple[Piece, ...]
+    pieces: tuple[PropPiece, ...]
     low: Floats
     high: Floats
 
 
-CATALOGUE: Mapping[str, Entry] = MappingProxyType(
+CATALOGUE: Mapping[str, CatalogueEntry] = MappingProxyType(
     {
-        "SM_ChairOffice_A": Entry(props_seating.task_chair, 5),
-        "SM_ChairExecutive_B": Entry(props_seating.executive_chair, 3),
-        "SM_ChairVisitor_C": Entry(props_seating.cantilever_chair, 5),
-        "SM_ChairWood_D": Entry(props_seating.wooden_chair, 3),
-        "SM_ChairWaiting_E": Entry(props_seating.waiting_chair, 5),
-        "SM_Stool_F": Entry(props_seating.stool, 4),
-        "SM_Sofa_A": Entry(props_seating.sofa, 6),
-        "SM_TableDesk_A": Entry(props_office.desk, 12),
-        "SM_TableMeeting_B": Entry(props_office.meeting_table, 4),
-        "SM_TableRound_C": Entry(props_office.round_table, 6),
-        "SM_TableCoffee_D": Entry(props_office.coffee_table, 4),
-        "SM_Monitor_A": Entry(props_office.monitor, 3),
-        "SM_Plant_A": Entry(props_office.plant, 12),
-        "SM_TrashCan_A": Entry(props_office.trash_can, 12),
-        "SM_FireExtinguisher_02": Entry(props_safety.fire_extinguisher, 3),
-        "SM_Whiteboard_A": Entry(props_safety.whiteboard, 3),
-        "SM_RackPile_04": Entry(props_storage.rack, 9),
-        "SM_ShelfSteel_A": Entry(props_storage.shelf, 8),
-        "SM_BarelPlastic_A": Entry(props_storage.barrel, 9),
-        "SM_CratePlastic_A": Entry(props_storage.plastic_crate, 12),
-        "SM_CrateWood_B": Entry(props_storage.pallet_crate, 6),
-        "SM_TypingPad": Entry(props_office.keys_pad, 1),
-        "SM_Cabinet": Entry(props_clutter.cabinet, 3),
-        "SM_KitchenCounter": Entry(props_clutter.kitchen_counter, 3),
-        "SM_Fridge": Entry(props_clutter.fridge, 1),
-        "SM_CoatStand": Entry(props_clutter.coat_stand, 3),
-        "SM_FloorLamp": Entry(props_clutter.floor_lamp, 1),
-        "SM_WaterCooler": Entry(props_clutter.drinks_cooler, 1),
-        "SM_Printer": Entry(props_clutter.printer, 1),
-        "SM_Reception": Entry(props_clutter.reception, 3),
-        "SM_CardBoxPile": Entry(props_clutter.carton_pile, 4),
-        "SM_PalletPile": Entry(props_clutter.pallet_pile, 4),
-        "SM_PalletTruck": Entry(props_clutter.pallet_truck, 3),
-        "SM_Cone": Entry(props_clutter.cone, 1),
-        "SM_ImpactPost": Entry(props_clutter.protection_post, 1),
-        "SM_Workbench": Entry(props_clutter.workbench, 1),
-        "SM_Bed": Entry(props_clinic.bed, 6),
-        "SM_Nightstand": Entry(props_clinic.nightstand, 2),
-        "SM_DripStand": Entry(props_clinic.drip_stand, 1),
-        "SM_Curtain": Entry(props_clinic.curtain, 3),
-        "SM_HeadPanel": Entry(props_clinic.head_panel, 1),
-        "SM_Trolley": Entry(props_clinic.trolley, 3),
-        "SM_WheelChair": Entry(props_clinic.wheelchair, 2),
-        "SM_WashUnit": Entry(props_clinic.wash_unit, 1),
-        "SM_Poster": Entry(props_wall.poster, 9),
-        "SM_SafetyNotice": Entry(props_wall.safety_notice, 3),
-        "SM_Sign": Entry(props_wall.hanging_sign, 2),
-        "SM_Television": Entry(props_wall.wall_screen, 2),
-        "SM_Clock": Entry(props_wall.clock, 1),
-        "SM_Window": Entry(props_wall.window, 3),
-        "SM_RollerGate": Entry(props_wall.roller_door, 1),
+        "SM_ChairOffice_A": CatalogueEntry(props_seating.task_chair, 5),
+        "SM_ChairExecutive_B": CatalogueEntry(props_seating.executive_chair, 3),
+        "SM_ChairVisitor_C": CatalogueEntry(props_seating.cantilever_chair, 5),
+        "SM_ChairWood_D": CatalogueEntry(props_seating.wooden_chair, 3),
+        "SM_ChairWaiting_E": CatalogueEntry(props_seating.waiting_chair, 5),
+        "SM_Stool_F": CatalogueEntry(props_seating.stool, 4),
+        "SM_Sofa_A": CatalogueEntry(props_seating.sofa, 6),
+        "SM_TableDesk_A": CatalogueEntry(props_office.desk, 12),
+        "SM_TableMeeting_B": CatalogueEntry(props_office.meeting_table, 4),
+        "SM_TableRound_C": CatalogueEntry(props_office.round_table, 6),
+        "SM_TableCoffee_D": CatalogueEntry(props_office.coffee_table, 4),
+        "SM_Monitor_A": CatalogueEntry(props_office.monitor, 3),
+        "SM_Plant_A": CatalogueEntry(props_office.plant, 12),
+        "SM_TrashCan_A": CatalogueEntry(props_office.trash_can, 12),
+        "SM_FireExtinguisher_02": CatalogueEntry(props_safety.fire_extinguisher, 3),
+        "SM_Whiteboard_A": CatalogueEntry(props_safety.whiteboard, 3),
+        "SM_RackPile_04": CatalogueEntry(props_storage.rack, 9),
+        "SM_ShelfSteel_A": CatalogueEntry(props_storage.shelf, 8),
+        "SM_BarelPlastic_A": CatalogueEntry(props_storage.barrel, 9),
+        "SM_CratePlastic_A": CatalogueEntry(props_storage.plastic_crate, 12),
+        "SM_CrateWood_B": CatalogueEntry(props_storage.pallet_crate, 6),
+        "SM_TypingPad": CatalogueEntry(props_office.keys_pad, 1),
+        "SM_Cabinet": CatalogueEntry(props_clutter.cabinet, 3),
+        "SM_KitchenCounter": CatalogueEntry(props_clutter.kitchen_counter, 3),
+        "SM_Fridge": CatalogueEntry(props_clutter.fridge, 1),
+        "SM_CoatStand": CatalogueEntry(props_clutter.coat_stand, 3),
+        "SM_FloorLamp": CatalogueEntry(props_clutter.floor_lamp, 1),
+        "SM_WaterCooler": CatalogueEntry(props_clutter.drinks_cooler, 1),
+        "SM_Printer": CatalogueEntry(props_clutter.printer, 1),
+        "SM_Reception": CatalogueEntry(props_clutter.reception, 3),
+        "SM_CardBoxPile": CatalogueEntry(props_clutter.carton_pile, 4),
+        "SM_PalletPile": CatalogueEntry(props_clutter.pallet_pile, 4),
+        "SM_PalletTruck": CatalogueEntry(props_clutter.pallet_truck, 3),
+        "SM_Cone": CatalogueEntry(props_clutter.cone, 1),
+        "SM_ImpactPost": CatalogueEntry(props_clutter.protection_post, 1),
+        "SM_Workbench": CatalogueEntry(props_clutter.workbench, 1),
+        "SM_Bed": CatalogueEntry(props_clinic.bed, 6),
+        "SM_Nightstand": CatalogueEntry(props_clinic.nightstand, 2),
+        "SM_DripStand": CatalogueEntry(props_clinic.drip_stand, 1),
+        "SM_Curtain": CatalogueEntry(props_clinic.curtain, 3),
+        "SM_HeadPanel": CatalogueEntry(props_clinic.head_panel, 1),
+        "SM_Trolley": CatalogueEntry(props_clinic.trolley, 3),
+        "SM_WheelChair": CatalogueEntry(props_clinic.wheelchair, 2),
+        "SM_WashUnit": CatalogueEntry(props_clinic.wash_unit, 1),
+        "SM_Poster": CatalogueEntry(props_wall.poster, 9),
+        "SM_SafetyNotice": CatalogueEntry(props_wall.safety_notice, 3),
+        "SM_Sign": CatalogueEntry(props_wall.hanging_sign, 2),
+        "SM_Television": CatalogueEntry(props_wall.wall_screen, 2),
+        "SM_Clock": CatalogueEntry(props_wall.clock, 1),
+        "SM_Window": CatalogueEntry(props_wall.window, 3),
+        "SM_RollerGate": CatalogueEntry(props_wall.roller_door, 1),
     }
 )
 """Every prop by model name."""
@@ -118,9 +118,9 @@ class Workshop:
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
-        self._models: dict[str, Model] = {}
+        self._models: dict[str, PropModel] = {}
 
-    def model(self, name: str, variant: int) -> Model:
+    def model(self, name: str, variant: int) -> PropModel:
         """The model of a prop; `variant` wraps around the number of variants."""
         entry = CATALOGUE[name]
         index = variant % entry.variants
@@ -129,5 +129,5 @@ class Workshop:
             rng = np.random.default_rng([self._seed, zlib.crc32(full_name.encode())])
             pieces = tuple(entry.build(index, rng))
             low, high = bounds([piece.mesh for piece in pieces])
-            self._models[full_name] = Model(full_name, pieces, low, high)
+            self._models[full_name] = PropModel(full_name, pieces, low, high)
         return self._models[full_name]

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from schemas.support import portable
 
 __all__ = [
+    "AuthoredMesh",
     "Floats",
-    "Mesh",
     "Vector",
     "block",
     "bounds",
@@ -45,7 +45,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Mesh:
+class AuthoredMesh:
     """Polygons over shared points; `st` is None where texture coordinates come from box projection.
 
     Attributes:
@@ -61,13 +61,13 @@ class Mesh:
     st: Floats | None = None
 
 
-def _mesh(points: Floats, faces: Sequence[Sequence[int]], st: Floats | None = None) -> Mesh:
+def _mesh(points: Floats, faces: Sequence[Sequence[int]], st: Floats | None = None) -> AuthoredMesh:
     counts = np.array([len(face) for face in faces], dtype=np.int64)
     indices = np.array([corner for face in faces for corner in face], dtype=np.int64)
-    return Mesh(np.asarray(points, dtype=np.float64), counts, indices, st)
+    return AuthoredMesh(np.asarray(points, dtype=np.float64), counts, indices, st)
 
 
-def loft(rings: Floats) -> Mesh:
+def loft(rings: Floats) -> AuthoredMesh:
     """Skins a stack of rings and closes both ends.
 
     Args:
@@ -83,24 +83,24 @@ def loft(rings: Floats) -> Mesh:
     quads = np.concatenate(walls)
     caps = np.concatenate([ring[::-1], (levels - 1) * sides + ring])
     counts = np.array([4] * len(quads) + [sides, sides], dtype=np.int64)
-    return Mesh(rings.reshape(-1, 3).astype(np.float64), counts, np.concatenate([quads.ravel(), caps]))
+    return AuthoredMesh(rings.reshape(-1, 3).astype(np.float64), counts, np.concatenate([quads.ravel(), caps]))
 
 
-def block(low: Vector, high: Vector) -> Mesh:
+def block(low: Vector, high: Vector) -> AuthoredMesh:
     """An axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     outline = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     return loft(np.array([[(x, y, z) for x, y in outline] for z in (z0, z1)]))
 
 
-def fitted_block(low: Vector, high: Vector) -> Mesh:
+def fitted_block(low: Vector, high: Vector) -> AuthoredMesh:
     """A box whose every face shows the whole texture once, upright on the sides."""
     plain = block(low, high)
     wall = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
-    return Mesh(plain.points, plain.counts, plain.indices, np.array(wall * 6))
+    return AuthoredMesh(plain.points, plain.counts, plain.indices, np.array(wall * 6))
 
 
-def open_block(low: Vector, high: Vector, faces: str, fitted: bool = False) -> Mesh:
+def open_block(low: Vector, high: Vector, faces: str, fitted: bool = False) -> AuthoredMesh:
     """A box of some of its faces, where nobody sees the others.
 
     Args:
@@ -112,20 +112,20 @@ def open_block(low: Vector, high: Vector, faces: str, fitted: bool = False) -> M
     whole = fitted_block(low, high) if fitted else block(low, high)
     corners = 4 * np.array(["SENWBT".index(face) for face in faces])[:, None] + np.arange(4)
     st = None if whole.st is None else whole.st[corners.ravel()]
-    return Mesh(whole.points, whole.counts[: len(corners)], whole.indices[corners.ravel()], st)
+    return AuthoredMesh(whole.points, whole.counts[: len(corners)], whole.indices[corners.ravel()], st)
 
 
-def standing_block(low: Vector, high: Vector, fitted: bool = False, lid: bool = True) -> Mesh:
+def standing_block(low: Vector, high: Vector, fitted: bool = False, lid: bool = True) -> AuthoredMesh:
     """A box that stands on something: without the bottom that nobody sees and, covered itself, without a lid."""
     return open_block(low, high, "SENWT" if lid else "SENW", fitted)
 
 
-def uncapped(mesh: Mesh) -> Mesh:
+def uncapped(mesh: AuthoredMesh) -> AuthoredMesh:
     """A loft, cylinder, rod or tube without its two ends, where they end in something else."""
-    return Mesh(mesh.points, mesh.counts[:-2], mesh.indices[: -int(mesh.counts[-2:].sum())])
+    return AuthoredMesh(mesh.points, mesh.counts[:-2], mesh.indices[: -int(mesh.counts[-2:].sum())])
 
 
-def cushion(low: Vector, high: Vector, bevel: float) -> Mesh:
+def cushion(low: Vector, high: Vector, bevel: float) -> AuthoredMesh:
     """A box with all edges chamfered by `bevel` metres."""
     (x0, y0, z0), (x1, y1, z1) = low, high
 
@@ -141,7 +141,7 @@ def cushion(low: Vector, high: Vector, bevel: float) -> Mesh:
     return loft(np.array([octagon(inset, z) for inset, z in levels]))
 
 
-def pad(low: Vector, high: Vector, bevel: float, is_loose: bool = False) -> Mesh:
+def pad(low: Vector, high: Vector, bevel: float, is_loose: bool = False) -> AuthoredMesh:
     """A box with its upper edges chamfered by `bevel` metres, a loose one's lower edges too: a cheap cushion."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     under = [(bevel, z0), (0.0, z0 + bevel)] if is_loose else [(0.0, z0)]
@@ -152,7 +152,9 @@ def pad(low: Vector, high: Vector, bevel: float, is_loose: bool = False) -> Mesh
     )
 
 
-def lathe(profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = 14) -> Mesh:
+def lathe(
+    profile: Sequence[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = 14
+) -> AuthoredMesh:
     """Turns a profile of (radius, z), listed bottom to top, around the vertical through `at`."""
     angle = 2 * math.pi * np.arange(sides) / sides
     circle = np.stack([portable.cos(angle), portable.sin(angle)], axis=1)
@@ -170,12 +172,12 @@ def cylinder(
     at: tuple[float, float] = (0.0, 0.0),
     sides: int = 14,
     top: float | None = None,
-) -> Mesh:
+) -> AuthoredMesh:
     """An upright cylinder, or a cone frustum when `top` radius is given."""
     return lathe([(radius, z0), (radius if top is None else top, z1)], at, sides)
 
 
-def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> Mesh:
+def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> AuthoredMesh:
     """A round bar along a polyline; each ring lies across the mean of its neighbouring directions."""
     points = np.array(path, dtype=np.float64)
     steps = np.diff(points, axis=0)
@@ -194,12 +196,12 @@ def tube(path: Sequence[Vector], radius: float, sides: int = 6) -> Mesh:
     return loft(rings)
 
 
-def rod(start: Vector, end: Vector, radius: float, sides: int = 6) -> Mesh:
+def rod(start: Vector, end: Vector, radius: float, sides: int = 6) -> AuthoredMesh:
     """A straight round bar between two points."""
     return tube([start, end], radius, sides)
 
 
-def quad(corners: Sequence[Vector]) -> Mesh:
+def quad(corners: Sequence[Vector]) -> AuthoredMesh:
     """One rectangle seen from its front, showing the whole texture once.
 
     Args:
@@ -208,13 +210,15 @@ def quad(corners: Sequence[Vector]) -> Mesh:
     return _mesh(np.array(corners), [(0, 1, 2, 3)], np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float64))
 
 
-def card(outline: Sequence[Vector]) -> Mesh:
+def card(outline: Sequence[Vector]) -> AuthoredMesh:
     """A thin polygon visible from both sides, such as a leaf or a sheet of paper."""
     front = list(range(len(outline)))
     return _mesh(np.array(outline, dtype=np.float64), [front, front[::-1]])
 
 
-def moved(mesh: Mesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> Mesh:
+def moved(
+    mesh: AuthoredMesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0
+) -> AuthoredMesh:
     """Rotates about x by `roll`, about y by `pitch`, about z by `yaw` (radians), then shifts by metres."""
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
@@ -223,24 +227,24 @@ def moved(mesh: Mesh, shift: Vector = (0.0, 0.0, 0.0), yaw: float = 0.0, pitch: 
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     turn = portable.product(portable.product(about_z, about_y), about_x)
     points = portable.product(mesh.points, turn.T) + np.array(shift)
-    return Mesh(points, mesh.counts, mesh.indices, mesh.st)
+    return AuthoredMesh(points, mesh.counts, mesh.indices, mesh.st)
 
 
-def bounds(meshes: Sequence[Mesh]) -> tuple[Floats, Floats]:
+def bounds(meshes: Sequence[AuthoredMesh]) -> tuple[Floats, Floats]:
     """Lowest and highest corner over all meshes, metres."""
     points = np.concatenate([mesh.points for mesh in meshes])
     return points.min(axis=0), points.max(axis=0)
 
 
-def triangle_count(mesh: Mesh) -> int:
+def triangle_count(mesh: AuthoredMesh) -> int:
     """How many triangles the polygons make when fanned."""
     return int(np.sum(mesh.counts - 2))
 
 
-def merge(meshes: Sequence[Mesh], tile_m: float) -> Mesh:
+def merge(meshes: Sequence[AuthoredMesh], tile_m: float) -> AuthoredMesh:
     """Joins meshes of one material; projected coordinates become multiples of `tile_m` metres."""
     offsets = np.cumsum([0] + [len(mesh.points) for mesh in meshes])
-    return Mesh(
+    return AuthoredMesh(
         np.concatenate([mesh.points for mesh in meshes]),
         np.concatenate([mesh.counts for mesh in meshes]),
         np.concatenate([mesh.indices + offset for mesh, offset in zip(meshes, offsets, strict=False)]),
@@ -248,7 +252,7 @@ def merge(meshes: Sequence[Mesh], tile_m: float) -> Mesh:
     )
 
 
-def _project(mesh: Mesh) -> Floats:
+def _project(mesh: AuthoredMesh) -> Floats:
     """Texture coordinates in metres: each polygon is seen along its dominant normal axis."""
     corners = mesh.points[mesh.indices]
     starts = np.concatenate([[0], np.cumsum(mesh.counts)[:-1]])

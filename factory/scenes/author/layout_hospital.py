@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
-from factory.scenes.author.materials import Material, painted, textured, tinted
-from factory.scenes.author.placement import FACING, Plan, Rectangle
+from factory.scenes.author.materials import SurfaceMaterial, painted, textured, tinted
+from factory.scenes.author.placement import FACING, FloorPlan, Rectangle
 from factory.scenes.author.room import Trim, marking
 
 __all__ = ["lay_out_hospital"]
@@ -25,12 +25,15 @@ RAIL = textured("WoodPale", "#d9c19a", 0.8, 0.4)
 class Paint(NamedTuple):
     """A wall paint and what runs along walls of that paint: a rail over a darker dado."""
 
-    wall: Material
+    wall: SurfaceMaterial
     trim: Trim
 
 
 MINT, SKY, CREAM = (
-    Paint(tinted("Plaster", f"Wall{name}", wall, 0.8, 0.85), Trim(RAIL, Material(f"Dado{name}", dado, roughness=0.6)))
+    Paint(
+        tinted("Plaster", f"Wall{name}", wall, 0.8, 0.85),
+        Trim(RAIL, SurfaceMaterial(f"Dado{name}", dado, roughness=0.6)),
+    )
     for name, wall, dado in (
         ("Mint", "#b5cdbf", "#7fa894"),
         ("Sky", "#b3cad6", "#7399ae"),
@@ -39,7 +42,7 @@ MINT, SKY, CREAM = (
 )
 
 
-def lay_out_hospital(plan: Plan) -> None:
+def lay_out_hospital(plan: FloorPlan) -> None:
     """Builds the shell, then furnishes corridor, halls and wards."""
     rng = plan.rng
     width, middle = float(rng.uniform(2.6, 3.0)), SIZE[1] / 2 + float(rng.uniform(-0.4, 0.4))
@@ -63,7 +66,7 @@ def lay_out_hospital(plan: Plan) -> None:
     plan.top_up("SM_Whiteboard_A", 6, [room.area for room in rooms])
 
 
-def _guide_lines(plan: Plan, corridor: tuple[float, float]) -> None:
+def _guide_lines(plan: FloorPlan, corridor: tuple[float, float]) -> None:
     """Two coloured lines painted along the corridor floor, as hospitals guide visitors."""
     first, second = (("Blue", "Green"), ("Red", "Blue"), ("Green", "Orange"))[plan.pick(3)]
     middle = (corridor[0] + corridor[1]) / 2
@@ -72,7 +75,7 @@ def _guide_lines(plan: Plan, corridor: tuple[float, float]) -> None:
         marking(plan, Rectangle(0.3, y - 0.05, SIZE[0] - 0.3, y + 0.05), painted(paint, 0.5))
 
 
-def _cells(plan: Plan, hall: str) -> list[Cell]:
+def _cells(plan: FloorPlan, hall: str) -> list[Cell]:
     """Three wards and an examination room in random order around the hall."""
     rooms = [Cell("ward", 5.0, float(plan.rng.uniform(1.25, 1.5))) for _ in range(3)]
     rooms.append(Cell("exam", 4.6, float(plan.rng.uniform(1.2, 1.4))))
@@ -81,7 +84,7 @@ def _cells(plan: Plan, hall: str) -> list[Cell]:
     return order
 
 
-def _ward(plan: Plan, room: Room) -> None:
+def _ward(plan: FloorPlan, room: Room) -> None:
     """Beds with their heads at the outer wall, one more at a side wall, a wash basin, a bin, a board."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     look = plan.pick(6)
@@ -107,7 +110,7 @@ def _head_wall(room: Room) -> tuple[float, float]:
     return (room.area.y1, -1.0) if room.outer == "N" else (room.area.y0, 1.0)
 
 
-def _bed_place(plan: Plan, room: Room, bed: int, look: int) -> None:
+def _bed_place(plan: FloorPlan, room: Room, bed: int, look: int) -> None:
     """One bed at the outer wall: service panel, night stand, perhaps a drip, a visitor's chair on the inner side."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     y_head, inward = _head_wall(room)
@@ -125,7 +128,7 @@ def _bed_place(plan: Plan, room: Room, bed: int, look: int) -> None:
     plan.place(shop.model(kind, plan.pick(5)), x - outside * 0.95, y, turn, area, 0.05)
 
 
-def _side_bed(plan: Plan, room: Room, side: str, look: int) -> None:
+def _side_bed(plan: FloorPlan, room: Room, side: str, look: int) -> None:
     """A third bed across the room's side wall, with its panel and night stand."""
     area, shop = room.area, plan.workshop
     share = float(plan.rng.uniform(0.50, 0.54))
@@ -139,7 +142,7 @@ def _side_bed(plan: Plan, room: Room, side: str, look: int) -> None:
     plan.place(shop.model("SM_Nightstand", look), wall_x + into * 0.3, bed.y + inward * 0.8, FACING[side], area, 0.0)
 
 
-def _exam(plan: Plan, room: Room) -> None:
+def _exam(plan: FloorPlan, room: Room) -> None:
     """One bed, a trolley, a cabinet, stools and a board."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     side = "EW"[plan.pick(2)]
@@ -161,7 +164,7 @@ def _exam(plan: Plan, room: Room) -> None:
     _decorate(plan, room)
 
 
-def _waiting(plan: Plan, room: Room) -> None:
+def _waiting(plan: FloorPlan, room: Room) -> None:
     """Rows of chairs along three walls around an open floor, a board, a television, bins."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     marking(plan, area.grown(-1.6), WARM)
@@ -179,7 +182,7 @@ def _waiting(plan: Plan, room: Room) -> None:
     _decorate(plan, room)
 
 
-def _reception(plan: Plan, room: Room) -> None:
+def _reception(plan: FloorPlan, room: Room) -> None:
     """A reception counter before the outer wall, cabinets behind it, waiting chairs on the sides."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     y_wall, inward = _head_wall(room)
@@ -204,7 +207,7 @@ def _reception(plan: Plan, room: Room) -> None:
     _decorate(plan, room)
 
 
-def _corridor(plan: Plan, area: Rectangle) -> None:
+def _corridor(plan: FloorPlan, area: Rectangle) -> None:
     """Bins, extinguishers, chairs, a trolley and a wheelchair along the corridor walls."""
     shop = plan.workshop
     names = ["SM_FireExtinguisher_02", "SM_TrashCan_A", "SM_ChairWaiting_E"] * 3
@@ -216,14 +219,14 @@ def _corridor(plan: Plan, area: Rectangle) -> None:
     plan.hang(shop.model("SM_Clock", 0), area, "EW"[plan.pick(2)], 0.2)
 
 
-def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
+def _along(plan: FloorPlan, room: Room, names: tuple[str, ...]) -> None:
     """Stands small things along the walls, where they fit."""
     for name in names:
         variant = plan.pick(2) if name == "SM_Cabinet" else plan.pick(12)  # no books in a ward
         plan.against_somewhere(plan.workshop.model(name, variant), room.area, "EW" + room.inner, 0.5)
 
 
-def _decorate(plan: Plan, room: Room) -> None:
+def _decorate(plan: FloorPlan, room: Room) -> None:
     """A notice on a side wall and a lit sign above the door, on both sides of it."""
     shop = plan.workshop
     plan.hang(

@@ -9,7 +9,7 @@ import math
 
 from factory.scenes.author.building import PLASTER, Cell, Room, Style, build_wings, divide
 from factory.scenes.author.materials import painted, textured, tinted
-from factory.scenes.author.placement import FACING, Plan, Rectangle, wall_pose
+from factory.scenes.author.placement import FACING, FloorPlan, Rectangle, wall_pose
 from factory.scenes.author.room import Trim, marking
 
 __all__ = ["lay_out_office"]
@@ -33,7 +33,7 @@ SOUTH = (Cell("open", 8.4, 2.2), Cell("meeting", 5.4, 1.5), Cell("private", 4.6,
 NORTH = (Cell("lounge", 5.6, 1.9), Cell("open", 8.4, 2.2), Cell("private", 4.6, 1.25), Cell("meeting", 5.4, 1.5))
 
 
-def lay_out_office(plan: Plan) -> None:
+def lay_out_office(plan: FloorPlan) -> None:
     """Builds the shell, then furnishes corridor and rooms."""
     rng = plan.rng
     middle, width = SIZE[1] / 2 + float(rng.uniform(-0.4, 0.4)), float(rng.uniform(2.2, 2.7))
@@ -69,7 +69,7 @@ def lay_out_office(plan: Plan) -> None:
     plan.top_up("SM_Whiteboard_A", 4, everywhere)
 
 
-def _workplace(plan: Plan, x: float, y: float, yaw: float, look: int, room: Rectangle) -> None:
+def _workplace(plan: FloorPlan, x: float, y: float, yaw: float, look: int, room: Rectangle) -> None:
     """A desk with monitor, typing pad and a chair that is tucked in or stands beside the desk."""
     shop, rng = plan.workshop, plan.rng
     desk = shop.model("SM_TableDesk_A", look)
@@ -101,14 +101,14 @@ def _workplace(plan: Plan, x: float, y: float, yaw: float, look: int, room: Rect
     )
 
 
-def _wall_workplace(plan: Plan, area: Rectangle, side: str, along: float, look: int) -> None:
+def _wall_workplace(plan: FloorPlan, area: Rectangle, side: str, along: float, look: int) -> None:
     """A workplace whose desk stands with its back to a wall."""
     desk = plan.workshop.model("SM_TableDesk_A", look)
     x, y, yaw = wall_pose(desk, area, side, along, 0.06)
     _workplace(plan, x, y, yaw, look, area)
 
 
-def _open_plan(plan: Plan, room: Room) -> None:
+def _open_plan(plan: FloorPlan, room: Room) -> None:
     """Desks in pairs and alone along the walls around an open middle; boards, plants, bins, a copier."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     look = plan.pick(12)
@@ -129,7 +129,7 @@ def _open_plan(plan: Plan, room: Room) -> None:
     _decorate(plan, room, 2)
 
 
-def _meeting(plan: Plan, room: Room) -> None:
+def _meeting(plan: FloorPlan, room: Room) -> None:
     """A conference table towards the windows with chairs tucked in; board and bin in the free half."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     inward = -1.0 if room.outer == "N" else 1.0
@@ -154,7 +154,7 @@ def _meeting(plan: Plan, room: Room) -> None:
     _decorate(plan, room, 1)
 
 
-def _private(plan: Plan, room: Room) -> None:
+def _private(plan: FloorPlan, room: Room) -> None:
     """One desk at a side wall, a sofa opposite, a visitor chair by the window, a plant, a case of books."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     sofa_side, desk_side = ("E", "W") if rng.random() < 0.5 else ("W", "E")
@@ -170,7 +170,7 @@ def _private(plan: Plan, room: Room) -> None:
     _decorate(plan, room, 1)
 
 
-def _lounge(plan: Plan, room: Room) -> None:
+def _lounge(plan: FloorPlan, room: Room) -> None:
     """Sofas along the walls, a low table off their axes, plants and a lamp."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     x, y = area.centre
@@ -196,7 +196,7 @@ def _lounge(plan: Plan, room: Room) -> None:
     _decorate(plan, room, 2)
 
 
-def _kitchen(plan: Plan, room: Room) -> None:
+def _kitchen(plan: FloorPlan, room: Room) -> None:
     """A kitchen run on one wall, two round tables with a few chairs, bins and a fridge."""
     area, rng, shop = room.area, plan.rng, plan.workshop
     run = "EW"[plan.pick(2)]
@@ -224,7 +224,7 @@ def _kitchen(plan: Plan, room: Room) -> None:
     _decorate(plan, room, 1)
 
 
-def _corridor(plan: Plan, area: Rectangle) -> None:
+def _corridor(plan: FloorPlan, area: Rectangle) -> None:
     """Extinguishers, bins, plants and pictures along a corridor whose middle stays free."""
     shop = plan.workshop
     for number, name in enumerate(
@@ -242,13 +242,13 @@ def _corridor(plan: Plan, area: Rectangle) -> None:
         plan.in_corner(shop.model("SM_Plant_A", plan.pick(12)), area, corner)
 
 
-def _along(plan: Plan, room: Room, names: tuple[str, ...]) -> None:
+def _along(plan: FloorPlan, room: Room, names: tuple[str, ...]) -> None:
     """Stands small things along the walls, where they fit."""
     for name in names:
         plan.against_somewhere(plan.workshop.model(name, plan.pick(12)), room.area, "EW" + room.inner, 0.55)
 
 
-def _decorate(plan: Plan, room: Room, posters: int) -> None:
+def _decorate(plan: FloorPlan, room: Room, posters: int) -> None:
     """Pictures on the side walls and an exit sign above the door."""
     shop = plan.workshop
     for _ in range(posters):

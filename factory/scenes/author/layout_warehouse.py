@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from factory.scenes.author.materials import painted, textured, tinted
-from factory.scenes.author.placement import FACING, Plan, Rectangle, wall_pose
+from factory.scenes.author.placement import FACING, FloorPlan, Rectangle, wall_pose
 from factory.scenes.author.room import Trim, ceiling_slab, floor, high_bay_lamps, marking, wall
 
 __all__ = ["lay_out_full_warehouse", "lay_out_multiple_shelves"]
@@ -25,7 +25,7 @@ BAY_M = 2.72
 RACK_DEPTH_M = 0.84
 
 
-class Row(NamedTuple):
+class RackRow(NamedTuple):
     """One line of storage along x: what stands in it, where its centre lies, which way it faces."""
 
     kind: str
@@ -33,7 +33,7 @@ class Row(NamedTuple):
     yaw: float
 
 
-def lay_out_full_warehouse(plan: Plan) -> None:
+def lay_out_full_warehouse(plan: FloorPlan) -> None:
     """A 32 x 24 m hall: rack rows, aisles 2.9-3.2 m, one cross aisle, goods along the walls."""
     hall = Rectangle(0.0, 0.0, 32.0, 24.0)
     _shell(plan, hall, gates=3)
@@ -45,36 +45,36 @@ def lay_out_full_warehouse(plan: Plan) -> None:
     _floor_goods(plan, inside, singles=18, clusters=6)
 
 
-def lay_out_multiple_shelves(plan: Plan) -> None:
+def lay_out_multiple_shelves(plan: FloorPlan) -> None:
     """A 22 x 18 m hall in which rack rows and shelf rows alternate."""
     hall = Rectangle(0.0, 0.0, 22.0, 18.0)
     _shell(plan, hall, gates=2)
     inside = hall.grown(-0.08)
     aisle = float(plan.rng.uniform(2.1, 2.4))
     first = ("rack", "shelf") if plan.rng.random() < 0.5 else ("shelf", "rack")
-    rows: list[Row] = []
+    rows: list[RackRow] = []
     y = 2.9
     while y < hall.y1 - 2.6:
         kind = first[len(rows) % 2]
-        rows.append(Row(kind, y, FACING["N"] if plan.rng.random() < 0.5 else FACING["S"]))
+        rows.append(RackRow(kind, y, FACING["N"] if plan.rng.random() < 0.5 else FACING["S"]))
         y += 0.8 + aisle
     _fill_rows(plan, hall, rows, 2.5)
     _wall_shelves(plan, inside, 5)
     _floor_goods(plan, inside, singles=14, clusters=4)
 
 
-def _rack_rows(plan: Plan, hall: Rectangle, aisle: float) -> Iterator[Row]:
+def _rack_rows(plan: FloorPlan, hall: Rectangle, aisle: float) -> Iterator[RackRow]:
     """Single and back-to-back rack rows, as many as the hall is deep; singles are reached from both sides."""
     y = 3.2
     while y < hall.y1 - 2.8:
-        yield Row("rack", y, FACING["N"])
+        yield RackRow("rack", y, FACING["N"])
         if plan.rng.random() < 0.3 and y + RACK_DEPTH_M < hall.y1 - 2.8:
             y += RACK_DEPTH_M + 0.06
-            yield Row("rack", y, FACING["S"])
+            yield RackRow("rack", y, FACING["S"])
         y += RACK_DEPTH_M + aisle
 
 
-def _shell(plan: Plan, hall: Rectangle, gates: int) -> None:
+def _shell(plan: FloorPlan, hall: Rectangle, gates: int) -> None:
     """Floor, walls, roof, lamps, windows, loading gates and a painted frame on the floor."""
     floor(plan, hall, CONCRETE)
     ceiling_slab(plan, hall, HEIGHT_M, ROOF)
@@ -103,7 +103,7 @@ def _shell(plan: Plan, hall: Rectangle, gates: int) -> None:
             )
 
 
-def _fill_rows(plan: Plan, hall: Rectangle, rows: list[Row], margin: float) -> None:
+def _fill_rows(plan: FloorPlan, hall: Rectangle, rows: list[RackRow], margin: float) -> None:
     """Stands bays or shelf units along each row, leaves the cross aisle open, marks aisles on the floor."""
     rng, shop = plan.rng, plan.workshop
     cross = hall.x0 + float(rng.uniform(0.42, 0.58)) * hall.width
@@ -123,7 +123,7 @@ def _fill_rows(plan: Plan, hall: Rectangle, rows: list[Row], margin: float) -> N
                 _mark_row(plan, row, x0, x0 + count * pitch)
 
 
-def _mark_row(plan: Plan, row: Row, x0: float, x1: float) -> None:
+def _mark_row(plan: FloorPlan, row: RackRow, x0: float, x1: float) -> None:
     """A yellow line before the row, hazard patches and impact posts at its ends."""
     toward = -1.0 if row.yaw == FACING["N"] else 1.0
     edge = row.y + toward * 0.58
@@ -136,14 +136,14 @@ def _mark_row(plan: Plan, row: Row, x0: float, x1: float) -> None:
             plan.place(post, x, row.y + toward * 0.33, 0.0, None, -0.05)
 
 
-def _wall_shelves(plan: Plan, inside: Rectangle, count: int) -> None:
+def _wall_shelves(plan: FloorPlan, inside: Rectangle, count: int) -> None:
     """Shelf units with their backs to the east and west walls."""
     for number in range(count):
         model = plan.workshop.model("SM_ShelfSteel_A", plan.pick(8))
         plan.against_somewhere(model, inside, "EW", 0.05 if number % 2 else 0.5, 30)
 
 
-def _floor_goods(plan: Plan, inside: Rectangle, singles: int, clusters: int) -> None:
+def _floor_goods(plan: FloorPlan, inside: Rectangle, singles: int, clusters: int) -> None:
     """Barrels and crates along the walls, alone and in small groups, and clutter between them."""
     rng, shop = plan.rng, plan.workshop
     names = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from factory.scenes.author.geometry import Mesh
+from factory.scenes.author.geometry import AuthoredMesh
 
-__all__ = ["PAINTS", "Material", "Piece", "glowing", "linear_rgb", "painted", "textured", "tinted"]
+__all__ = ["PAINTS", "PropPiece", "SurfaceMaterial", "glowing", "linear_rgb", "painted", "textured", "tinted"]
 
 
 @dataclass(frozen=True)
-class Material:
+class SurfaceMaterial:
     """What a surface looks like.
 
     Attributes:
@@ -38,11 +38,11 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Piece:
+class PropPiece:
     """A mesh with its material."""
 
-    material: Material
-    mesh: Mesh
+    material: SurfaceMaterial
+    mesh: AuthoredMesh
 
 
 PAINTS = {
@@ -74,25 +74,25 @@ PAINTS = {
 """Plain paints by name, sRGB."""
 
 
-def painted(paint: str, roughness: float = 0.6, metallic: float = 0.0) -> Material:
+def painted(paint: str, roughness: float = 0.6, metallic: float = 0.0) -> SurfaceMaterial:
     """The plain material of a named paint."""
     shine = "" if (roughness, metallic) == (0.6, 0.0) else f"_r{round(roughness * 100)}m{round(metallic)}"
-    return Material(paint + shine, PAINTS[paint], roughness=roughness, metallic=metallic)
+    return SurfaceMaterial(paint + shine, PAINTS[paint], roughness=roughness, metallic=metallic)
 
 
-def textured(texture: str, colour: str, tile_m: float, roughness: float = 0.7) -> Material:
+def textured(texture: str, colour: str, tile_m: float, roughness: float = 0.7) -> SurfaceMaterial:
     """A material that repeats a texture every `tile_m` metres."""
-    return Material(texture, colour, texture, tile_m, roughness)
+    return SurfaceMaterial(texture, colour, texture, tile_m, roughness)
 
 
-def tinted(texture: str, name: str, colour: str, tile_m: float = 1.0, roughness: float = 0.7) -> Material:
+def tinted(texture: str, name: str, colour: str, tile_m: float = 1.0, roughness: float = 0.7) -> SurfaceMaterial:
     """A material that multiplies a light texture with a colour, so that many paints share one picture."""
-    return Material(name, colour, texture, tile_m, roughness, tint=colour)
+    return SurfaceMaterial(name, colour, texture, tile_m, roughness, tint=colour)
 
 
-def glowing(name: str, colour: str, texture: str | None = None, glow: float = 1.0) -> Material:
+def glowing(name: str, colour: str, texture: str | None = None, glow: float = 1.0) -> SurfaceMaterial:
     """A surface that shines by itself: lamp panels, lit screens, daylight windows."""
-    return Material(name, colour, texture, glow=glow)
+    return SurfaceMaterial(name, colour, texture, glow=glow)
 
 
 def linear_rgb(colour: str) -> tuple[float, float, float]:

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 from numpy.random import Generator
 
-from factory.scenes.author.catalogue import Model, Workshop
-from factory.scenes.author.materials import Piece
+from factory.scenes.author.catalogue import PropModel, Workshop
+from factory.scenes.author.materials import PropPiece
 
-__all__ = ["FACING", "Placement", "Plan", "Rectangle", "Structure", "wall_pose"]
+__all__ = ["FACING", "FloorPlan", "PropPlacement", "Rectangle", "Structure", "wall_pose"]
 
 FACING = {"N": 0.0, "E": -math.pi / 2, "S": math.pi, "W": math.pi / 2}
 """Yaw in radians of a prop whose back is to that wall; at yaw 0 a prop faces -y, its back is to the north."""
@@ -72,15 +72,15 @@ class Structure:
     """A part of the building: prim name and pieces in world metres."""
 
     name: str
-    pieces: tuple[Piece, ...]
+    pieces: tuple[PropPiece, ...]
 
 
 @dataclass(frozen=True)
-class Placement:
+class PropPlacement:
     """One prop in the world: unique prim name, model, position in metres and yaw in radians."""
 
     name: str
-    model: Model
+    model: PropModel
     x: float
     y: float
     z: float
@@ -88,21 +88,21 @@ class Placement:
 
 
 @dataclass
-class Plan:
+class FloorPlan:
     """A scene while it is being laid out; placements that do not fit are refused, not forced."""
 
     seed: int
     rng: Generator
     workshop: Workshop = field(init=False)
     structures: list[Structure] = field(default_factory=list)
-    placements: list[Placement] = field(default_factory=list)
+    placements: list[PropPlacement] = field(default_factory=list)
     taken: list[Rectangle] = field(default_factory=list)
     kept_clear: list[Rectangle] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.workshop = Workshop(self.seed)
 
-    def build(self, name: str, *pieces: Piece) -> None:
+    def build(self, name: str, *pieces: PropPiece) -> None:
         """Adds a part of the building under a numbered name."""
         self.structures.append(Structure(f"{name}_{len(self.structures):03d}", pieces))
 
@@ -114,22 +114,22 @@ class Plan:
         """A random variant number below `count`."""
         return int(self.rng.integers(count))
 
-    def add(self, model: Model, x: float, y: float, yaw: float, z: float = 0.0) -> Placement:
+    def add(self, model: PropModel, x: float, y: float, yaw: float, z: float = 0.0) -> PropPlacement:
         """Places a model without asking for room: on desks, on walls, under ceilings."""
-        placement = Placement(f"{model.name}_{len(self.placements)}", model, x, y, z, yaw)
+        placement = PropPlacement(f"{model.name}_{len(self.placements)}", model, x, y, z, yaw)
         self.placements.append(placement)
         return placement
 
     def place(
         self,
-        model: Model,
+        model: PropModel,
         x: float,
         y: float,
         yaw: float,
         room: Rectangle | None = None,
         clearance: float = 0.05,
         share: bool = False,
-    ) -> Placement | None:
+    ) -> PropPlacement | None:
         """Places a model on the floor if its footprint fits.
 
         Args:
@@ -156,13 +156,13 @@ class Plan:
 
     def against(
         self,
-        model: Model,
+        model: PropModel,
         room: Rectangle,
         side: str,
         along: float,
         clearance: float = 0.1,
         gap: float = 0.03,
-    ) -> Placement | None:
+    ) -> PropPlacement | None:
         """Places a model with its back to a wall of the room.
 
         Args:
@@ -177,8 +177,8 @@ class Plan:
         return self.place(model, x, y, yaw, None, clearance)
 
     def against_somewhere(
-        self, model: Model, room: Rectangle, sides: str, clearance: float = 0.1, tries: int = 12
-    ) -> Placement | None:
+        self, model: PropModel, room: Rectangle, sides: str, clearance: float = 0.1, tries: int = 12
+    ) -> PropPlacement | None:
         """Like `against`, trying random places along random ones of the given sides."""
         for _ in range(tries):
             side = sides[self.pick(len(sides))]
@@ -187,7 +187,7 @@ class Plan:
                 return found
         return None
 
-    def hang(self, model: Model, room: Rectangle, side: str, along: float) -> Placement | None:
+    def hang(self, model: PropModel, room: Rectangle, side: str, along: float) -> PropPlacement | None:
         """Hangs a model on a wall, beside what is already there; None when no free stretch is found."""
         for _ in range(6):
             x, y, yaw = wall_pose(model, room, side, along, 0.0)
@@ -196,7 +196,7 @@ class Plan:
             along = float(self.rng.uniform(0.05, 0.95))
         return None
 
-    def _meets_anything(self, model: Model, x: float, y: float, yaw: float) -> bool:
+    def _meets_anything(self, model: PropModel, x: float, y: float, yaw: float) -> bool:
         """Whether the turned model's box, with 5 cm around it, meets any placed model's box."""
         print_ = footprint(model, x, y, yaw).grown(0.05)
         return any(
@@ -206,14 +206,14 @@ class Plan:
             for other in self.placements
         )
 
-    def in_corner(self, model: Model, room: Rectangle, corner: int, clearance: float = 0.1) -> Placement | None:
+    def in_corner(self, model: PropModel, room: Rectangle, corner: int, clearance: float = 0.1) -> PropPlacement | None:
         """Places a model in corner 0 SW, 1 SE, 2 NW or 3 NE of a room."""
         reach = float(max(model.high[0], -model.low[0], model.high[1], -model.low[1], 0.3)) + 0.04
         x = room.x1 - reach if corner & 1 else room.x0 + reach
         y = room.y1 - reach if corner & 2 else room.y0 + reach
         return self.place(model, x, y, 0.0, None, clearance)
 
-    def in_some_corner(self, model: Model, room: Rectangle, clearance: float = 0.55) -> Placement | None:
+    def in_some_corner(self, model: PropModel, room: Rectangle, clearance: float = 0.55) -> PropPlacement | None:
         """Places a model in the first of the four corners, in random order, that is free."""
         for corner in self.rng.permutation(4):
             found = self.in_corner(model, room, int(corner), clearance)
@@ -239,7 +239,7 @@ class Plan:
                 standing += self.against_somewhere(model, areas[room], sides, clearance) is not None
 
 
-def footprint(model: Model, x: float, y: float, yaw: float) -> Rectangle:
+def footprint(model: PropModel, x: float, y: float, yaw: float) -> Rectangle:
     """The axis-aligned rectangle a turned model covers, metres."""
     c, s = math.cos(yaw), math.sin(yaw)
     corners = [(a, b) for a in (model.low[0], model.high[0]) for b in (model.low[1], model.high[1])]
@@ -248,7 +248,7 @@ def footprint(model: Model, x: float, y: float, yaw: float) -> Rectangle:
     return Rectangle(min(xs), min(ys), max(xs), max(ys))
 
 
-def wall_pose(model: Model, room: Rectangle, side: str, along: float, gap: float) -> tuple[float, float, float]:
+def wall_pose(model: PropModel, room: Rectangle, side: str, along: float, gap: float) -> tuple[float, float, float]:
     """Position and yaw that put a model's back to a wall, at `along` 0..1 of what is left of the wall."""
     half = float(max(model.high[0], -model.low[0]))
     back = float(model.high[1]) + gap

@@ -8,7 +8,7 @@ from __future__ import annotations
 from numpy.random import Generator
 
 from factory.scenes.author.geometry import (
-    Mesh,
+    AuthoredMesh,
     Vector,
     block,
     cushion,
@@ -19,7 +19,7 @@ from factory.scenes.author.geometry import (
     rod,
     tube,
 )
-from factory.scenes.author.materials import Material, Piece, painted
+from factory.scenes.author.materials import PropPiece, SurfaceMaterial, painted
 
 __all__ = ["fire_extinguisher", "whiteboard"]
 
@@ -27,10 +27,10 @@ RED = painted("Red", 0.3)
 BLACK = painted("Black", 0.5)
 STEEL = painted("Steel", 0.3, 1.0)
 BRIGHT = painted("White", 0.3)
-SCRIBBLES = Material("Scribbles", "#f4f5f4", "Scribbles", roughness=0.2)
+SCRIBBLES = SurfaceMaterial("Scribbles", "#f4f5f4", "Scribbles", roughness=0.2)
 
 
-def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
+def fire_extinguisher(variant: int, _rng: Generator) -> list[PropPiece]:
     """A red bottle with valve, gauge, lever and hose: on a floor stand, wall-hung, or a wheeled large one."""
     kind = variant % 3
     radius, height = ((0.085, 0.44), (0.075, 0.40), (0.10, 0.56))[kind]
@@ -72,42 +72,42 @@ def fire_extinguisher(variant: int, _rng: Generator) -> list[Piece]:
         quad([(-half * 0.5, front, bottom + 0.14), (half * 0.5, front, bottom + 0.14),
               (half * 0.5, front, bottom + 0.30), (-half * 0.5, front, bottom + 0.30)])
     ]  # fmt: skip
-    plain = [Mesh(mesh.points, mesh.counts, mesh.indices) for mesh in label]
+    plain = [AuthoredMesh(mesh.points, mesh.counts, mesh.indices) for mesh in label]
     pieces = [
-        Piece(RED, bottle),
-        Piece(STEEL, valve),
-        *(Piece(BLACK, lever) for lever in levers),
-        Piece(BRIGHT, gauge),
+        PropPiece(RED, bottle),
+        PropPiece(STEEL, valve),
+        *(PropPiece(BLACK, lever) for lever in levers),
+        PropPiece(BRIGHT, gauge),
     ]
     pieces += [
-        Piece(BLACK, tube(path, 0.011, 4)),
-        Piece(BLACK, horn),
-        *(Piece(BRIGHT, mesh) for mesh in plain),
+        PropPiece(BLACK, tube(path, 0.011, 4)),
+        PropPiece(BLACK, horn),
+        *(PropPiece(BRIGHT, mesh) for mesh in plain),
     ]
     return [*pieces, *_mount(kind, radius, bottom, top)]
 
 
-def _mount(kind: int, radius: float, bottom: float, top: float) -> list[Piece]:
+def _mount(kind: int, radius: float, bottom: float, top: float) -> list[PropPiece]:
     """What carries the bottle: a floor stand with a pole, a wall plate, or wheels."""
     if kind == 0:
         tray = lathe([(0.13, 0.0), (0.13, 0.02), (0.10, 0.05)], sides=12)
         pole = rod((0.0, radius + 0.02, 0.02), (0.0, radius + 0.02, 0.95), 0.012)
         face = [(-0.11, radius, 0.80), (0.11, radius, 0.80), (0.11, radius, 1.02), (-0.11, radius, 1.02)]
         sign = block((-0.12, radius + 0.002, 0.79), (0.12, radius + 0.03, 1.03))
-        return [Piece(BLACK, tray), Piece(STEEL, pole), Piece(RED, sign), Piece(_sign(), quad(face))]
+        return [PropPiece(BLACK, tray), PropPiece(STEEL, pole), PropPiece(RED, sign), PropPiece(_sign(), quad(face))]
     if kind == 1:
-        return [Piece(BRIGHT, block((-0.03, radius, bottom + 0.04), (0.03, radius + 0.02, top + 0.02)))]
+        return [PropPiece(BRIGHT, block((-0.03, radius, bottom + 0.04), (0.03, radius + 0.02, top + 0.02)))]
     meshes = [moved(cylinder(0.05, -0.015, 0.015, sides=10), (x, 0.06, 0.05), pitch=1.5708) for x in (-0.13, 0.13)]
     handle = tube([(-0.06, 0.11, 0.1), (-0.06, 0.13, 0.85), (0.06, 0.13, 0.85), (0.06, 0.11, 0.1)], 0.011, 5)
     axle = rod((-0.13, 0.06, 0.05), (0.13, 0.06, 0.05), 0.012)
-    return [*(Piece(BLACK, mesh) for mesh in meshes), Piece(STEEL, handle), Piece(STEEL, axle)]
+    return [*(PropPiece(BLACK, mesh) for mesh in meshes), PropPiece(STEEL, handle), PropPiece(STEEL, axle)]
 
 
-def _sign() -> Material:
-    return Material("SignFire", "#c3211d", "SignFire", roughness=0.4)
+def _sign() -> SurfaceMaterial:
+    return SurfaceMaterial("SignFire", "#c3211d", "SignFire", roughness=0.4)
 
 
-def whiteboard(variant: int, _rng: Generator) -> list[Piece]:
+def whiteboard(variant: int, _rng: Generator) -> list[PropPiece]:
     """A board with frame, pen tray and scribbles: wall-hung in two sizes, or mobile on castors."""
     kind = variant % 3
     half, low, high = ((0.80, 0.85, 1.85), (0.60, 0.75, 1.75), (0.65, 0.70, 1.75))[kind]
@@ -123,24 +123,24 @@ def whiteboard(variant: int, _rng: Generator) -> list[Piece]:
         block((-half * 0.6, front - 0.07, low - 0.02), (half * 0.6, front, low - 0.005)),
     ]
     pens = [
-        Piece(
+        PropPiece(
             painted(paint),
             rod((x, front - 0.04, low + 0.003), (x + 0.12, front - 0.04, low + 0.003), 0.009, 5),
         )
         for paint, x in (("Red", -0.3), ("Blue", -0.1), ("Green", 0.12))
     ]
     frame = (STEEL, BLACK, STEEL)[kind]
-    pieces = [Piece(BRIGHT, panel), Piece(SCRIBBLES, writing), *(Piece(frame, bar) for bar in bars), *pens]
+    pieces = [PropPiece(BRIGHT, panel), PropPiece(SCRIBBLES, writing), *(PropPiece(frame, bar) for bar in bars), *pens]
     return pieces if kind < 2 else [*pieces, *_trestle(half, high)]
 
 
-def _trestle(half: float, high: float) -> list[Piece]:
+def _trestle(half: float, high: float) -> list[PropPiece]:
     """Two T-feet on castors for a mobile board."""
-    pieces: list[Piece] = []
+    pieces: list[PropPiece] = []
     for x in (-half, half):
-        pieces.append(Piece(STEEL, block((x - 0.02, -0.015, 0.06), (x + 0.02, 0.03, high - 0.005))))
-        pieces.append(Piece(STEEL, cushion((x - 0.025, -0.27, 0.05), (x + 0.025, 0.27, 0.09), 0.01)))
+        pieces.append(PropPiece(STEEL, block((x - 0.02, -0.015, 0.06), (x + 0.02, 0.03, high - 0.005))))
+        pieces.append(PropPiece(STEEL, cushion((x - 0.025, -0.27, 0.05), (x + 0.025, 0.27, 0.09), 0.01)))
         for y in (-0.24, 0.24):
-            pieces.append(Piece(BLACK, moved(cylinder(0.03, -0.015, 0.015, sides=8), (x, y, 0.03), pitch=1.5708)))
-    pieces.append(Piece(STEEL, rod((-half, 0.0, 0.3), (half, 0.0, 0.3), 0.014)))
+            pieces.append(PropPiece(BLACK, moved(cylinder(0.03, -0.015, 0.015, sides=8), (x, y, 0.03), pitch=1.5708)))
+    pieces.append(PropPiece(STEEL, rod((-half, 0.0, 0.3), (half, 0.0, 0.3), 0.014)))
     return pieces

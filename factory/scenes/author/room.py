@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from factory.scenes.author.geometry import Mesh, Vector, block, lathe, open_block, quad, uncapped
-from factory.scenes.author.materials import Material, Piece, glowing, painted, textured
-from factory.scenes.author.placement import Plan, Rectangle
+from factory.scenes.author.geometry import AuthoredMesh, Vector, block, lathe, open_block, quad, uncapped
+from factory.scenes.author.materials import PropPiece, SurfaceMaterial, glowing, painted, textured
+from factory.scenes.author.placement import FloorPlan, Rectangle
 
 __all__ = [
     "DOOR_CLEARANCE_M",
     "PLAIN",
     "WALL_THICKNESS_M",
-    "Door",
+    "Doorway",
     "Trim",
     "ceiling",
     "ceiling_slab",
@@ -42,12 +42,12 @@ SOCKET_PITCH_M = 2.8
 class Trim(NamedTuple):
     """What runs along one face of a wall: skirting always; sockets and switches; a painted dado, a bumper rail."""
 
-    rail: Material | None = None
+    rail: SurfaceMaterial | None = None
     """At 0.80-0.95 m."""
-    dado: Material | None = None
+    dado: SurfaceMaterial | None = None
     """From the skirting to `dado_top_m`, 4 mm thick."""
     dado_top_m: float = 0.80
-    skirting: Material = SKIRTING
+    skirting: SurfaceMaterial = SKIRTING
     has_sockets: bool = True
 
 
@@ -57,7 +57,7 @@ Trims = tuple[Trim | None, Trim | None]
 """Towards lower and towards higher coordinates; None is a face that nobody sees."""
 
 
-class Door(NamedTuple):
+class Doorway(NamedTuple):
     """An opening in a wall: its centre along the wall (world coordinate), clear width and height, metres."""
 
     centre: float
@@ -71,22 +71,22 @@ class _Strip(NamedTuple):
     is_along_x: bool
     at: float
 
-    def box(self, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> Mesh:
+    def box(self, along: tuple[float, float], across: tuple[float, float], z: tuple[float, float]) -> AuthoredMesh:
         """A block that spans metres along the wall, across it from its middle, and of height."""
         low, high = self._corners(along, across, z)
         return block(low, high)
 
-    def leaf(self, along: tuple[float, float], side: float, z: tuple[float, float]) -> Mesh:
+    def leaf(self, along: tuple[float, float], side: float, z: tuple[float, float]) -> AuthoredMesh:
         """The half towards lower (side -1) or higher (+1) coordinates, without the face that the other half hides."""
         return self._backless(along, side, (0.0, WALL_THICKNESS_M / 2), z)
 
-    def applied(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> Mesh:
+    def applied(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> AuthoredMesh:
         """A bar on the face towards lower (side -1) or higher (+1) coordinates, without its back."""
         return self._backless(along, side, (WALL_THICKNESS_M / 2, WALL_THICKNESS_M / 2 + proud), z)
 
     def _backless(
         self, along: tuple[float, float], side: float, out: tuple[float, float], z: tuple[float, float]
-    ) -> Mesh:
+    ) -> AuthoredMesh:
         """A block from `out[0]` to `out[1]` metres off the middle, without the face towards the middle."""
         near, far = sorted((side * out[0], side * out[1]))
         front = ("SN" if self.is_along_x else "WE")[side > 0]
@@ -101,7 +101,7 @@ class _Strip(NamedTuple):
             return (a0, c0, z[0]), (a1, c1, z[1])
         return (c0, a0, z[0]), (c1, a1, z[1])
 
-    def plate(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> Mesh:
+    def plate(self, along: tuple[float, float], side: float, proud: float, z: tuple[float, float]) -> AuthoredMesh:
         """A flat rectangle before the face towards lower (side -1) or higher (+1) coordinates, seen from outside."""
         left, right = along if (side < 0) == self.is_along_x else along[::-1]
         c = self.at + side * (WALL_THICKNESS_M / 2 + proud)
@@ -116,12 +116,12 @@ class _Strip(NamedTuple):
 
 
 def wall(
-    plan: Plan,
+    plan: FloorPlan,
     is_along_x: bool,
     at: float,
     span: tuple[float, float],
-    faces: tuple[Material, Material],
-    doors: Sequence[Door] = (),
+    faces: tuple[SurfaceMaterial, SurfaceMaterial],
+    doors: Sequence[Doorway] = (),
     height: float = 2.8,
     trims: Trims = (PLAIN, PLAIN),
 ) -> None:
@@ -138,7 +138,7 @@ def wall(
         trims: what runs along either face.
     """
     strip, half = _Strip(is_along_x, at), WALL_THICKNESS_M / 2
-    pieces: list[Piece] = []
+    pieces: list[PropPiece] = []
     start = span[0]
     for door in sorted(doors):
         left, right = door.centre - door.width / 2, door.centre + door.width / 2
@@ -157,15 +157,15 @@ def _solid(
     strip: _Strip,
     along: tuple[float, float],
     z: tuple[float, float],
-    faces: tuple[Material, Material],
+    faces: tuple[SurfaceMaterial, SurfaceMaterial],
     trims: Trims,
-) -> list[Piece]:
+) -> list[PropPiece]:
     """One unbroken stretch: two half-thick leaves and what runs along them."""
     if along[1] - along[0] < 1e-3:
         return []
     pieces = [
-        Piece(faces[0], strip.leaf(along, -1.0, z)),
-        Piece(faces[1], strip.leaf(along, 1.0, z)),
+        PropPiece(faces[0], strip.leaf(along, -1.0, z)),
+        PropPiece(faces[1], strip.leaf(along, 1.0, z)),
     ]
     for trim, side in zip(trims, (-1.0, 1.0), strict=True):
         if trim is not None:
@@ -173,36 +173,36 @@ def _solid(
     return pieces
 
 
-def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) -> list[Piece]:
+def _trim(strip: _Strip, along: tuple[float, float], trim: Trim, side: float) -> list[PropPiece]:
     """Skirting, dado, rail and sockets on the face towards lower (side -1) or higher (+1) coordinates."""
     start, end = along
-    pieces = [Piece(trim.skirting, strip.applied(along, side, 0.012, (0.0, 0.09)))]
+    pieces = [PropPiece(trim.skirting, strip.applied(along, side, 0.012, (0.0, 0.09)))]
     if trim.dado is not None:
-        pieces.append(Piece(trim.dado, strip.applied(along, side, 0.004, (0.09, trim.dado_top_m))))
+        pieces.append(PropPiece(trim.dado, strip.applied(along, side, 0.004, (0.09, trim.dado_top_m))))
     if trim.rail is not None and end - start > 0.3:
-        pieces.append(Piece(trim.rail, strip.applied((start + 0.09, end - 0.09), side, 0.045, (0.80, 0.95))))
+        pieces.append(PropPiece(trim.rail, strip.applied((start + 0.09, end - 0.09), side, 0.045, (0.80, 0.95))))
     count = round((end - start) / SOCKET_PITCH_M) if trim.has_sockets else 0
     for number in range(count):
         middle = start + (number + 0.5) * (end - start) / count
-        pieces.append(Piece(PLATE, strip.plate((middle - 0.08, middle + 0.08), side, 0.005, (0.26, 0.34))))
+        pieces.append(PropPiece(PLATE, strip.plate((middle - 0.08, middle + 0.08), side, 0.005, (0.26, 0.34))))
         for shift in (-0.038, 0.038):
             hole = (middle + shift - 0.022, middle + shift + 0.022)
-            pieces.append(Piece(LAMP_RIM, strip.plate(hole, side, 0.007, (0.278, 0.322))))
+            pieces.append(PropPiece(LAMP_RIM, strip.plate(hole, side, 0.007, (0.278, 0.322))))
     return pieces
 
 
-def _switches(strip: _Strip, right: float, trims: Trims) -> list[Piece]:
+def _switches(strip: _Strip, right: float, trims: Trims) -> list[PropPiece]:
     """A light switch beside the door on each face that people see."""
-    pieces: list[Piece] = []
+    pieces: list[PropPiece] = []
     for trim, side in zip(trims, (-1.0, 1.0), strict=True):
         if trim is not None:
             a = right + 0.2
-            pieces.append(Piece(PLATE, strip.plate((a - 0.04, a + 0.04), side, 0.005, (1.02, 1.10))))
-            pieces.append(Piece(LAMP_RIM, strip.plate((a - 0.018, a + 0.018), side, 0.007, (1.03, 1.09))))
+            pieces.append(PropPiece(PLATE, strip.plate((a - 0.04, a + 0.04), side, 0.005, (1.02, 1.10))))
+            pieces.append(PropPiece(LAMP_RIM, strip.plate((a - 0.018, a + 0.018), side, 0.007, (1.03, 1.09))))
     return pieces
 
 
-def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list[Piece]:
+def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list[PropPiece]:
     """Architraves around an opening; they stand beside it, so the clear width stays as asked."""
     half = WALL_THICKNESS_M / 2 + 0.02
     parts = [
@@ -210,30 +210,32 @@ def _door_frame(strip: _Strip, left: float, right: float, height: float) -> list
         strip.box((right - 0.002, right + 0.08), (-half, half), (0.0, height + 0.08)),
         strip.box((left, right), (-half, half), (height - 0.002, height + 0.08)),
     ]
-    return [Piece(DOOR_FRAME, part) for part in parts]
+    return [PropPiece(DOOR_FRAME, part) for part in parts]
 
 
-def floor(plan: Plan, area: Rectangle, material: Material) -> None:
+def floor(plan: FloorPlan, area: Rectangle, material: SurfaceMaterial) -> None:
     """Lays a floor slab whose top is at z = 0."""
-    plan.build("SM_Floor", Piece(material, block((area.x0, area.y0, -0.05), (area.x1, area.y1, 0.0))))
+    plan.build("SM_Floor", PropPiece(material, block((area.x0, area.y0, -0.05), (area.x1, area.y1, 0.0))))
 
 
-def ceiling(plan: Plan, area: Rectangle, height: float, material: Material, lamp_pitch: float = 2.6) -> None:
+def ceiling(
+    plan: FloorPlan, area: Rectangle, height: float, material: SurfaceMaterial, lamp_pitch: float = 2.6
+) -> None:
     """Closes a room from above with a slab and a grid of lit panels 0.3 x 1.2 m."""
     ceiling_slab(plan, area, height, material)
     columns, rows = max(1, round(area.width / lamp_pitch)), max(1, round(area.depth / lamp_pitch))
-    pieces: list[Piece] = []
+    pieces: list[PropPiece] = []
     for column in range(columns):
         for row in range(rows):
             x = area.x0 + (column + 0.5) * area.width / columns
             y = area.y0 + (row + 0.5) * area.depth / rows
-            pieces.append(Piece(LAMP_RIM, block((x - 0.64, y - 0.19, height - 0.03), (x + 0.64, y + 0.19, height))))
-            pieces.append(Piece(LAMP, _hung((x - 0.6, y - 0.15), (x + 0.6, y + 0.15), height - 0.032)))
+            pieces.append(PropPiece(LAMP_RIM, block((x - 0.64, y - 0.19, height - 0.03), (x + 0.64, y + 0.19, height))))
+            pieces.append(PropPiece(LAMP, _hung((x - 0.6, y - 0.15), (x + 0.6, y + 0.15), height - 0.032)))
     plan.build("SM_Lamps", *pieces)
     _ceiling_fittings(plan, area, height)
 
 
-def _ceiling_fittings(plan: Plan, area: Rectangle, height: float) -> None:
+def _ceiling_fittings(plan: FloorPlan, area: Rectangle, height: float) -> None:
     """An air outlet with slats and a smoke detector, off the room's middle."""
     x, y = area.x0 + 0.27 * area.width, area.y0 + 0.38 * area.depth
     slats = [_hung((x - 0.25, y - 0.24 + row * 0.08), (x + 0.25, y - 0.19 + row * 0.08), height - 0.014)
@@ -241,38 +243,38 @@ def _ceiling_fittings(plan: Plan, area: Rectangle, height: float) -> None:
     detector = lathe([(0.04, height - 0.045), (0.055, height)], area.centre, 8)
     plan.build(
         "SM_Vent",
-        Piece(PLATE, _hung((x - 0.3, y - 0.3), (x + 0.3, y + 0.3), height - 0.01)),
-        *(Piece(SKIRTING, slat) for slat in slats),
-        Piece(PLATE, detector),
+        PropPiece(PLATE, _hung((x - 0.3, y - 0.3), (x + 0.3, y + 0.3), height - 0.01)),
+        *(PropPiece(SKIRTING, slat) for slat in slats),
+        PropPiece(PLATE, detector),
     )
 
 
-def _hung(low: tuple[float, float], high: tuple[float, float], z: float) -> Mesh:
+def _hung(low: tuple[float, float], high: tuple[float, float], z: float) -> AuthoredMesh:
     """A level rectangle that is seen from below."""
     return quad([(low[0], high[1], z), (high[0], high[1], z), (high[0], low[1], z), (low[0], low[1], z)])
 
 
-def ceiling_slab(plan: Plan, area: Rectangle, height: float, material: Material) -> None:
+def ceiling_slab(plan: FloorPlan, area: Rectangle, height: float, material: SurfaceMaterial) -> None:
     """Closes a room from above; nothing hangs from it."""
-    plan.build("SM_Ceiling", Piece(material, block((area.x0, area.y0, height), (area.x1, area.y1, height + 0.05))))
+    plan.build("SM_Ceiling", PropPiece(material, block((area.x0, area.y0, height), (area.x1, area.y1, height + 0.05))))
 
 
-def high_bay_lamps(plan: Plan, area: Rectangle, height: float, pitch: float) -> None:
+def high_bay_lamps(plan: FloorPlan, area: Rectangle, height: float, pitch: float) -> None:
     """Roof girders along y and bell lamps hanging below them."""
     columns, rows = max(1, round(area.width / pitch)), max(1, round(area.depth / pitch))
     steel, pieces = painted("Steel", 0.4, 1.0), []
     for column in range(columns):
         x = area.x0 + (column + 0.5) * area.width / columns
-        pieces.append(Piece(steel, block((x - 0.08, area.y0, height - 0.35), (x + 0.08, area.y1, height - 0.05))))
+        pieces.append(PropPiece(steel, block((x - 0.08, area.y0, height - 0.35), (x + 0.08, area.y1, height - 0.05))))
         for row in range(rows):
             y = area.y0 + (row + 0.5) * area.depth / rows
             bell = lathe([(0.28, height - 0.80), (0.10, height - 0.50), (0.05, height - 0.35)], (x, y), 10)
-            pieces.append(Piece(steel, uncapped(bell)))
-            pieces.append(Piece(LAMP, lathe([(0.26, height - 0.82), (0.28, height - 0.80)], (x, y), 10)))
+            pieces.append(PropPiece(steel, uncapped(bell)))
+            pieces.append(PropPiece(LAMP, lathe([(0.26, height - 0.82), (0.28, height - 0.80)], (x, y), 10)))
     plan.build("SM_Lamps", *pieces)
 
 
-def marking(plan: Plan, area: Rectangle, material: Material) -> None:
+def marking(plan: FloorPlan, area: Rectangle, material: SurfaceMaterial) -> None:
     """Paints a flat strip 2 mm above the floor, so that it is no obstacle."""
     strip = open_block((area.x0, area.y0, 0.0), (area.x1, area.y1, 0.002), "T")
-    plan.build("SM_Marking", Piece(material, strip))
+    plan.build("SM_Marking", PropPiece(material, strip))

@@ -15,16 +15,16 @@ import numpy as np
 from PIL import Image
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from factory.scenes.author.catalogue import Model
-from factory.scenes.author.geometry import Mesh, merge
-from factory.scenes.author.materials import Material, Piece, linear_rgb
-from factory.scenes.author.placement import Placement, Plan
+from factory.scenes.author.catalogue import PropModel
+from factory.scenes.author.geometry import AuthoredMesh, merge
+from factory.scenes.author.materials import PropPiece, SurfaceMaterial, linear_rgb
+from factory.scenes.author.placement import FloorPlan, PropPlacement
 from factory.scenes.author.textures import draw_texture
 
 __all__ = ["write_scene"]
 
 
-def write_scene(plan: Plan, name: str, directory: Path, metres_per_unit: float) -> Path:
+def write_scene(plan: FloorPlan, name: str, directory: Path, metres_per_unit: float) -> Path:
     """Writes `<name>.usdc`, `props/*.usdc` and `textures/*.png` below a directory.
 
     Args:
@@ -72,7 +72,7 @@ def _new_stage(path: Path, root: str, metres_per_unit: float) -> Any:
     return stage
 
 
-def _write_model(model: Model, directory: Path, metres_per_unit: float) -> None:
+def _write_model(model: PropModel, directory: Path, metres_per_unit: float) -> None:
     stage = _new_stage(directory / f"{model.name}.usdc", model.name, metres_per_unit)
     Usd.ModelAPI(stage.GetDefaultPrim()).SetKind(Kind.Tokens.component)
     looks = _write_looks(stage, f"/{model.name}/Looks", model.pieces, "../textures")
@@ -81,10 +81,10 @@ def _write_model(model: Model, directory: Path, metres_per_unit: float) -> None:
 
 
 def _write_meshes(
-    stage: Any, parent: str, pieces: Sequence[Piece], looks: dict[str, Any], metres_per_unit: float
+    stage: Any, parent: str, pieces: Sequence[PropPiece], looks: dict[str, Any], metres_per_unit: float
 ) -> None:
     """One mesh prim per material below `parent`."""
-    by_material: dict[str, list[Piece]] = {}
+    by_material: dict[str, list[PropPiece]] = {}
     for piece in pieces:
         by_material.setdefault(piece.material.name, []).append(piece)
     for number, (name, group) in enumerate(by_material.items()):
@@ -93,7 +93,7 @@ def _write_meshes(
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(looks[name])
 
 
-def _write_mesh(stage: Any, path: str, mesh: Mesh, metres_per_unit: float) -> Any:
+def _write_mesh(stage: Any, path: str, mesh: AuthoredMesh, metres_per_unit: float) -> Any:
     prim = UsdGeom.Mesh.Define(stage, path)
     points = (mesh.points / metres_per_unit).astype(np.float32)
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
@@ -109,14 +109,14 @@ def _write_mesh(stage: Any, path: str, mesh: Mesh, metres_per_unit: float) -> An
     return prim
 
 
-def _write_looks(stage: Any, scope: str, pieces: Iterable[Piece], textures: str) -> dict[str, Any]:
+def _write_looks(stage: Any, scope: str, pieces: Iterable[PropPiece], textures: str) -> dict[str, Any]:
     """Defines every material once; returns them by name."""
     UsdGeom.Scope.Define(stage, scope)
     materials = {piece.material.name: piece.material for piece in pieces}
     return {name: _write_material(stage, scope, material, textures) for name, material in materials.items()}
 
 
-def _write_material(stage: Any, scope: str, material: Material, textures: str) -> Any:
+def _write_material(stage: Any, scope: str, material: SurfaceMaterial, textures: str) -> Any:
     path = f"{scope}/M_{material.name}"
     look = UsdShade.Material.Define(stage, path)
     surface = UsdShade.Shader.Define(stage, f"{path}/Surface")
@@ -159,7 +159,7 @@ def _write_texture_reader(stage: Any, path: str, file: str, tint: str | None) ->
     return texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
 
 
-def _write_placement(stage: Any, placement: Placement, number: int, metres_per_unit: float) -> None:
+def _write_placement(stage: Any, placement: PropPlacement, number: int, metres_per_unit: float) -> None:
     """References, instances or payloads the prop layer, in turn, so that readers meet all three."""
     xform = UsdGeom.Xform.Define(stage, f"/World/Props/{placement.name}")
     place = np.array([placement.x, placement.y, placement.z]) / metres_per_unit
@@ -173,7 +173,7 @@ def _write_placement(stage: Any, placement: Placement, number: int, metres_per_u
     prim.SetInstanceable(number % 3 == 1)
 
 
-def _write_textures(pieces: Iterable[Piece], directory: Path, seed: int) -> None:
+def _write_textures(pieces: Iterable[PropPiece], directory: Path, seed: int) -> None:
     """Draws each used texture from its own generator, so that one more texture changes no other."""
     for name in sorted({piece.material.texture for piece in pieces if piece.material.texture}):
         rng = np.random.default_rng([seed, zlib.crc32(name.encode())])

@@ -22,14 +22,14 @@ from factory.scenes.importer.complaints import say_refusal, text_of
 from factory.scenes.importer.fence import Fence
 from factory.scenes.importer.material import Surface, bound_material, read_surface
 from factory.scenes.importer.mesh import (
-    Mesh,
+    ImportedMesh,
     corner_values,
     count_triangles,
     material_subsets,
     read_mesh,
     uv_values,
 )
-from factory.scenes.importer.stage import BROKEN_PRIM, Placement, find_unseen, open_stage, walk_stage
+from factory.scenes.importer.stage import BROKEN_PRIM, PrimPlacement, find_unseen, open_stage, walk_stage
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.errors import WorldError
 
@@ -139,7 +139,7 @@ def extract_stage(path: Path, limits: StageLimits = USUAL_LIMITS) -> Extraction:
     )
 
 
-def _take(work: _Extractor, placement: Placement) -> None:
+def _take(work: _Extractor, placement: PrimPlacement) -> None:
     prim = placement.prim
     kind = Usd.ModelAPI(prim).GetKind()
     if prim.IsA(UsdGeom.Scope) or kind in ("group", "assembly"):
@@ -195,7 +195,7 @@ def _source_path(prim: Any) -> str:
     return str(prim.GetPrimInPrototype().GetPath() if prim.IsInstanceProxy() else prim.GetPath())
 
 
-def _pieces(work: _Extractor, placement: Placement) -> list[_Piece]:
+def _pieces(work: _Extractor, placement: PrimPlacement) -> list[_Piece]:
     """The pieces of a prim, made once for all its instances that look alike."""
     prim = placement.prim
     material = bound_material(prim)
@@ -211,7 +211,7 @@ def _pieces(work: _Extractor, placement: Placement) -> list[_Piece]:
     return work.pieces[key]
 
 
-def _cut_pieces(work: _Extractor, prim: Any, mesh: Mesh) -> list[_Piece]:
+def _cut_pieces(work: _Extractor, prim: Any, mesh: ImportedMesh) -> list[_Piece]:
     pieces = []
     triangles = mesh.triangle_points()
     for binder, chosen in material_subsets(prim, mesh):
@@ -259,7 +259,7 @@ def _both_sides(piece: _Piece) -> _Piece:
     return replace(piece, triangles=both, uvs=doubled(piece.uvs), tints=doubled(piece.tints))
 
 
-def _placed(piece: _Piece, placement: Placement, collides: bool) -> Part:
+def _placed(piece: _Piece, placement: PrimPlacement, collides: bool) -> Part:
     rotation, shift = placement.to_world[:3, :3], placement.to_world[:3, 3]
     with np.errstate(all="ignore"):
         exact = piece.triangles @ rotation.T + shift

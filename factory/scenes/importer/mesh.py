@@ -16,7 +16,7 @@ from pxr import Usd, UsdGeom, UsdShade
 from factory.scenes.importer.gprims import solid_polygons
 from factory.scenes.importer.polygons import Triangulation, is_closed, triangulate
 
-__all__ = ["Mesh", "corner_values", "count_triangles", "material_subsets", "read_mesh", "uv_values"]
+__all__ = ["ImportedMesh", "corner_values", "count_triangles", "material_subsets", "read_mesh", "uv_values"]
 
 _TIME = Usd.TimeCode.EarliestTime()
 _UV_NAMES = ("st", "st0", "st_0", "UVMap", "map1", "uv")
@@ -26,7 +26,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Mesh:
+class ImportedMesh:
     """One prim's polygons, cut into triangles."""
 
     points: Floats
@@ -54,7 +54,7 @@ def count_triangles(prim: Any) -> int:
     return int(np.maximum(counts - 2, 0).sum()) if is_whole else 0
 
 
-def read_mesh(prim: Any, notes: list[str]) -> Mesh | None:
+def read_mesh(prim: Any, notes: list[str]) -> ImportedMesh | None:
     """Returns the geometry of a mesh or basic solid, or `None` when the prim has none.
 
     Args:
@@ -72,10 +72,10 @@ def read_mesh(prim: Any, notes: list[str]) -> Mesh | None:
     if solid is None:
         notes.append(f"{prim.GetPath()}: {prim.GetTypeName()} is not supported, skipped")
         return None
-    return Mesh(*solid, triangulate(*solid), is_two_sided=str(prim.GetTypeName()) == "Plane")
+    return ImportedMesh(*solid, triangulate(*solid), is_two_sided=str(prim.GetTypeName()) == "Plane")
 
 
-def _polygon_mesh(prim: Any, notes: list[str]) -> Mesh | None:
+def _polygon_mesh(prim: Any, notes: list[str]) -> ImportedMesh | None:
     mesh = UsdGeom.Mesh(prim)
     attributes = (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
     raw = [attribute.Get(_TIME) for attribute in attributes]
@@ -93,7 +93,7 @@ def _polygon_mesh(prim: Any, notes: list[str]) -> Mesh | None:
     if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
         cut = Triangulation(cut.corners[:, ::-1], cut.faces)
     two_sided = bool(mesh.GetDoubleSidedAttr().Get()) and not _bounds_volume(points, indices[cut.corners])
-    return Mesh(points, counts, indices, cut, two_sided)
+    return ImportedMesh(points, counts, indices, cut, two_sided)
 
 
 def _without_holes(cut: Triangulation, holes: Any) -> Triangulation:
@@ -112,7 +112,7 @@ def _bounds_volume(points: Floats, triangles: Ints) -> bool:
     return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
 
 
-def material_subsets(prim: Any, mesh: Mesh) -> Iterator[tuple[Any, NDArray[np.bool_]]]:
+def material_subsets(prim: Any, mesh: ImportedMesh) -> Iterator[tuple[Any, NDArray[np.bool_]]]:
     """Yields the prims that bind materials to a mesh and the triangles (T,) of each; every triangle once."""
     rest = np.ones(len(mesh.cut.faces), bool)
     subsets = UsdGeom.Subset.GetGeomSubsets(UsdGeom.Imageable(prim), UsdGeom.Tokens.face, UsdShade.Tokens.materialBind)
@@ -126,7 +126,7 @@ def material_subsets(prim: Any, mesh: Mesh) -> Iterator[tuple[Any, NDArray[np.bo
         yield prim, rest
 
 
-def corner_values(prim: Any, mesh: Mesh, name: str) -> Floats | None:
+def corner_values(prim: Any, mesh: ImportedMesh, name: str) -> Floats | None:
     """Returns (T, 3, k) values of a primvar at the triangle corners, or `None` when it is missing or does not fit."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
@@ -148,7 +148,7 @@ def corner_values(prim: Any, mesh: Mesh, name: str) -> Floats | None:
     return spread[mesh.cut.corners] if len(spread) == corners and values.ndim == 2 else None
 
 
-def uv_values(prim: Any, mesh: Mesh, uv_set: str) -> Floats | None:
+def uv_values(prim: Any, mesh: ImportedMesh, uv_set: str) -> Floats | None:
     """Returns (T, 3, 2) texture coordinates from the named set, or else from the usual ones."""
     for name in (uv_set, *_UV_NAMES):
         found = corner_values(prim, mesh, name)

@@ -20,7 +20,7 @@ from factory.scenes.importer.complaints import say_complaint, say_refusal, text_
 from factory.scenes.stage_file import require_stage
 from schemas.errors import WorldError
 
-__all__ = ["BROKEN_PRIM", "Placement", "SceneStage", "find_unseen", "matrix_of", "open_stage", "walk_stage"]
+__all__ = ["BROKEN_PRIM", "PrimPlacement", "SceneStage", "find_unseen", "matrix_of", "open_stage", "walk_stage"]
 
 BROKEN_PRIM = (ValueError, TypeError, LookupError, ArithmeticError, AttributeError, RuntimeError)
 """What a malformed prim raises, from USD (`Tf.ErrorException` is a RuntimeError) or from numpy."""
@@ -44,7 +44,7 @@ class SceneStage:
 
 
 @dataclass(frozen=True)
-class Placement:
+class PrimPlacement:
     """One prim at one place."""
 
     prim: Any
@@ -180,7 +180,7 @@ def _unseen(scene: SceneStage) -> Iterator[str]:
                 yield f"{prim.GetPath()} has purpose {shape.ComputePurpose()}"
 
 
-def walk_stage(scene: SceneStage, notes: list[str]) -> Iterator[Placement]:
+def walk_stage(scene: SceneStage, notes: list[str]) -> Iterator[PrimPlacement]:
     """Yields every visible imageable prim once per place, in the order of the stage.
 
     Args:
@@ -191,7 +191,7 @@ def walk_stage(scene: SceneStage, notes: list[str]) -> Iterator[Placement]:
     yield from _walk_below(walk, scene.stage.GetPseudoRoot(), str, scene.to_metres)
 
 
-def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matrix) -> Iterator[Placement]:
+def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matrix) -> Iterator[PrimPlacement]:
     prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)))
     for prim in prims:
         if not prim.IsA(UsdGeom.Imageable):
@@ -206,12 +206,12 @@ def _walk_below(walk: _Walk, root: Any, name: Callable[[Any], str], frame: Matri
             else:
                 with np.errstate(all="ignore"):  # what is not finite is refused where points are placed
                     place = frame @ walk.matrix(prim)
-                yield Placement(prim, path, place)
+                yield PrimPlacement(prim, path, place)
         except BROKEN_PRIM as error:
             walk.notes.append(f"{path}: skipped, {say_refusal(text_of(error.__str__))}")
 
 
-def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[Placement]:
+def _walk_copies(walk: _Walk, prim: Any, path: str, frame: Matrix) -> Iterator[PrimPlacement]:
     """The prims of every visible copy of a point instancer."""
     if str(prim.GetPath()) in walk.inside:
         raise ValueError("a point instancer that copies itself; take it out of its own prototypes")

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from factory.scenes.pictures.sheet import draw_sheet, known_colours, variants
-from factory.scenes.pictures.viewpoints import EYE, View, best_views
+from factory.scenes.pictures.viewpoints import EYE, Viewpoint, best_views
 from factory.scenes.topdown import encode_topdown
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
@@ -69,7 +69,7 @@ def draw_scene(scene: CompiledScene, folder: Path, wanted: Wanted, renderer: Ren
             yield _save(draw_sheet(eye, scene, sample, in_place=True), folder / "colours.png")
 
 
-def _fine(eye: Renderer, scene: CompiledScene, view: View) -> Image.Image:
+def _fine(eye: Renderer, scene: CompiledScene, view: Viewpoint) -> Image.Image:
     eye.load(scene, view.camera)
     return Image.fromarray(eye.render(view.pose).rgb).resize((FRAME_SIZE_PX,) * 2, Image.Resampling.LANCZOS)
 

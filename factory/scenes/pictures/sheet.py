@@ -15,10 +15,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from factory.scenes.pictures.viewpoints import View, looking
+from factory.scenes.pictures.viewpoints import Viewpoint, looking
 from schemas.scene import CompiledScene, Target
 from workers.geometry.grid import Grid
-from workers.render import Frame, Renderer
+from workers.render import RenderedFrame, Renderer
 
 __all__ = ["alone", "draw_sheet", "facing", "known_colours", "model_name", "variants"]
 
@@ -93,7 +93,7 @@ def facing(scene: CompiledScene, target: Target) -> float:
     return math.atan2(pull[1], pull[0])
 
 
-def _view_alone(scene: CompiledScene, target: Target) -> View:
+def _view_alone(scene: CompiledScene, target: Target) -> Viewpoint:
     """Stands where the thing fills the frame, aside of its open side and a little above."""
     yaw = facing(scene, target) + _ASIDE_RAD
     radius = float(np.linalg.norm(target.size_m)) / 2
@@ -103,7 +103,7 @@ def _view_alone(scene: CompiledScene, target: Target) -> View:
     return looking(centre + way * out, yaw + math.pi, _DOWN_RAD, _FOV_DEG)
 
 
-def _view_in_place(scene: CompiledScene, target: Target, yaw: float) -> View:
+def _view_in_place(scene: CompiledScene, target: Target, yaw: float) -> Viewpoint:
     """Stands in a direction of the thing, somewhat higher than the robot's eye, looking at its centre."""
     radius = float(np.linalg.norm(target.size_m)) / 2
     way = min(max(1.3 * radius / math.sin(math.radians(_IN_PLACE_FOV_DEG) / 2), 0.8), 3.0)
@@ -127,9 +127,9 @@ def _tiles(eye: Renderer, scene: CompiledScene, targets: Sequence[Target], in_pl
         yield np.asarray(Image.fromarray(rgb).resize((_TILE_PX, _TILE_PX), Image.Resampling.LANCZOS))
 
 
-def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> Frame:
+def _best_in_place(eye: Renderer, scene: CompiledScene, target: Target) -> RenderedFrame:
     """Looks from all around, the open side first, and keeps the look that shows most of the thing."""
-    looks: list[Frame] = []
+    looks: list[RenderedFrame] = []
     for turn in _TURNS_DEG:
         view = _view_in_place(scene, target, facing(scene, target) + math.radians(turn))
         eye.load(scene, view.camera)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.pose import Pose
-from workers.render import Frame, Renderer
+from workers.render import RenderedFrame, Renderer
 
-__all__ = ["EYE", "Height", "View", "best_views", "looking", "try_views", "worth"]
+__all__ = ["EYE", "Height", "Viewpoint", "best_views", "looking", "try_views", "worth"]
 
 _HEADINGS = 10
 _NEAR_M, _FULL_DEPTH_M = 0.7, 4.0
@@ -43,14 +43,16 @@ EYE = Height(1.5, math.radians(-11.0), 80.0)
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """A pose of the robot's base and the camera on it, in the world frame."""
 
     pose: Pose
     camera: CameraConfig
 
 
-def looking(eye: NDArray[np.float64], yaw_rad: float, pitch_rad: float, fov_deg: float, near_m: float = 0.05) -> View:
+def looking(
+    eye: NDArray[np.float64], yaw_rad: float, pitch_rad: float, fov_deg: float, near_m: float = 0.05
+) -> Viewpoint:
     """Returns the view from a place (3,), metres, heading `yaw_rad` and raised by `pitch_rad`."""
     cos_yaw, sin_yaw = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
     cos_pitch, sin_pitch = math.cos(-pitch_rad / 2), math.sin(-pitch_rad / 2)
@@ -63,22 +65,22 @@ def looking(eye: NDArray[np.float64], yaw_rad: float, pitch_rad: float, fov_deg:
         cos_yaw * sin_pitch,
         sin_yaw * cos_pitch,
     )
-    return View(pose, CameraConfig(name="view", x_m=0.0, y_m=0.0, z_m=1e-6, fov_deg=fov_deg, near_m=near_m))
+    return Viewpoint(pose, CameraConfig(name="view", x_m=0.0, y_m=0.0, z_m=1e-6, fov_deg=fov_deg, near_m=near_m))
 
 
-def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> Iterator[View]:
+def try_views(scene: CompiledScene, height: Height | None, places: int = 48) -> Iterator[Viewpoint]:
     """Yields views from surveyed points all around; the robot's own camera where `height` is `None`."""
     for number, (x, y) in enumerate(scene.spawns[:places].astype(float)):
         for heading in range(_HEADINGS):
             yaw = 2 * math.pi * (heading + number * 0.382) / _HEADINGS
             if height is None:
-                yield View(Pose.planar(x, y, yaw, scene.info.floor_height_m), CameraConfig())
+                yield Viewpoint(Pose.planar(x, y, yaw, scene.info.floor_height_m), CameraConfig())
             else:
                 place = np.array((x, y, scene.info.floor_height_m + height.eye_m))
                 yield looking(place, yaw, height.pitch_rad, height.fov_deg)
 
 
-def worth(frame: Frame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
+def worth(frame: RenderedFrame, targets: frozenset[int], seen: Iterable[int] = ()) -> float:
     """Says how much a frame shows: things, large enough, in some depth, not yet seen.
 
     Args:
@@ -100,7 +102,7 @@ def worth(frame: Frame, targets: frozenset[int], seen: Iterable[int] = ()) -> fl
     return total * (1 - bare) * min(1.0, 0.4 + float(np.median(met)) / _FULL_DEPTH_M)
 
 
-def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count: int) -> list[View]:
+def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count: int) -> list[Viewpoint]:
     """Returns the views that together show most, best first.
 
     Args:
@@ -110,11 +112,11 @@ def best_views(eye: Renderer, scene: CompiledScene, height: Height | None, count
         count: how many views are wanted.
     """
     targets = frozenset(target.instance_id for target in scene.info.targets)
-    tried: list[tuple[View, Frame]] = []
+    tried: list[tuple[Viewpoint, RenderedFrame]] = []
     for view in try_views(scene, height):
         eye.load(scene, view.camera)
         tried.append((view, eye.render(view.pose)))
-    chosen: list[View] = []
+    chosen: list[Viewpoint] = []
     seen: set[int] = set()
     while tried and len(chosen) < count:
         values = [worth(frame, targets, seen) for _, frame in tried]

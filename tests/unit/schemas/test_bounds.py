@@ -12,7 +12,7 @@ from pydantic import Field, TypeAdapter, ValidationError, create_model
 
 import coordinator.protocol.relay
 import schemas.wire
-from coordinator.protocol.protocol import Request, parse
+from coordinator.protocol.protocol import ParsedRequest, parse
 from coordinator.protocol.relay import MAX_FILES, Duty, Inventory, Refused
 from coordinator.protocol.relay_desk import RELAY_MESSAGES
 from coordinator.validation.validator import Verdict
@@ -22,7 +22,7 @@ from schemas.scene import SceneInfo
 from schemas.terms import FailReason
 from schemas.wire import MAX_LEASES, Beat, Done, Fail, Lease, LeaseProgress, Refusal
 from workers.client.spool import Spooled
-from workers.process.messages import Report
+from workers.process.messages import SimulationReport
 
 WITHOUT_END = ("*", "+", ",}")
 NUMBER_BOUNDS = ("le", "lt"), ("ge", "gt")
@@ -37,7 +37,15 @@ def models_of(module: Any) -> set[type[Model]]:
 
 
 RECEIVED = sorted(
-    {*models_of(schemas.wire), *models_of(coordinator.wire.relay), EpisodeMeta, SceneInfo, Verdict, Report, Spooled},
+    {
+        *models_of(schemas.wire),
+        *models_of(coordinator.wire.relay),
+        EpisodeMeta,
+        SceneInfo,
+        Verdict,
+        SimulationReport,
+        Spooled,
+    },
     key=lambda model: model.__name__,
 )
 """All that is read from another process; models within them are walked too."""
@@ -164,5 +172,5 @@ def test_the_largest_honest_messages_are_read() -> None:
     for verb, message in messages.items():
         known = RELAY_MESSAGES if verb in RELAY_MESSAGES else None
         request = parse(verb, "h" * 48, message.model_dump_json().encode(), known)
-        assert isinstance(request, Request), (verb, request)
+        assert isinstance(request, ParsedRequest), (verb, request)
         assert request.message == message

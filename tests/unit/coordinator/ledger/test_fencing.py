@@ -14,7 +14,7 @@ from sqlalchemy import select
 
 from coordinator.ledger import claims, operator, outcomes
 from coordinator.ledger.claims import HELD_STATES, lease_of
-from coordinator.ledger.states import TRANSITIONS, Event, State
+from coordinator.ledger.states import TRANSITIONS, Event, JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from schemas.terms import FailReason
 from schemas.wire import Beat, Lease, LeaseProgress
@@ -67,7 +67,7 @@ class Ledger(RuleBasedStateMachine):
         lease = self.grant(number)
         was_current, before = self.is_current(lease), self.desk.rows()
         accepted = self.desk.done(lease, sha256=sha256)
-        fulfilled = self.desk.row(lease.job_id).state == State.ARCHIVED and lease.fence == self.newest[lease.job_id]
+        fulfilled = self.desk.row(lease.job_id).state == JobState.ARCHIVED and lease.fence == self.newest[lease.job_id]
         assert accepted == (was_current or fulfilled)
         assert was_current or self.desk.rows() == before
 
@@ -82,7 +82,7 @@ class Ledger(RuleBasedStateMachine):
     def archive(self, number: int) -> None:
         lease = self.grant(number)
         row, before = self.desk.row(lease.job_id), self.desk.rows()
-        is_due = self.is_current(lease) and row.state == State.SUBMITTED
+        is_due = self.is_current(lease) and row.state == JobState.SUBMITTED
         assert self.desk.archive(lease) == is_due
         assert is_due or self.desk.rows() == before
 
@@ -145,7 +145,7 @@ def _check_leases(rows: Sequence[Any]) -> None:
         held = row.state in HELD_STATES
         assert held == (row.lease_until is not None)
         assert not held or (row.token and row.sid)
-        assert row.superseded <= (row.state == State.FAILED)
+        assert row.superseded <= (row.state == JobState.FAILED)
 
 
 def _check_draws(rows: Sequence[Any]) -> None:
@@ -159,7 +159,7 @@ def _check_draws(rows: Sequence[Any]) -> None:
 
 def _check_outcomes(rows: Sequence[Any], owned: dict[int, int], settled: Sequence[Any]) -> None:
     """An archived episode is recorded once; its attempt is the first success, and none follows it."""
-    archived = {row.idx: row.attempt for row in rows if row.state == State.ARCHIVED}
+    archived = {row.idx: row.attempt for row in rows if row.state == JobState.ARCHIVED}
     assert owned == archived
     assert {row.idx: row.attempt for row in settled if row.outcome == "success"} == archived
     numbers: dict[int, list[int]] = {}
@@ -172,11 +172,11 @@ def _check_outcomes(rows: Sequence[Any], owned: dict[int, int], settled: Sequenc
 
 def _check_log(rows: Sequence[Any], log: Sequence[Any]) -> None:
     """Every move stands in the table of transitions and in the log."""
-    states: dict[int, State] = {}
+    states: dict[int, JobState] = {}
     for line in log:
-        assert TRANSITIONS[states.get(line.job_id, State.PENDING), Event(line.event)] == line.state
-        states[line.job_id] = State(line.state)
-    assert all(states.get(row.id, State.PENDING) == row.state for row in rows)
+        assert TRANSITIONS[states.get(line.job_id, JobState.PENDING), Event(line.event)] == line.state
+        states[line.job_id] = JobState(line.state)
+    assert all(states.get(row.id, JobState.PENDING) == row.state for row in rows)
 
 
 TestStaleWorkersChangeNothing = Ledger.TestCase

@@ -15,7 +15,7 @@ from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.progress import read_progress
 from coordinator.ledger.tables import hosts as hosts_table
 from coordinator.ledger.tables import jobs
-from coordinator.protocol.protocol import Request, Terms, parse, serve
+from coordinator.protocol.protocol import ParsedRequest, Terms, parse, serve
 from schemas.base import Model
 from schemas.terms import FailReason
 from schemas.wire import (
@@ -47,7 +47,7 @@ class Counter:
 
     def ask(self, host: str, verb: str, message: Model) -> Any:
         request = parse(verb, host, message.model_dump_json().encode())
-        assert isinstance(request, Request), request
+        assert isinstance(request, ParsedRequest), request
         with self.desk.open() as connection:
             return serve(connection, request, self.terms, self.desk.now).reply
 

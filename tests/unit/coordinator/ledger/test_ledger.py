@@ -24,14 +24,14 @@ from coordinator.ledger.reading.records import (
     read_events,
     read_summaries,
 )
-from coordinator.ledger.states import State
+from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, attempts, episodes, info
 from schemas.errors import UsageError, WorldError
 from schemas.terms import FailReason
 from schemas.wire import Beat, Hello, Lease, LeaseProgress
 from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan, summary_for
 
-WORLD = [reason for reason in FailReason if reason.is_of_the_world]
+WORLD = [reason for reason in FailReason if reason.is_task_failure]
 WORKER = [reason for reason in FailReason if reason.is_of_the_worker]
 
 
@@ -320,7 +320,7 @@ def test_every_move_is_in_the_history_of_the_episode(desk):
 def test_jobs_can_be_listed_by_state(desk):
     desk.lease()
     with desk.open() as connection:
-        held = JobFilter(states=(State.LEASED,))
+        held = JobFilter(states=(JobState.LEASED,))
         assert [job.index for job in list_jobs(connection, held)] == [1]
         assert count_jobs(connection, JobFilter()) == 3
         assert [job.index for job in list_jobs(connection, JobFilter(), limit=1, offset=1)] == [2]

@@ -10,15 +10,15 @@ from sqlalchemy.exc import IntegrityError, ProgrammingError
 
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.moves import JOB
-from coordinator.ledger.prepared import Prepared
-from coordinator.ledger.states import State
+from coordinator.ledger.prepared import PreparedStatement
+from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import METADATA, events, jobs, workers
 from coordinator.ledger.writer import Writer
 
-HIRE = Prepared(insert(workers))
-SLOTS = Prepared(select(workers.c.slots, workers.c.host).where(workers.c.sid == bindparam("by")))
-GROW = Prepared(update(workers).where(workers.c.host == bindparam("at")).values(slots=workers.c.slots + 1))
-NOTE = Prepared(insert(events))
+HIRE = PreparedStatement(insert(workers))
+SLOTS = PreparedStatement(select(workers.c.slots, workers.c.host).where(workers.c.sid == bindparam("by")))
+GROW = PreparedStatement(update(workers).where(workers.c.host == bindparam("at")).values(slots=workers.c.slots + 1))
+NOTE = PreparedStatement(insert(events))
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -54,10 +54,10 @@ def test_rows_have_names_and_changes_are_counted(engine):
 def test_a_row_is_what_sqlalchemy_returns(engine):
     with engine.begin() as connection:
         row = {"idx": 7, "draw": 0, "scene": "s", "tier": "near", "split": "train", "category": "c", "target_id": "t"}
-        row |= {"colour": "red", "template_id": "x", "instruction": "Go.", "state": State.PENDING, "size": 1 << 40}
+        row |= {"colour": "red", "template_id": "x", "instruction": "Go.", "state": JobState.PENDING, "size": 1 << 40}
         connection.execute(insert(jobs), row)
-        query = select(*JOB).where(jobs.c.state == State.PENDING)
-        assert Prepared(query).first(connection, {}) == tuple(connection.execute(query).one())
+        query = select(*JOB).where(jobs.c.state == JobState.PENDING)
+        assert PreparedStatement(query).first(connection, {}) == tuple(connection.execute(query).one())
 
 
 def test_a_numbered_key_is_left_to_the_database(engine):
@@ -95,7 +95,7 @@ def test_a_forgotten_parameter_is_named(engine):
 
 def test_a_statement_that_returns_a_flag_is_refused():
     with pytest.raises(TypeError, match="may not return flags; asked for id, superseded"):
-        Prepared(select(jobs.c.id, jobs.c.superseded))
+        PreparedStatement(select(jobs.c.id, jobs.c.superseded))
 
 
 def test_a_connection_that_is_gone_is_given_up_so_that_the_writer_makes_another(postgres_server):

@@ -12,7 +12,7 @@ from coordinator.ledger.states import (
     TRANSITIONS,
     Event,
     IllegalMove,
-    State,
+    JobState,
     diagram,
     next_state,
     sources,
@@ -28,17 +28,17 @@ def test_every_event_has_a_source_and_leads_to_one_state(event):
     assert all(next_state(state, event) is target(event) for state in sources(event))
 
 
-@pytest.mark.parametrize(("state", "event"), sorted(set(itertools.product(State, Event)) - set(TRANSITIONS)))
+@pytest.mark.parametrize(("state", "event"), sorted(set(itertools.product(JobState, Event)) - set(TRANSITIONS)))
 def test_an_unlisted_pair_raises_naming_both(state, event):
     with pytest.raises(IllegalMove, match=f"a job that is {state} cannot be {event}"):
         next_state(state, event)
 
 
 def test_every_state_can_be_reached_from_the_first():
-    reached = {State.PENDING}
-    for _ in State:
+    reached = {JobState.PENDING}
+    for _ in JobState:
         reached |= {after for (before, _), after in TRANSITIONS.items() if before in reached}
-    assert reached == set(State)
+    assert reached == set(JobState)
 
 
 def test_only_an_operator_or_a_lost_file_wakes_a_job_that_has_ended():

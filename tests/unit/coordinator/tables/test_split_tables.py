@@ -12,17 +12,15 @@ import pytest
 from PIL import Image
 
 from coordinator.archive.opening import open_archive
-from coordinator.tables.card import CARD_FILE
 from coordinator.tables.card_configs import names_split_tables, splits_at
 from coordinator.tables.split_faults import FaultKind, find_faults
 from coordinator.tables.split_layout import THUMBNAIL, read_pictures, split_tables_of
 from coordinator.tables.split_tables import write_split_tables
-from coordinator.tables.write import METADATA_FILE
-from factory.dataset.parts import is_part
 from factory.dataset.reader import Dataset
 from factory.push.files import plan_push
 from factory.verify.dataset import Kind, verify
-from schemas.dataset_meta import META_FILE, DatasetMeta
+from schemas.dataset_files import CARD_FILE, META_FILE, METADATA_FILE, is_part
+from schemas.dataset_meta import DatasetMeta
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.terms import Split
 from tests.builders.dataset import make_dataset

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from coordinator.validation.validator import Limits, Validator
+from coordinator.validation.validator import Validator, ValidatorLimits
 from schemas.errors import InvalidBundle, TransientError
 from tests.builders.bundle import bundle_bytes, job_for, parts_for
 from tests.builders.dataset import chair
@@ -70,7 +70,7 @@ def test_zip_bomb_is_refused(validator: Validator, tmp_path: Path) -> None:
 
 
 def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> None:
-    with Validator(limits=Limits(wall_s=0.001)) as validator:
+    with Validator(limits=ValidatorLimits(wall_s=0.001)) as validator:
         with pytest.raises(InvalidBundle, match="2 children died of it"):
             validator.check(bundle, job_for())
         with pytest.raises(InvalidBundle, match="validation crashed"):
@@ -78,7 +78,7 @@ def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> N
 
 
 def test_children_that_die_one_after_another_fill_no_log(bundle: Path) -> None:
-    with Validator(limits=Limits(wall_s=0.001), clock=lambda: 0.0) as validator, capture_logs() as lines:
+    with Validator(limits=ValidatorLimits(wall_s=0.001), clock=lambda: 0.0) as validator, capture_logs() as lines:
         for _ in range(2):
             with pytest.raises(InvalidBundle, match="2 children died of it"):
                 validator.check(bundle, job_for())
@@ -86,7 +86,7 @@ def test_children_that_die_one_after_another_fill_no_log(bundle: Path) -> None:
 
 
 def test_child_that_cannot_start_is_the_machine_and_not_the_bundle(bundle: Path) -> None:
-    tight = Limits.model_construct(memory_bytes=1 << 20, cpu_s=10, wall_s=10.0)
+    tight = ValidatorLimits.model_construct(memory_bytes=1 << 20, cpu_s=10, wall_s=10.0)
     with Validator(limits=tight) as validator, pytest.raises(TransientError, match="does not start"):
         validator.check(bundle, job_for())
 

@@ -8,18 +8,18 @@ from typing import Any
 import pytest
 
 from factory.report.compare import compare
-from factory.report.comparison import Comparison
+from factory.report.comparison import PaperComparison
 from factory.report.facts import facts_of
-from factory.report.material import Drives, Material
+from factory.report.material import Drives, ReportInput
 from factory.stats import compute_statistics
 from schemas.terms import Split, Tier
 from tests.builders.dataset import failure
 from tests.builders.statistics import episode_row, rows_of, two_scenes
 
 
-def material(episodes: list[Any], failures: list[Any] | None = None) -> Material:
+def material(episodes: list[Any], failures: list[Any] | None = None) -> ReportInput:
     rows = rows_of(episodes, failures, two_scenes(max(len(episodes), 1)))
-    return Material(rows.meta, compute_statistics("run", rows, compare_paper=True), episodes, failures, Drives(), {})
+    return ReportInput(rows.meta, compute_statistics("run", rows, compare_paper=True), episodes, failures, Drives(), {})
 
 
 def drive(index: int, spawn: float, length: float, error: float = 0.967, **changes: Any) -> Any:
@@ -27,7 +27,7 @@ def drive(index: int, spawn: float, length: float, error: float = 0.967, **chang
     return episode_row(index, **values | changes)
 
 
-def found(episodes: list[Any], what: str, failures: list[Any] | None = None) -> Comparison:
+def found(episodes: list[Any], what: str, failures: list[Any] | None = None) -> PaperComparison:
     (row,) = [row for row in compare(material(episodes, failures)) if row.what == what]
     return row
 

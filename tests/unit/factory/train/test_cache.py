@@ -12,7 +12,7 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.train.cache import CacheKey, FrameCache, open_cache
 from factory.train.labels import chosen_frames, label_episode, stop_frame
-from factory.train.look import shrink_depth, shrink_mask, shrink_rgb
+from factory.train.preprocess import shrink_depth, shrink_mask, shrink_rgb
 from schemas.errors import ArchiveCorrupt, UsageError, WorldError
 from tests.builders.dataset import make_dataset
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.encoding.container import ContainerReader, ContainerWriter, Limits
+from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
 from schemas.errors import InvalidBundle
 
-LIMITS = Limits(members=8, member_bytes=1000)
+LIMITS = ContainerLimits(members=8, member_bytes=1000)
 MEMBERS = st.dictionaries(st.text("abc/._0", min_size=1, max_size=12), st.binary(max_size=200), max_size=8)
 
 

@@ -10,14 +10,23 @@ from pydantic import ValidationError
 from schemas.terms import FailReason
 from schemas.wire import MAX_DETAIL_CHARS
 from tests.builders.bundle import job_for
-from workers.process.messages import Order, Report, ReportKind, failure, read_report, to_line
+from workers.process.messages import (
+    SimulationOrder,
+    SimulationReport,
+    SimulationReportKind,
+    failure,
+    read_report,
+    to_line,
+)
 
 
 def test_order_is_one_line_whatever_the_instruction_says():
-    order = Order(job=job_for(instruction="two\nlines"), scene_path=Path("s"), bundle_path=Path("b"), sid="h-1")
+    order = SimulationOrder(
+        job=job_for(instruction="two\nlines"), scene_path=Path("s"), bundle_path=Path("b"), sid="h-1"
+    )
     line = to_line(order)
     assert line.count(b"\n") == 1
-    assert Order.model_validate_json(line) == order
+    assert SimulationOrder.model_validate_json(line) == order
 
 
 def test_report_survives_the_pipe():
@@ -36,7 +45,7 @@ def test_long_detail_keeps_both_ends():
     assert detail.endswith("end")
 
 
-@pytest.mark.parametrize("kind", [ReportKind.SUCCESS, ReportKind.FAILURE])
+@pytest.mark.parametrize("kind", [SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE])
 def test_outcome_without_its_facts_is_refused(kind):
     with pytest.raises(ValidationError):
-        Report(kind=kind)
+        SimulationReport(kind=kind)

@@ -16,8 +16,8 @@ from coordinator.expansion.file import shrink
 from coordinator.tables.write import write_tables
 from factory.cli.inspect.stats import command
 from factory.stats import Statistics, compute_statistics, measure_dataset
+from schemas.dataset import FailedAttempt
 from schemas.errors import ArchiveCorrupt, WorldError
-from schemas.failed_attempt import FailedAttempt
 from schemas.language import TEMPLATES
 from schemas.plan import ScenePlan
 from schemas.terms import ExpertName, Split, Tier

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 
-from factory.eval.process.shared_status import Busy, Sheet, State
+from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 
 WRITER = """
 import sys
@@ -16,12 +16,12 @@ Sheet(int(sys.argv[1])).write(State(Busy.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 
 
 
 def test_what_another_process_wrote_is_read_here() -> None:
-    sheet = Sheet.fresh()
+    sheet = SharedStatus.fresh()
     try:
-        assert sheet.read().busy is Busy.STARTING
+        assert sheet.read().busy is Activity.STARTING
         command = [sys.executable, "-c", WRITER, str(sheet.descriptor)]
         subprocess.run(command, pass_fds=(sheet.descriptor,), check=True)
-        assert sheet.read() == State(Busy.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4)
+        assert sheet.read() == DriverStatus(Activity.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4)
     finally:
         sheet.close()
 
@@ -37,7 +37,7 @@ while time.monotonic() < end:
 
 
 def test_no_state_is_read_that_is_half_of_one_and_half_of_another() -> None:
-    sheet = Sheet.fresh()
+    sheet = SharedStatus.fresh()
     try:
         first, read = sheet.read(), []
         command = [sys.executable, "-c", BUSY_WRITER, str(sheet.descriptor)]
@@ -53,11 +53,11 @@ def test_no_state_is_read_that_is_half_of_one_and_half_of_another() -> None:
 
 
 def test_a_writer_that_died_in_the_middle_leaves_the_state_before() -> None:
-    sheet = Sheet.fresh()
+    sheet = SharedStatus.fresh()
     try:
-        sheet.write(State(Busy.ASKING, 12.5, 7))
-        assert sheet.read() == State(Busy.ASKING, 12.5, 7)
+        sheet.write(DriverStatus(Activity.ASKING, 12.5, 7))
+        assert sheet.read() == DriverStatus(Activity.ASKING, 12.5, 7)
         os.pwrite(sheet.descriptor, bytes(16), 0)
-        assert sheet.read() == State(Busy.ASKING, 12.5, 7)
+        assert sheet.read() == DriverStatus(Activity.ASKING, 12.5, 7)
     finally:
         sheet.close()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from factory.eval.process.shared_status import Busy, Sheet
+from factory.eval.process.shared_status import Activity, SharedStatus
 from factory.eval.process.status_updates import SheetWatch
 from workers.geometry.pose import Pose
 
@@ -20,15 +20,15 @@ def at(x: float, distance_m: float) -> Any:
 
 
 @pytest.fixture
-def sheet() -> Iterator[Sheet]:
-    opened = Sheet.fresh()
+def sheet() -> Iterator[SharedStatus]:
+    opened = SharedStatus.fresh()
     yield opened
     opened.close()
 
 
-def busy_when_asked(sheet: Sheet, watch: SheetWatch, calls: int) -> list[Busy]:
+def busy_when_asked(sheet: SharedStatus, watch: SheetWatch, calls: int) -> list[Activity]:
     """What stands on the sheet while each call of an episode goes on, its reset first."""
-    watch.begin(Busy.SIMULATING)
+    watch.begin(Activity.SIMULATING)
     found = []
     for _ in range(calls):
         watch.asks(DRIVE, at(0.0, 2.0))
@@ -37,23 +37,23 @@ def busy_when_asked(sheet: Sheet, watch: SheetWatch, calls: int) -> list[Busy]:
     return found
 
 
-def test_only_answers_after_the_first_one_stand_under_the_strict_limit(sheet: Sheet) -> None:
+def test_only_answers_after_the_first_one_stand_under_the_strict_limit(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
-    assert busy_when_asked(sheet, watch, 4) == [Busy.MAKING, Busy.MAKING, Busy.ASKING, Busy.ASKING]
-    assert busy_when_asked(sheet, watch, 3) == [Busy.MAKING, Busy.ASKING, Busy.ASKING]
+    assert busy_when_asked(sheet, watch, 4) == [Activity.MAKING, Activity.MAKING, Activity.ASKING, Activity.ASKING]
+    assert busy_when_asked(sheet, watch, 3) == [Activity.MAKING, Activity.ASKING, Activity.ASKING]
     watch.is_warm = False  # over a new connection
-    assert busy_when_asked(sheet, watch, 3) == [Busy.MAKING, Busy.MAKING, Busy.ASKING]
+    assert busy_when_asked(sheet, watch, 3) == [Activity.MAKING, Activity.MAKING, Activity.ASKING]
 
 
-def test_an_experts_time_is_the_simulations(sheet: Sheet) -> None:
+def test_an_experts_time_is_the_simulations(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
     watch.is_insider = True
-    assert busy_when_asked(sheet, watch, 4) == [Busy.SIMULATING] * 4
+    assert busy_when_asked(sheet, watch, 4) == [Activity.SIMULATING] * 4
 
 
-def test_the_sheet_says_how_far_the_robot_has_come(sheet: Sheet) -> None:
+def test_the_sheet_says_how_far_the_robot_has_come(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
-    watch.begin(Busy.SIMULATING)
+    watch.begin(Activity.SIMULATING)
     for x, distance_m in ((0.0, 2.0), (0.5, 1.5), (0.2, 1.8)):
         watch.asks(DRIVE, at(x, distance_m))
     state = sheet.read()

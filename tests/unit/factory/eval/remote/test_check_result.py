@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from factory.eval.driving.rollout import describe_question, progresses
-from factory.eval.models.messages import Order
-from factory.eval.models.request import Question
+from factory.eval.models.messages import EvalOrder
+from factory.eval.models.request import EvalRequest
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
 from factory.eval.policies.note import PolicyNote
@@ -36,10 +36,10 @@ TARGET = Target(
     centroid_m=(3.0, 0.0, 0.4),
     size_m=(0.5, 0.5, 0.9),
 )
-ORDER = Order(
+ORDER = EvalOrder(
     number=1,
     policy="m:P",
-    question=Question(spec=spec_of(), spec_digest="d" * 64, instruction=spec_of().instruction),
+    question=EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction=spec_of().instruction),
     package=Path("scene"),
 )
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="x", software={})

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.eval.models.messages import Errand, Setup
+from factory.eval.models.messages import EvalTask, Setup
 from factory.eval.models.result import Variant
 from factory.eval.remote.tasks import attachments_of, catalog_of, number_orders, plan_of, planned_of, text_of
 from factory.eval.specs.campaign import Campaign
@@ -72,7 +72,7 @@ def test_whatever_changes_a_number_changes_the_name_of_the_run(
 
 def test_a_worker_is_told_the_question_and_given_the_recorded_actions(campaign: Campaign, drives: Dataset) -> None:
     orders = number_orders(campaign)
-    stop, replay = (Errand.model_validate_json(text_of(campaign, order)) for order in orders.values())
+    stop, replay = (EvalTask.model_validate_json(text_of(campaign, order)) for order in orders.values())
     assert stop.actions is None
     assert replay.actions == tuple((float(v), float(w)) for v, w in drives["ep_000001"].actions)
     assert replay.question == orders[2].question

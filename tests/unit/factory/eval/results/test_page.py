@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from factory.eval.models.result import EvalEnd
-from factory.eval.results.page import Failure, write_page
+from factory.eval.results.page import FailureExample, write_page
 from factory.eval.results.video import choose_failures
 from tests.builders.eval_results import evaluation_of, result_of
 from tests.builders.html import Outline
@@ -14,8 +14,8 @@ HOSTILE = "m:<script>alert(1)</script>"
 WRITTEN = "<img src=x onerror=alert(1)>"
 
 
-def failure(**changes: object) -> Failure:
-    return Failure(result_of(1, success=False, **changes), film=b"film", poster=b"poster")
+def failure(**changes: object) -> FailureExample:
+    return FailureExample(result_of(1, success=False, **changes), film=b"film", poster=b"poster")
 
 
 def test_names_and_instructions_cannot_become_markup() -> None:

@@ -8,15 +8,15 @@ import pytest
 
 from factory.eval.models.result import RESULTS_FORMAT, Variant
 from factory.eval.policies.note import PolicyNote
-from factory.eval.results.store import Manifest, Store, folder_name, read_policy_folder
+from factory.eval.results.store import EvalManifest, Store, folder_name, read_policy_folder
 from schemas.errors import UsageError, WorldError
 from tests.builders.eval_results import result_of, spec_of, specs_of
 
 SET = specs_of(*(spec_of(n) for n in range(1, 4)))
-MANIFEST = Manifest(run="test-00000000", specs_digest=SET.digest, with_pose=False, act_timeout_s=10.0)
+MANIFEST = EvalManifest(run="test-00000000", specs_digest=SET.digest, with_pose=False, act_timeout_s=10.0)
 
 
-def store_in(root: Path, manifest: Manifest = MANIFEST) -> Store:
+def store_in(root: Path, manifest: EvalManifest = MANIFEST) -> Store:
     return Store(root, SET, manifest)
 
 

@@ -15,8 +15,8 @@ import pytest
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene, lay_out_scene
 from factory.scenes.author.catalogue import CATALOGUE, Workshop
 from factory.scenes.author.geometry import bounds, triangle_count
-from factory.scenes.author.materials import Piece
-from factory.scenes.author.placement import Plan
+from factory.scenes.author.materials import PropPiece
+from factory.scenes.author.placement import FloorPlan
 from schemas.errors import UsageError
 from schemas.terms import BUILTIN_CATEGORIES
 
@@ -42,7 +42,7 @@ TARGET_WORDS = re.compile(
 )
 
 
-def count_categories(plan: Plan) -> Counter[str]:
+def count_categories(plan: FloorPlan) -> Counter[str]:
     return Counter(
         category
         for placement in plan.placements
@@ -180,7 +180,7 @@ class LevelFace(NamedTuple):
     high: np.ndarray
 
 
-def level_faces(piece: Piece) -> Iterator[LevelFace]:
+def level_faces(piece: PropPiece) -> Iterator[LevelFace]:
     ends = np.cumsum(piece.mesh.counts)
     for start, end in zip(ends - piece.mesh.counts, ends, strict=True):
         corners = piece.mesh.points[piece.mesh.indices[start:end]]

@@ -7,7 +7,7 @@ import pytest
 
 from factory.scenes.author.catalogue import CATALOGUE, Workshop
 from factory.scenes.author.geometry import (
-    Mesh,
+    AuthoredMesh,
     block,
     card,
     cushion,
@@ -35,7 +35,7 @@ SOLIDS = {
 }
 
 
-def signed_volume(mesh: Mesh) -> float:
+def signed_volume(mesh: AuthoredMesh) -> float:
     total, start = 0.0, 0
     for count in mesh.counts:
         corners = mesh.points[mesh.indices[start : start + count]]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Spell"]
+__all__ = ["FaultSpan"]
 
 
 @dataclass
-class Spell:
+class FaultSpan:
     """A mishap from its beginning to its end.
 
     A signal is felt when its process got it in the middle of its work; a cut wire once a connection broke or was

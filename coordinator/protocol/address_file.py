@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["BEACON", "Beacon", "light", "quench", "sight"]
+__all__ = ["ADDRESS_FILE", "CoordinatorAddress", "read_address", "remove_address", "write_address"]
 
-BEACON = ".coordinator.json"
+ADDRESS_FILE = ".coordinator.json"
 
 
-class Beacon(NamedTuple):
+class CoordinatorAddress(NamedTuple):
     """What the file says."""
 
     run: str
@@ -24,23 +24,23 @@ class Beacon(NamedTuple):
     pid: int
 
 
-def light(root: Path, run: str, endpoints: Sequence[str]) -> None:
+def write_address(root: Path, run: str, endpoints: Sequence[str]) -> None:
     """Writes the file."""
     text = json.dumps({"run": run, "endpoints": list(endpoints), "pid": os.getpid()})
-    part = root / f"{BEACON}.part"
+    part = root / f"{ADDRESS_FILE}.part"
     part.write_text(text, encoding="utf-8")
-    part.replace(root / BEACON)
+    part.replace(root / ADDRESS_FILE)
 
 
-def quench(root: Path) -> None:
+def remove_address(root: Path) -> None:
     """Removes the file."""
-    (root / BEACON).unlink(missing_ok=True)
+    (root / ADDRESS_FILE).unlink(missing_ok=True)
 
 
-def sight(root: Path) -> Beacon | None:
+def read_address(root: Path) -> CoordinatorAddress | None:
     """Reads the file; `None` when there is none that can be understood."""
     try:
-        found = json.loads((root / BEACON).read_text(encoding="utf-8"))
-        return Beacon(str(found["run"]), tuple(map(str, found["endpoints"])), int(found["pid"]))
+        found = json.loads((root / ADDRESS_FILE).read_text(encoding="utf-8"))
+        return CoordinatorAddress(str(found["run"]), tuple(map(str, found["endpoints"])), int(found["pid"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Batch", "vary"]
+__all__ = ["Batch", "augment"]
 
 _BRIGHTNESS, _CONTRAST, _TINT = 0.25, 0.2, 0.08
 _CLOSER = 0.75
@@ -29,7 +29,7 @@ class Batch(NamedTuple):
     """(N,)."""
 
 
-def vary(batch: Batch, rng: np.random.Generator) -> Batch:
+def augment(batch: Batch, rng: np.random.Generator) -> Batch:
     """Returns the frames mirrored, lit otherwise, and those of the stop sometimes from closer by.
 
     The expert stops on the circle, so no recorded frame shows what a robot sees that came too close. An enlarged frame
@@ -59,6 +59,6 @@ def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:
 
 
 def _shorten(nearness: NDArray[np.float32], share: float) -> NDArray[np.float32]:
-    """Returns the nearness of depths that are `share` of what they were; `look.to_input` takes logarithms."""
+    """Returns the nearness of depths that are `share` of what they were; `preprocess.to_input` takes logarithms."""
     shortened: NDArray[np.float32] = np.clip(nearness - np.float32(2 * np.log(share) / np.log(100.0)), -1, 1)
     return shortened

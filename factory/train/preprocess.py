@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-__all__ = ["FAR_M", "LOOK_VERSION", "SIZES", "shrink_depth", "shrink_mask", "shrink_rgb", "to_input"]
+__all__ = ["FAR_M", "PREPROCESS_VERSION", "SIZES", "shrink_depth", "shrink_mask", "shrink_rgb", "to_input"]
 
-LOOK_VERSION = 1
+PREPROCESS_VERSION = 1
 """Rises when any number here changes, so that old caches and checkpoints are not taken for new ones."""
 SIZES = (64, 80, 128, 160)
 """Sides in pixels that divide a frame evenly."""

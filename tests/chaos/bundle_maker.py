@@ -9,9 +9,9 @@ from types import TracebackType
 from typing import Self
 
 from tests.builders.bundle import parts_for
-from workers.process.messages import Order
+from workers.process.messages import SimulationOrder
 
-__all__ = ["Kitchen"]
+__all__ = ["BundleMaker"]
 
 
 class _Handler(socketserver.StreamRequestHandler):
@@ -19,7 +19,7 @@ class _Handler(socketserver.StreamRequestHandler):
         line = self.rfile.readline()
         if not line:
             return
-        order = Order.model_validate_json(line)
+        order = SimulationOrder.model_validate_json(line)
         parts = parts_for(order.job)
         worker = parts.meta.provenance.model_copy(update={"worker": order.sid})
         self.wfile.write(parts.with_meta(provenance=worker).write())
@@ -32,7 +32,7 @@ class _Server(socketserver.ThreadingUnixStreamServer):
         """A simulation was killed while it was served."""
 
 
-class Kitchen:
+class BundleMaker:
     """Answers each order, a line of JSON, with a bundle; a context manager."""
 
     def __init__(self) -> None:

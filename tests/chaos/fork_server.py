@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
-__all__ = ["Child", "Nursery", "main"]
+__all__ = ["Child", "ForkServer", "main"]
 
 _STARTS_WITHIN_S = 120.0
 
@@ -57,7 +57,7 @@ class Child:
         self._ended.set()
 
 
-class Nursery:
+class ForkServer:
     """Starts processes quickly; a context manager whose exit kills all that are left.
 
     Args:
@@ -67,7 +67,7 @@ class Nursery:
 
     def __init__(self, modules: Sequence[str], environment: Mapping[str, str]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.chaos.nursery", *modules],
+            [sys.executable, "-m", "tests.chaos.fork_server", *modules],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | environment | {"OPENBLAS_NUM_THREADS": "1"},

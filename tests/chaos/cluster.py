@@ -20,13 +20,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from tests.chaos.bundle_maker import BundleMaker
 from tests.chaos.disk import Disk
-from tests.chaos.kitchen import Kitchen
-from tests.chaos.nursery import Child, Nursery
-from tests.chaos.spell import Spell
+from tests.chaos.fault_span import FaultSpan
+from tests.chaos.fork_server import Child, ForkServer
 from tests.chaos.wire import Wires
 
-__all__ = ["FAULTY_HOST", "STORM_CRASHES", "Cast", "Party", "fake_cast", "real_cast"]
+__all__ = ["FAULTY_HOST", "STORM_CRASHES", "ChaosCluster", "ClusterCommands", "fake_commands", "real_commands"]
 
 STORM_CRASHES = 20
 """Budget of crashes of a job in a run in which the simulations of honest hosts are killed."""
@@ -44,7 +44,7 @@ _PORTS = itertools.cycle(range(max(_LOWEST_PORT, 20_000) - 2 - os.getpid() % 800
 
 
 @dataclass(frozen=True)
-class Cast:
+class ClusterCommands:
     """How the parts are started."""
 
     episodes: int
@@ -67,9 +67,9 @@ class Cast:
     """Budget of crashes of a job. With the product's default, simulations of honest hosts must not be killed."""
 
 
-def fake_cast(
+def fake_commands(
     episodes: int, longest_s: float, gateways: int = 0, checkpoint_s: float = 30.0, crashes: int = STORM_CRASHES
-) -> Cast:
+) -> ClusterCommands:
     """Returns the real parts around a simulation without physics: the protocol is on trial.
 
     Args:
@@ -84,7 +84,7 @@ def fake_cast(
         simulation = (sys.executable, "-I", "-S", Path(__file__).with_name(script), longest_s)
         return _module("tests.builders.worker", "--host", folder.name, endpoints, folder, 2, *simulation, *words)
 
-    return Cast(
+    return ClusterCommands(
         episodes,
         lambda root, endpoint: _module(
             "tests.builders.room_coordinator", root, episodes, endpoint, LEASE_S, checkpoint_s, crashes
@@ -104,9 +104,9 @@ def fake_cast(
     )
 
 
-def real_cast(plan: Path, episodes: int) -> Cast:
+def real_commands(plan: Path, episodes: int) -> ClusterCommands:
     """Returns the installed command line with physics and renderer, everything as users have it."""
-    return Cast(
+    return ClusterCommands(
         episodes,
         lambda root, endpoint: _module(
             *("factory", "coordinator", "start", plan, "--out", root / "out", "--listen", endpoint),
@@ -124,7 +124,7 @@ def _module(name: str, *words: object) -> list[str]:
     return [sys.executable, "-m", name, *map(str, words)]
 
 
-class Party:
+class ChaosCluster:
     """Everybody who works for one run; a context manager whose exit leaves nobody behind.
 
     Args:
@@ -135,7 +135,9 @@ class Party:
         damage: share of the attempts that a faulty host, one more than `workers`, damages; 0 for no faulty host.
     """
 
-    def __init__(self, root: Path, cast: Cast, workers: int, disk: Disk | None = None, damage: float = 0.0) -> None:
+    def __init__(
+        self, root: Path, cast: ClusterCommands, workers: int, disk: Disk | None = None, damage: float = 0.0
+    ) -> None:
         self.root, self.cast, self.disk = root, cast, disk
         self._honest, self._damage = workers, damage
         self.log = root / "log"
@@ -154,9 +156,9 @@ class Party:
         self._stack = ExitStack()
         doors = self._doors or [self._endpoint]
         self.wires = self._stack.enter_context(Wires([doors] * (workers + (damage > 0))))
-        self._kitchen = self._stack.enter_context(Kitchen())
+        self._kitchen = self._stack.enter_context(BundleMaker())
         preload = disk.preload if disk is not None else {}
-        self._nursery = self._stack.enter_context(Nursery(cast.modules, preload)) if cast.modules else None
+        self._nursery = self._stack.enter_context(ForkServer(cast.modules, preload)) if cast.modules else None
         self._stack.callback(self._kill_all)
         self.coordinator = self._start_coordinator()
         self.gateways = [self._start_gateway(number) for number in range(cast.gateways)]
@@ -205,11 +207,11 @@ class Party:
         except sqlite3.DatabaseError:  # it is busy, damaged, or the coordinator is about to make the tables
             return []
 
-    def kill_worker(self, number: int) -> Spell | None:
+    def kill_worker(self, number: int) -> FaultSpan | None:
         """Kills a supervisor at work; another takes its place."""
         return self._kill(self.workers[number], 0.0) if self._is_at_work(number) else None
 
-    def dismiss_worker(self, number: int) -> Spell | None:
+    def dismiss_worker(self, number: int) -> FaultSpan | None:
         """Asks a supervisor at work to leave; another takes its place once it has left."""
         worker = self.workers[number]
         if not self._is_at_work(number) or worker in self._deaf:
@@ -217,9 +219,9 @@ class Party:
         worker.send_signal(signal.SIGTERM)
         self._back[worker] = 0.0
         self._deaf[worker] = time.monotonic() + _LEAVES_WITHIN_S
-        return Spell(1)
+        return FaultSpan(1)
 
-    def kill_simulation(self, number: int, rng: random.Random) -> Spell | None:
+    def kill_simulation(self, number: int, rng: random.Random) -> FaultSpan | None:
         """Kills one of a supervisor's simulations."""
         victims = _children(self.workers[number].pid)
         if not victims:
@@ -228,26 +230,26 @@ class Party:
             os.kill(rng.choice(victims), signal.SIGKILL)
         except ProcessLookupError:
             return None
-        return Spell(1)
+        return FaultSpan(1)
 
-    def kill_coordinator(self, pause_s: float) -> Spell | None:
+    def kill_coordinator(self, pause_s: float) -> FaultSpan | None:
         """Kills a coordinator that serves; it starts again after a while."""
         return self._kill(self.coordinator, pause_s) if self._serves(self.coordinator, self._endpoint) else None
 
-    def kill_gateway(self, number: int, pause_s: float) -> Spell | None:
+    def kill_gateway(self, number: int, pause_s: float) -> FaultSpan | None:
         """Kills a gateway that serves; it starts again after a while."""
         victim = self.gateways[number]
         return self._kill(victim, pause_s) if self._serves(victim, self._doors[number]) else None
 
-    def freeze_worker(self, number: int, seconds: float) -> Spell | None:
+    def freeze_worker(self, number: int, seconds: float) -> FaultSpan | None:
         """Stops a supervisor at work; `tend` lets it go on after that time."""
         return self._freeze(self.workers[number], seconds) if self._is_at_work(number) else None
 
-    def freeze_coordinator(self, seconds: float) -> Spell | None:
+    def freeze_coordinator(self, seconds: float) -> FaultSpan | None:
         """Stops a coordinator that serves."""
         return self._freeze(self.coordinator, seconds) if self._serves(self.coordinator, self._endpoint) else None
 
-    def freeze_gateway(self, number: int, seconds: float) -> Spell | None:
+    def freeze_gateway(self, number: int, seconds: float) -> FaultSpan | None:
         """Stops a gateway that serves."""
         victim = self.gateways[number]
         return self._freeze(victim, seconds) if self._serves(victim, self._doors[number]) else None
@@ -339,17 +341,17 @@ class Party:
             return False
         return True
 
-    def _kill(self, victim: _Process, pause_s: float) -> Spell:
+    def _kill(self, victim: _Process, pause_s: float) -> FaultSpan:
         victim.kill()
         victim.wait()
         self._thaw.pop(victim, None)
         self._back[victim] = time.monotonic() + pause_s
-        return Spell(1)
+        return FaultSpan(1)
 
-    def _freeze(self, process: _Process, seconds: float) -> Spell:
+    def _freeze(self, process: _Process, seconds: float) -> FaultSpan:
         process.send_signal(signal.SIGSTOP)
         self._thaw[process] = time.monotonic() + seconds
-        return Spell(1)
+        return FaultSpan(1)
 
     def _end_if_deaf(self, worker: _Process) -> None:
         if worker.poll() is None and self._deaf.get(worker, float("inf")) < time.monotonic():

@@ -15,10 +15,10 @@ from factory.scenes.target_list import TargetList
 from schemas.errors import UsageError
 from schemas.scene import Target
 
-__all__ = ["honour_candidates", "honour_targets", "recoloured"]
+__all__ = ["apply_candidate_edits", "apply_target_edits", "recoloured"]
 
 
-def honour_candidates(
+def apply_candidate_edits(
     found: tuple[Candidate, ...], parts: Sequence[Part], chosen: TargetList | None
 ) -> tuple[Candidate, ...]:
     """Returns the listed prims as candidates, and of those that the rules found the ones apart from them.
@@ -61,7 +61,7 @@ def _box(parts: Sequence[Part]) -> np.ndarray[tuple[int, ...], np.dtype[np.float
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
-def honour_targets(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
+def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
     """Returns the enabled targets under the names that the list gives them."""
     if chosen is None:
         return targets

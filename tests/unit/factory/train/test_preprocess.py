@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.train.look import FAR_M, SIZES, shrink_depth, shrink_mask, shrink_rgb, to_input
-from factory.train.vary import Batch, vary
+from factory.train.augment import Batch, augment
+from factory.train.preprocess import FAR_M, SIZES, shrink_depth, shrink_mask, shrink_rgb, to_input
 from schemas.encoding.arrays import FRAME_SIZE_PX
 
 
@@ -61,7 +61,7 @@ def batch(is_stop: bool) -> Batch:
 
 
 def test_mirrored_frames_turn_the_other_way() -> None:
-    varied = vary(batch(is_stop=False), np.random.default_rng(0))
+    varied = augment(batch(is_stop=False), np.random.default_rng(0))
     mirrored = varied.mask[:, 0, 5] == 1
     assert 10 < mirrored.sum() < 54
     assert (varied.actions[mirrored, 1] == np.float32(-0.3)).all()
@@ -70,8 +70,8 @@ def test_mirrored_frames_turn_the_other_way() -> None:
 
 
 def test_stop_frames_are_sometimes_seen_from_closer_and_others_never() -> None:
-    still = vary(batch(is_stop=True), np.random.default_rng(0)).pictures[:, 3]
-    moving = vary(batch(is_stop=False), np.random.default_rng(0)).pictures[:, 3]
+    still = augment(batch(is_stop=True), np.random.default_rng(0)).pictures[:, 3]
+    moving = augment(batch(is_stop=False), np.random.default_rng(0)).pictures[:, 3]
     nearest = to_input(np.zeros((1, 1, 1, 3), np.uint8), np.full((1, 1, 1), 750, np.uint16))[0, 3, 0, 0]
     assert np.allclose(moving, 0, atol=1e-6)
     assert 0.2 < (still.max(axis=(1, 2)) > 1e-3).mean() < 0.9
@@ -81,6 +81,6 @@ def test_stop_frames_are_sometimes_seen_from_closer_and_others_never() -> None:
 def test_varying_leaves_its_input_alone_and_repeats_itself() -> None:
     given = batch(is_stop=True)
     before = given.pictures.copy()
-    first, second = (vary(given, np.random.default_rng(9)) for _ in range(2))
+    first, second = (augment(given, np.random.default_rng(9)) for _ in range(2))
     assert np.array_equal(given.pictures, before)
     assert np.array_equal(first.pictures, second.pictures)

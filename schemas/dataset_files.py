@@ -1,0 +1,38 @@
+"""Names of the files and folders of a dataset directory. Opens none of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = [
+    "ATTEMPTS_FILE",
+    "CARD_FILE",
+    "EPISODES",
+    "LEDGER_FILE",
+    "METADATA_FILE",
+    "META_FILE",
+    "QUARANTINE",
+    "SCENES",
+    "SPLITS_FOLDER",
+    "STAGING",
+    "is_dataset",
+    "is_part",
+]
+
+EPISODES, SCENES, STAGING, QUARANTINE = "episodes", "scenes", ".staging", "quarantine"
+LEDGER_FILE = "ledger.db"
+METADATA_FILE, ATTEMPTS_FILE = "metadata.parquet", "attempts.parquet"
+META_FILE = "dataset_meta.json"
+CARD_FILE = "README.md"
+SPLITS_FOLDER = "data"
+_PARTS = frozenset({EPISODES, SCENES, SPLITS_FOLDER, META_FILE, METADATA_FILE, ATTEMPTS_FILE, CARD_FILE, QUARANTINE})
+
+
+def is_part(name: str) -> bool:
+    """Returns whether an entry of a dataset's directory belongs to it; hidden entries and the ledger's files do."""
+    return name in _PARTS or name.startswith((".", "ledger."))
+
+
+def is_dataset(folder: Path) -> bool:
+    """Returns whether a directory is the dataset of a run, finished or not."""
+    return (folder / LEDGER_FILE).is_file() or (folder / META_FILE).is_file()
