@@ -17,9 +17,8 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from schemas.support.closing import Closing
 from tests.chaos.bundle_maker import BundleMaker
 from tests.chaos.disk import Disk
 from tests.chaos.fault_span import FaultSpan
@@ -124,7 +123,7 @@ def _module(name: str, *words: object) -> list[str]:
     return [sys.executable, "-m", name, *map(str, words)]
 
 
-class ChaosCluster:
+class ChaosCluster(Closing):
     """Everybody who works for one run; a context manager whose exit leaves nobody behind.
 
     Args:
@@ -308,12 +307,8 @@ class ChaosCluster:
         if self.coordinator.poll() != 0:
             self.violations.append(f"the coordinator ends with {self.coordinator.poll()}")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Closes what was opened."""
         self._stack.close()
 
     def _thaw_due(self, *, everybody: bool = False) -> None:

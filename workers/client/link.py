@@ -10,8 +10,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import structlog
 import zenoh
@@ -30,6 +29,7 @@ from schemas.keys import (
     scene_selector,
     verb_key,
 )
+from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
@@ -49,7 +49,7 @@ log = structlog.get_logger(__name__)
 _LIMIT = LogLimit(1.0, 60.0)
 
 
-class Link:
+class Link(Closing):
     """A session that can be opened again and again; a context manager.
 
     Args:
@@ -155,14 +155,6 @@ class Link:
             self._closings += 1
         if session is not None and not session.is_closed():
             session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _declare(self) -> None:
         session = self._session
