@@ -5,6 +5,7 @@ PYTHON ?= python3.11
 JUDGE  := .venv-judge
 TRAIN  := .venv-train
 AUDIT  := .venv-audit
+JOBS   ?= 2
 READY  := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long ledger-accidents scenes-check test-formats test-install test-lerobot
@@ -25,8 +26,9 @@ $(READY): requirements.txt pyproject.toml
 run: $(READY)
 	$(VENV)/bin/factory run demo --out dataset --workers 2
 
+# JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process
 test: $(READY)
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 check: $(READY)
 	$(VENV)/bin/ruff check .
@@ -104,7 +106,7 @@ $(JUDGE)-readers/.ready: requirements.txt
 # the wheel in fresh environments of Python 3.11, 3.12 and 3.13, as far as they are on PATH or in PYENV_ROOT: what the base
 # install reads and shows, what the extra `sim` adds, and what happens beside factory_boy; minutes, installs packages
 test-install: $(READY)
-	$(VENV)/bin/python -m pytest tests/install --install
+	$(VENV)/bin/python -m pytest tests/install --install -n $(JOBS) --dist loadgroup
 
 # training, recipes and their tests, in an environment of their own: PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build

@@ -183,7 +183,7 @@ def test_a_host_that_announces_rubbish_ends_no_run_and_is_released_by_an_operato
                 good.beat()
                 return hub.is_finished()
 
-            until(is_finished, 120)
+            until(is_finished)
     finally:
         stop.set()
         spoiling.join()

@@ -57,7 +57,7 @@ def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path
             worker.job()
             if goes == "gone":
                 worker.close()
-            until(lambda: len(times_of(url, Event.EXPIRED)) == 1, 120)
+            until(lambda: len(times_of(url, Event.EXPIRED)) == 1)
         (claimed,), (expired,) = times_of(url, Event.CLAIMED), times_of(url, Event.EXPIRED)
         assert expired - claimed <= lease_ttl_s + LATE_S
         if goes == "silent":

@@ -220,13 +220,13 @@ def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRela
         job, lease = worker.job()
         relay.is_cutting = True
         worker.deliver(lease, bundle_for(job))
-        until(lambda: relay.cuts > 0, 60.0)
+        until(lambda: relay.cuts > 0)
         assert running.progress().jobs.get("archived", 0) == 0
         relay.is_cutting = False
-        until(lambda: bool(worker.beat().drop), 120.0)  # each beat announces the bundle again
+        until(lambda: bool(worker.beat().drop))  # each beat announces the bundle again
         job, lease = worker.job()
         worker.deliver(lease, bundle_for(job))
-        until(running.is_finished, 60.0)
+        until(running.is_finished)
     found = Dataset(str(store))
     assert (len(found), found.meta.complete) == (2, True)
     assert list(find_faults(store, deep=True)) == []

@@ -20,8 +20,8 @@ from coordinator.validation.validator import Validator
 from factory.dataset.site import site_of
 from factory.runs.ledger import progress_of
 from schemas.errors import UsageError, WorldError
-from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ports import free_endpoint
 from tests.builders.postgres import Postgres
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 

@@ -44,7 +44,7 @@ def server(opened: Coordinator) -> Iterator[StatusServer]:
 
 
 def ask(server: StatusServer, path: str, method: str = "GET", **headers: str) -> tuple[int, str]:
-    connection = http.client.HTTPConnection(server.url.removeprefix("http://"), timeout=10)
+    connection = http.client.HTTPConnection(server.url.removeprefix("http://"), timeout=60)
     connection.request(method, path, headers=headers)
     reply = connection.getresponse()
     return reply.status, reply.read().decode()
@@ -90,7 +90,7 @@ def test_figures_follow_the_run(opened, server):
         bundle = bundle_for(job)
         assert worker.deliver(lease, bundle)
         until(lambda: opened.progress().jobs["archived"] == 1)
-        until(lambda: figures(ask(server, "/metrics")[1])[("minivla_episodes", "")] == 1, 5)
+        until(lambda: figures(ask(server, "/metrics")[1])[("minivla_episodes", "")] == 1)
         found = figures(ask(server, "/metrics")[1])
     assert found[("minivla_jobs", "archived")] == found[("minivla_jobs", "pending")] == 1
     assert found[("minivla_scene_jobs", "room,archived")] == 1

@@ -73,7 +73,7 @@ def brought(root: Path, nearby: Nearby) -> Iterator[tuple[House, Path]]:
         with Pullers(archive, house, house.fetch, house, settings, house.done.set, nearby=nearby) as pullers:
             target: Any = None
             pullers.offer(Pull(LEASE, "worker", sha256, len(BUNDLE), job_for(7), target))
-            assert house.done.wait(10)
+            assert house.done.wait(60)
         place = archive.path_of(7)
         assert isinstance(place, Path)
         assert list((root / "data" / ".staging").iterdir()) == []
@@ -214,7 +214,7 @@ def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
         Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
     ):
         pullers.offer(pull_of("slow-1.1", 1))
-        assert crowd.done.wait(30)
+        assert crowd.done.wait(60)
     assert crowd.owned == []
     assert "too slow" in crowd.refused[0]
 
