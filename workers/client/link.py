@@ -32,7 +32,7 @@ from schemas.keys import (
     verb_key,
 )
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
 __all__ = ["Link", "ReadChunk"]
@@ -48,6 +48,7 @@ _ASK_TIMEOUT_S = 2.0
 _CHUNK_FIELDS = ("job", "fence", "off", "n")
 
 log = structlog.get_logger(__name__)
+_LIMIT = LogLimit(1.0, 60.0)
 
 
 class Link(Closing):
@@ -215,7 +216,7 @@ def _parse(payload: zenoh.ZBytes, kind: type[R]) -> R | Refusal | None:
             return model.model_validate_json(data)
         except ValidationError:
             continue
-    log.warning("reply_unintelligible", expected=kind.__name__, size=len(data))
+    _LIMIT.write(log.warning, "reply_unintelligible", expected=kind.__name__, size=len(data))
     return None
 
 
