@@ -1,4 +1,4 @@
-"""Builds and parses the key expressions of the protocol (DESIGN 9). Opens no session."""
+"""Builds and parses the key expressions of the protocol (docs/design/protocol.md#keys). Opens no session."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ class ScenePlan(Model):
 
 
 class Budget(Model):
-    """Limits on the attempts for one episode (DESIGN 3.11, 6)."""
+    """Limits on the attempts for one episode (docs/design/jobs.md#draws-and-budgets)."""
 
     attempts_per_draw: Annotated[int, Field(ge=1, le=1000)] = 6
     """Number of task failures after which target and template are drawn again."""

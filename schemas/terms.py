@@ -49,7 +49,7 @@ class Split(StrEnum):
 class ExpertName(StrEnum):
     """Controller that drives; episodes of all experts have one format."""
 
-    PROPORTIONAL = "proportional"  # the published behaviour (DESIGN 3.1)
+    PROPORTIONAL = "proportional"  # the published behaviour (docs/design/experts.md#proportional-expert)
     DEPTH = "depth"  # speed from mask depth instead of centroid distance
     PAPER_LITERAL = "paper_literal"  # the equations exactly as printed; every episode ends with a timeout
     PLANNER = "planner"  # forward-only path planning and pure pursuit

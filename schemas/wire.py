@@ -1,6 +1,7 @@
 """Messages between workers and the coordinator. Every request is idempotent and contains the lease it refers to.
 
-After a timeout or an empty reply the outcome is unknown, and the caller repeats the same message (DESIGN 9).
+After a timeout or an empty reply the outcome is unknown, and the caller repeats the same message
+(docs/design/protocol.md#verbs).
 """
 
 from __future__ import annotations
@@ -361,6 +362,8 @@ class Progress(Model):
     """Time to the end at that rate, seconds; `None` if unknown, 0 if finished."""
     finished: bool
     """Whether no job can change its state without a `retry`."""
+    sandbox: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
+    """Sandbox mechanisms of the coordinator's validation processes, e.g. `seccomp`; empty before the first bundle."""
 
     @property
     def missing(self) -> int:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from threading import Lock
-from types import TracebackType
-from typing import BinaryIO, NamedTuple, Self
+from typing import BinaryIO, NamedTuple
 
 from isal.isal_zlib import crc32
 
 from schemas.errors import InvalidBundle
+from schemas.support.closing import Closing
 
 __all__ = ["ContainerLimits", "ContainerReader", "ContainerWriter"]
 
@@ -50,7 +50,7 @@ class ContainerLimits(NamedTuple):
     """Largest size of a member, bytes."""
 
 
-class ContainerWriter:
+class ContainerWriter(Closing):
     """Writer that appends members to an open file; the bytes depend only on names, data and order.
 
     Does not use `zipfile`, which takes longer to add a frame than the compression of its depth image takes.
@@ -92,14 +92,6 @@ class ContainerWriter:
     def _write(self, data: bytes) -> None:
         self._file.write(data)
         self._offset += len(data)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class ContainerReader:

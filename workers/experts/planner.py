@@ -1,4 +1,6 @@
-"""The planner expert: plans a forward-only path on the occupancy grid and follows it by pure pursuit (DESIGN 3.20).
+"""The planner expert: plans a forward-only path on the occupancy grid and follows it by pure pursuit.
+
+Design: docs/design/experts.md#planner.
 
 Uses the map and not the image. Near the goal it applies the speed law and the stop of the proportional expert.
 """

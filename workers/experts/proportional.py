@@ -39,7 +39,7 @@ def literal_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
     """Returns paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) if visible, else k_v * d, m/s.
 
     The depth is measured from the camera to the surface, and the speed reaches 0 before the base is within the radius
-    of the centroid. So every episode with this law ends with a timeout (DESIGN 3.1).
+    of the centroid. So every episode with this law ends with a timeout (docs/design/experts.md#proportional-expert).
     """
     if _is_visible(seen, gains):
         return gains.speed_gain * (seen.sighting.measure_depth() - radius_m)

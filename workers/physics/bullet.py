@@ -13,13 +13,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType, TracebackType
-from typing import NamedTuple, Self
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import WorldError
+from schemas.support.closing import Closing
 from schemas.support.extras import require_package
 from workers.physics.mesh_lists import MeshLists, as_lists, take_back
 
@@ -99,7 +100,7 @@ def bullet_version() -> str:
     return version("pybullet")
 
 
-class BulletClient:
+class BulletClient(Closing):
     """Physics server within this process; it owns its bodies, shapes and textures and frees them when it is closed."""
 
     def __init__(self) -> None:
@@ -107,14 +108,6 @@ class BulletClient:
         if self._id < 0:
             raise WorldError("PyBullet has no free physics client; close worlds that are no longer used")
         self._inertial: dict[int, tuple[Vector, tuple[float, float, float, float]]] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the client; further calls have no effect."""

@@ -11,11 +11,11 @@ import math
 import weakref
 from contextlib import ExitStack
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from schemas.config import RobotConfig
 from schemas.scene import CompiledScene
+from schemas.support.closing import Closing
 from workers.geometry.pose import Pose
 from workers.physics.bullet import BulletClient, ShapePlacement
 from workers.physics.mesh_lists import MeshLists, mesh_lists, recycle
@@ -55,7 +55,7 @@ class ColliderMesh:
         return mesh
 
 
-class World:
+class World(Closing):
     """Simulation of a floor, obstacles and one robot that follows commanded twists; deterministic to the bit."""
 
     def __init__(self, scene: CompiledScene, collider: ColliderMesh, robot: RobotConfig, control_hz: int) -> None:
@@ -72,14 +72,6 @@ class World:
         self._stance = _resting_stance(robot, control_hz)
         self._rig = _Rig(robot, control_hz, collider, self._floor_height)
         self.place(0.0, 0.0, 0.0)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the physics client; further calls have no effect."""

@@ -5,9 +5,9 @@ Does not render and imports no graphics library.
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class DepthAndIds:
     """Instance ids, as `RenderedFrame.ids`."""
 
 
-class Renderer(Protocol):
+class Renderer(AbstractContextManager["Renderer", None], Protocol):
     """Renderer of compiled scenes from the robot's camera; it is opened once and closed once."""
 
     @property
@@ -72,9 +72,3 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Frees all resources; further calls have no effect."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...

@@ -9,14 +9,13 @@ import functools
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
+from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.grid import Grid, body_centre
@@ -52,7 +51,7 @@ class LoadedScene:
         return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
 
 
-class SceneRenderer:
+class SceneRenderer(Closing):
     """Renderer with an LRU cache of loaded scenes."""
 
     def __init__(
@@ -92,12 +91,8 @@ class SceneRenderer:
         """
         return self._loaded[sha256]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Closes the renderer."""
         self.renderer.close()
 
 

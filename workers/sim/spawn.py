@@ -70,7 +70,9 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
 
 
 def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
-    """Places the robot, simulates the warm-up steps, and returns whether it kept its place (DESIGN 3.12).
+    """Places the robot, simulates the warm-up steps, and returns whether it kept its place.
+
+    Design: docs/design/starts.md#in-physics.
 
     The paper's displacement test alone does not detect overlaps of a few centimetres, so a penetration test precedes
     it.

@@ -15,7 +15,7 @@ __all__ = ["Termination"]
 
 
 class Termination:
-    """Evaluates the frames of one episode in order (paper Sec. II-A; DESIGN 3.4).
+    """Evaluates the frames of one episode in order (paper Sec. II-A; docs/design/task.md#ends-of-an-episode).
 
     A frame is evaluated before its action is executed. Success requires `hold_steps` consecutive frames inside the
     radius with a measured speed below the limit, so that the recorded poses alone prove it.
