@@ -1,6 +1,6 @@
-"""The bundle: one attempt's frames, arrays and metadata in one file of stored members (docs/design/data.md#bundle).
+"""Writer and reader of bundles: frames, arrays and metadata of one episode in one file (docs/design/data.md#bundle).
 
-Writes and reads open binary files with deterministic bytes and bounded decoding. Opens no path.
+Works on open binary files, with deterministic bytes and bounded decoding. Opens no path.
 """
 
 from __future__ import annotations

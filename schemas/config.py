@@ -15,7 +15,7 @@ __all__ = ["CameraConfig", "ExpertConfig", "PlannerConfig", "RobotConfig", "Spaw
 
 
 class TaskConfig(Model):
-    """When an episode ends and how it ends (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""
+    """Parameters of the end of an episode (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""
 
     control_hz: Annotated[int, Field(ge=1, le=240)] = 60
     """Steps, frames and actions per second."""
@@ -34,13 +34,13 @@ class TaskConfig(Model):
     near_obstacle_depth_m: Positive = 0.25
     """5th-percentile depth of the foreground crop below which an obstacle is near, metres."""
     crop_rows: tuple[Fraction, Fraction] = (0.55, 0.95)
-    """Foreground crop, fraction of the image height from the top."""
+    """Top and bottom of the foreground crop, fractions of the image height from the top."""
     crop_columns: tuple[Fraction, Fraction] = (0.25, 0.75)
-    """Foreground crop, fraction of the image width from the left."""
+    """Left and right side of the foreground crop, fractions of the image width from the left."""
 
 
 class RobotConfig(Model):
-    """A robot with the measures of the Nova Carter (docs/design/robot.md)."""
+    """Parameters of the robot, by default those of the Nova Carter (docs/design/robot.md)."""
 
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
@@ -59,7 +59,7 @@ class RobotConfig(Model):
     max_yaw_acceleration_rps2: Positive = 3.2
     """Slew limit of the yaw rate command, rad/s2."""
     motor_torque: Annotated[Positive, Field(alias="motor_force")] = 40.0
-    """Largest wheel motor torque, N m. Files name it `motor_force`."""
+    """Largest torque of a wheel motor, N m; serialized as `motor_force`."""
     physics_substeps: Annotated[int, Field(ge=1, le=16)] = 4
     """Physics steps in each control period."""
     solver_iterations: Annotated[int, Field(ge=10, le=500)] = 100
@@ -67,7 +67,10 @@ class RobotConfig(Model):
 
 
 class CameraConfig(Model):
-    """The right eye of the front stereo camera as a pinhole; pose in base_link (docs/design/robot.md#camera)."""
+    """Parameters of the pinhole camera, by default the right camera of the front pair (docs/design/robot.md#camera).
+
+    The optical axis is parallel to x of base_link.
+    """
 
     name: Line = "front_hawk/right"
     """Name of the camera."""
@@ -86,7 +89,7 @@ class CameraConfig(Model):
 
 
 class SpawnConfig(Model):
-    """Where an episode may start (paper Sec. III-D; docs/design/starts.md)."""
+    """Parameters of the start of an episode (paper Sec. III-D; docs/design/starts.md)."""
 
     heading_noise_rad: NonNegative = 0.4363323129985824
     """Largest heading offset from the direction to the target in the near and mid tiers, radians; 25 degrees."""
@@ -121,7 +124,7 @@ class ExpertConfig(Model):
 
 
 class PlannerConfig(Model):
-    """Settings of the planner expert (docs/design/experts.md#planner); the other experts ignore them."""
+    """Parameters of the planner expert (docs/design/experts.md#planner); the other experts ignore them."""
 
     margin_m: NonNegative = 0.08
     """Free space around the footprint along the path, metres."""

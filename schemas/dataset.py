@@ -203,7 +203,7 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
         sha256: SHA-256 of the bundle file.
         size: size of the bundle file, bytes.
     """
-    job, rollout, made = meta.job, meta.rollout, meta.provenance
+    job, rollout, provenance = meta.job, meta.rollout, meta.provenance
     goal_x, goal_y, goal_z = meta.target_centroid_m
     spawn_x, spawn_y, spawn_yaw = rollout.spawn_pose
     return EpisodeSummary(
@@ -246,10 +246,10 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
         file_bytes=size,
         file_name=file_name_of(meta.episode_id),
         format=meta.format,
-        created_at=made.created_at,
-        worker=made.worker,
-        renderer=made.fingerprint.renderer,
-        cpu=made.fingerprint.cpu,
-        software=json.dumps(made.fingerprint.software, sort_keys=True),
+        created_at=provenance.created_at,
+        worker=provenance.worker,
+        renderer=provenance.fingerprint.renderer,
+        cpu=provenance.fingerprint.cpu,
+        software=json.dumps(provenance.fingerprint.software, sort_keys=True),
         geodesic_m=meta.route.geodesic_m,
     )

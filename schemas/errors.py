@@ -1,6 +1,6 @@
-"""The error family all packages share: one root, few children, each named for what the caller does next.
+"""Exception classes of all packages: one base class, and a few subclasses that differ in the reaction of the caller.
 
-Never formats for a terminal and never decides an exit code; the CLI maps these classes to codes.
+Does not format errors for a terminal and does not define exit codes; the CLI maps the classes to exit codes.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ _Word = Annotated[str, StringConstraints(max_length=200)]
 
 
 class Fingerprint(Model):
-    """Versions and machine traits that can shape the last bit of a frame (docs/design/reproducibility.md#machines)."""
+    """Versions and machine properties that may affect the bits of a frame (docs/design/reproducibility.md#machines)."""
 
     software: Annotated[dict[_Word, _Word], Field(max_length=64)]
     """Versions, by package name, of all software that affects the recorded bytes, this product included."""

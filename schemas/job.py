@@ -78,7 +78,7 @@ class Job(Model):
         return episode_id(self.index)
 
     def rng(self) -> np.random.Generator:
-        """Returns the attempt's generator, seeded by (root seed, index, attempt).
+        """Returns the random generator of the attempt, seeded with (root seed, index, attempt).
 
         Design: docs/design/reproducibility.md#seeds.
         """

@@ -71,8 +71,8 @@ class ScenePlan(Model):
     """Fraction of episodes in each split of this scene; empty selects the plan's fractions."""
 
     @model_serializer(mode="wrap")
-    def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
-        data: dict[str, object] = spell(self)
+    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = serialize(self)
         return {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
 
     @property
@@ -157,8 +157,8 @@ class Plan(Model):
     """Parameters of the planner expert."""
 
     @model_serializer(mode="wrap")
-    def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
-        data: dict[str, object] = spell(self)
+    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = serialize(self)
         return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
 
     @model_validator(mode="after")
@@ -210,8 +210,8 @@ class Plan(Model):
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the plan; plans with equal digests describe the same dataset."""
         # cached, because every claimed job needs it; parsed again, so that 1 and 1.0 give one digest
-        spelled = canonical_json(Plan.model_validate_json(self.model_dump_json()))
-        return hashlib.sha256(spelled.encode()).hexdigest()
+        text = canonical_json(Plan.model_validate_json(self.model_dump_json()))
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Returns a copy with other values, without the cached digest."""

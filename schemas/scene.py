@@ -63,7 +63,7 @@ class Instance(Model):
 
 
 class Target(Model):
-    """An object that can be named in an instruction and reached (docs/design/scenes.md#targets)."""
+    """Object that an instruction can name and the robot can reach (docs/design/scenes.md#targets)."""
 
     target_id: Name
     """Stable name within the scene, e.g. `chair_007`."""

@@ -1,4 +1,4 @@
-"""The 7 x 7 action grid: continuous actions to tokens and back. Pure.
+"""Converts continuous actions to tokens of the 7 x 7 action grid, and tokens to actions. Pure functions.
 
 Source: paper Sec. II-B; docs/design/task.md#actions-and-tokens.
 """

@@ -70,15 +70,15 @@ class ContainerWriter(Closing):
         """
         if name in self._directory:
             raise ValueError(f"the container already has a member {name!r}")
-        spelt = name.encode()
-        if self._offset + len(data) + len(spelt) + _LOCAL.size > _MOST_BYTES:
-            raise ValueError(f"{name!r} of {len(data)} bytes does not fit: a container holds {_MOST_BYTES} bytes")
+        encoded = name.encode()
+        if self._offset + len(data) + len(encoded) + _LOCAL.size > _MOST_BYTES:
+            raise ValueError(f"{name!r} of {len(data)} bytes exceeds the limit of a container, {_MOST_BYTES} bytes")
         flags = 0 if name.isascii() else _UTF8
-        facts = (_VERSION, flags, _STORED, *_EPOCH, crc32(data), len(data), len(data), len(spelt), 0)
+        fields = (_VERSION, flags, _STORED, *_EPOCH, crc32(data), len(data), len(data), len(encoded), 0)
         self._directory[name] = (
-            _CENTRAL.pack(_CENTRAL_MARK, _MADE_BY_UNIX, *facts, 0, 0, 0, _REGULAR_FILE_0644, self._offset) + spelt
+            _CENTRAL.pack(_CENTRAL_MARK, _MADE_BY_UNIX, *fields, 0, 0, 0, _REGULAR_FILE_0644, self._offset) + encoded
         )
-        self._write(_LOCAL.pack(_LOCAL_MARK, *facts) + spelt)
+        self._write(_LOCAL.pack(_LOCAL_MARK, *fields) + encoded)
         self._write(data)
 
     def close(self) -> None:
@@ -137,8 +137,8 @@ class ContainerReader:
         if len(header) < _LOCAL.size:
             return None
         mark, _, _, method, _, _, _, _, _, name_bytes, extra_bytes = _LOCAL.unpack(header)
-        spelt = self._file.read(name_bytes + extra_bytes)[:name_bytes]
-        if mark != _LOCAL_MARK or method != _STORED or spelt != name:
+        encoded = self._file.read(name_bytes + extra_bytes)[:name_bytes]
+        if mark != _LOCAL_MARK or method != _STORED or encoded != name:
             return None
         return self._file.read(size)
 
@@ -171,15 +171,15 @@ def _read_directory(file: BinaryIO, limits: ContainerLimits) -> dict[str, _Membe
             directory, at
         )
         end = at + _ENTRY.size + name_bytes
-        spelt = directory[at + _ENTRY.size : end]
-        if mark != _CENTRAL_MARK or len(spelt) != name_bytes:
+        encoded = directory[at + _ENTRY.size : end]
+        if mark != _CENTRAL_MARK or len(encoded) != name_bytes:
             raise _unreadable(size, "its directory is damaged")
-        name = spelt.decode() if spelt.isascii() else _decode_name(spelt, flags, size)
+        name = encoded.decode() if encoded.isascii() else _decode_name(encoded, flags, size)
         if flags & _ENCRYPTED or method != _STORED or packed != length or length > limits.member_bytes:
-            findings += _objections(name, flags, method, packed, length, limits)
+            findings += _member_violations(name, flags, method, packed, length, limits)
         if name in members:
             findings.append(f"{name!r} is listed twice")
-        members[name] = offset, length, crc, spelt
+        members[name] = offset, length, crc, encoded
         total += length
         at = end + extra_bytes + note_bytes
     if at != len(directory):
@@ -208,14 +208,16 @@ def _bound_directory(file: BinaryIO, limits: ContainerLimits, size: int) -> tupl
     return count, start
 
 
-def _decode_name(spelt: bytes, flags: int, size: int) -> str:
+def _decode_name(encoded: bytes, flags: int, size: int) -> str:
     try:
-        return spelt.decode("utf-8" if flags & _UTF8 else "cp437")
+        return encoded.decode("utf-8" if flags & _UTF8 else "cp437")
     except UnicodeDecodeError as error:
         raise _unreadable(size, "a member's name is not UTF-8") from error
 
 
-def _objections(name: str, flags: int, method: int, packed: int, length: int, limits: ContainerLimits) -> Iterator[str]:
+def _member_violations(
+    name: str, flags: int, method: int, packed: int, length: int, limits: ContainerLimits
+) -> Iterator[str]:
     if method != _STORED or packed != length:
         yield f"{name!r} is compressed by the zip; members must be stored"
     if flags & _ENCRYPTED:

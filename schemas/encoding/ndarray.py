@@ -69,8 +69,8 @@ def encode_npy(array: NDArray[np.generic]) -> bytes:
 @functools.lru_cache(maxsize=64)
 def _header(dtype: np.dtype[np.generic], shape: tuple[int, ...]) -> bytes:
     buffer = io.BytesIO()
-    facts = {"descr": npy_format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
-    npy_format.write_array_header_1_0(buffer, facts)
+    header = {"descr": npy_format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    npy_format.write_array_header_1_0(buffer, header)
     return buffer.getvalue()
 
 

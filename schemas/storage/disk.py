@@ -25,8 +25,8 @@ _REMEDIES = {
     errno.EROFS: "the file system is read-only: choose another --out",
     errno.EACCES: "the directory may not be written: change its permissions or choose another --out",
     errno.EPERM: "the directory may not be written: change its permissions or choose another --out",
-    errno.ENOTDIR: "a file stands where a directory is wanted: choose another --out",
-    errno.EEXIST: "a file stands where a directory is wanted: choose another --out",
+    errno.ENOTDIR: "a file has the name of a required directory: choose another --out",
+    errno.EEXIST: "a file has the name of a required directory: choose another --out",
 }
 
 
@@ -41,7 +41,7 @@ def require_room(root: Path, reserve_bytes: int) -> None:
         WorldError: less space is free.
     """
     there = next(place for place in (root.absolute(), *root.absolute().parents) if place.exists())
-    with translated("ask the free space of", there):
+    with translated("read the free space of", there):
         free = shutil.disk_usage(there).free
     if free < reserve_bytes:
         raise WorldError(

@@ -33,7 +33,7 @@ _BATCH = 1000
 _COPY_BYTES = 1 << 20
 _STATUS = re.compile(r"status code: (\d{3} [A-Za-z ]+)")
 _CODE = re.compile(r"<Code>(\w{1,64})</Code>")
-_ASKED_THE_CLOUD = ("latest/api/token", "latest/meta-data", "computeMetadata", "metadata/identity")
+_METADATA_SERVICES = ("latest/api/token", "latest/meta-data", "computeMetadata", "metadata/identity")
 """URLs of cloud metadata services; `obstore` requests credentials there only if the environment has none."""
 _REMEDIES = (
     ("NoSuchBucket", "create the bucket, or check its name and AWS_ENDPOINT_URL"),
@@ -85,7 +85,7 @@ class Objects:
 
     def _put(self, key: str, data: Buffer, mode: str) -> None:
         # one request instead of a multipart upload: only a single put can be conditional, and it leaves no parts behind
-        self._call("write", key, lambda door, store: door.put(store, key, data, mode=mode, use_multipart=False))
+        self._call("write", key, lambda api, store: api.put(store, key, data, mode=mode, use_multipart=False))
 
     def read(self, key: str) -> bytes:
         """Returns the content of a small object."""
@@ -93,38 +93,38 @@ class Objects:
 
     def stream(self, key: str) -> Iterator[bytes]:
         """Yields the content of an object in pieces."""
-        answer = self._call("read", key, lambda door, store: door.get(store, key))
+        answer = self._call("read", key, lambda api, store: api.get(store, key))
         pieces = iter(answer.stream(min_chunk_size=_COPY_BYTES))
-        while (piece := self._call("read", key, lambda _door, _store: next(pieces, None))) is not None:
+        while (piece := self._call("read", key, lambda _api, _store: next(pieces, None))) is not None:
             yield bytes(piece)
 
     def read_range(self, key: str, start: int, end: int) -> bytes:
         """Returns the bytes from `start` to `end`, `end` excluded."""
-        return bytes(self._call("read", key, lambda door, store: door.get_range(store, key, start=start, end=end)))
+        return bytes(self._call("read", key, lambda api, store: api.get_range(store, key, start=start, end=end)))
 
     def head(self, key: str) -> Listed:
         """Returns the key and size of an object."""
-        return Listed(key, self._call("read", key, lambda door, store: door.head(store, key))["size"])
+        return Listed(key, self._call("read", key, lambda api, store: api.head(store, key))["size"])
 
     def walk(self, folder: str) -> Iterator[Listed]:
         """Yields all objects below a folder, recursively."""
-        batches = iter(self._call("list", folder, lambda door, store: door.list(store, folder, chunk_size=_BATCH)))
-        while (batch := self._call("list", folder, lambda _door, _store: next(batches, None))) is not None:
+        batches = iter(self._call("list", folder, lambda api, store: api.list(store, folder, chunk_size=_BATCH)))
+        while (batch := self._call("list", folder, lambda _api, _store: next(batches, None))) is not None:
             yield from (Listed(found["path"], found["size"]) for found in batch)
 
     def list_folder(self, folder: str) -> tuple[list[str], list[Listed]]:
         """Returns the keys of the folders directly in a folder, and the objects directly in it."""
-        found = self._call("list", folder, lambda door, store: door.list_with_delimiter(store, folder or None))
+        found = self._call("list", folder, lambda api, store: api.list_with_delimiter(store, folder or None))
         return list(found["common_prefixes"]), [Listed(item["path"], item["size"]) for item in found["objects"]]
 
     def copy(self, key: str, to: str) -> None:
         """Copies an object within the store."""
-        self._call("copy", key, lambda door, store: door.copy(store, key, to))
+        self._call("copy", key, lambda api, store: api.copy(store, key, to))
 
     def delete(self, key: str) -> None:
         """Deletes an object, if it exists."""
         with contextlib.suppress(FileNotFoundError):
-            self._call("delete", key, lambda door, store: door.delete(store, key))
+            self._call("delete", key, lambda api, store: api.delete(store, key))
 
     def _call(self, what: str, key: str, action: Callable[[Any, Any], Any]) -> Any:
         import obstore
@@ -188,23 +188,23 @@ def _open(url: str) -> Any:
     try:
         return from_url(url, client_options=_CLIENT, retry_config=_RETRY)
     except (BaseError, ValueError) as error:
-        said = str(error).split("\n")[0]
-        raise UsageError(f"cannot open {url}: {said}; set your cloud's variables in the environment") from None
+        text = str(error).split("\n")[0]
+        raise UsageError(f"cannot open {url}: {text}; set your cloud's variables in the environment") from None
 
 
-def _world_error(what: str, place: str, said: str) -> WorldError:
-    found = _found(said)
+def _world_error(what: str, place: str, text: str) -> WorldError:
+    found = _cause_of(text)
     remedy = next((remedy for mark, remedy in _REMEDIES if mark in found), "check the store, then try again")
     return WorldError(f"cannot {what} {place}: {found}; {remedy}")
 
 
-def _found(said: str) -> str:
+def _cause_of(text: str) -> str:
     """Returns the cause of an error with the server's status code; the rest of its answer may contain secrets."""
-    if any(path in said for path in _ASKED_THE_CLOUD):
+    if any(path in text for path in _METADATA_SERVICES):
         return "no credentials were found"
-    status, code = _STATUS.search(said), _CODE.search(said)
+    status, code = _STATUS.search(text), _CODE.search(text)
     if status is not None:
         return f"the store answers {status[1].strip()}{f' ({code[1]})' if code is not None else ''}"
-    if "HTTP error" in said or "error sending request" in said:
+    if "HTTP error" in text or "error sending request" in text:
         return "the store cannot be reached"
-    return said.split(" error: ", 1)[0].split("\n")[0]
+    return text.split(" error: ", 1)[0].split("\n")[0]

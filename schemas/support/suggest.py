@@ -23,6 +23,6 @@ def did_you_mean(word: str, names: Iterable[str], most: int = 1) -> str:
     >>> did_you_mean("oracle", ["hospital", "office"])
     ''
     """
-    spelt = {name.lower(): str(name) for name in names}
-    near = difflib.get_close_matches(word.lower(), spelt, n=most)
-    return f"; did you mean {' or '.join(repr(spelt[name]) for name in near)}?" if near else ""
+    by_lower = {name.lower(): str(name) for name in names}
+    near = difflib.get_close_matches(word.lower(), by_lower, n=most)
+    return f"; did you mean {' or '.join(repr(by_lower[name]) for name in near)}?" if near else ""

@@ -1,4 +1,4 @@
-"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool.
+"""Zenoh client session of a worker: sends requests, fetches scenes and serves the spool.
 
 Design: docs/design/protocol.md.
 

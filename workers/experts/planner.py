@@ -1,4 +1,4 @@
-"""The planner expert: plans a forward-only path on the occupancy grid and follows it by pure pursuit.
+"""Planner expert: plans a forward-only path on the occupancy grid and follows it with pure pursuit.
 
 Design: docs/design/experts.md#planner.
 

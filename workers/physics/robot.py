@@ -1,4 +1,4 @@
-"""The robot's URDF, written from our own reading of the Nova Carter's published measures (docs/design/robot.md).
+"""Generates the URDF of the robot from the published dimensions of the Nova Carter (docs/design/robot.md).
 
 Returns text only. Does not write or load a file, and contains no file of NVIDIA.
 """

@@ -1,6 +1,6 @@
 """State lattice of the path planner: 36 headings, forward arcs, turns on the spot, and the table of free poses.
 
-Tables over the occupancy grid; searches nothing. No move goes backwards (docs/design/experts.md#planner).
+No move goes backwards (docs/design/experts.md#planner). Does not search paths.
 """
 
 from __future__ import annotations

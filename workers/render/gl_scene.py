@@ -38,7 +38,7 @@ class _Program:
         if "light" in self._program:
             self._program["light"] = _LIGHT_UNIT
 
-    def set_view(self, clip_from_world: bytes) -> None:
+    def set_clip_matrix(self, clip_from_world: bytes) -> None:
         self._program["clip_from_world"].write(clip_from_world)
 
     def vertex_array(self, mesh: _Mesh) -> moderngl.VertexArray:
@@ -118,7 +118,7 @@ class GpuScene:
             clip_from_world: (4, 4) float32 matrix in column order.
         """
         for program in self._coloured:
-            program.set_view(clip_from_world)
+            program.set_clip_matrix(clip_from_world)
         self._light.use(_LIGHT_UNIT)
         self._textures.use(_TEXTURE_UNIT)
         first = 0
@@ -129,7 +129,7 @@ class GpuScene:
 
     def draw_bare(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
         """Draws depth and ids of parts, in the order of `draw`."""
-        self._bare.set_view(clip_from_world)
+        self._bare.set_clip_matrix(clip_from_world)
         count = sum(self._write_commands(parts))
         if count:
             self._uncoloured.render_indirect(self._commands, count=count)

@@ -1,6 +1,6 @@
 """Entry point of the simulation process (`python -m workers.sim.simulate`): reads orders from stdin, reports to stdout.
 
-Holds no lease and talks to no network; it ends with its supervisor, whatever it is doing.
+The process exits when its supervisor exits. It uses no lease and no network.
 
 Design: docs/design/protocol.md#threads-and-processes.
 """

@@ -142,7 +142,7 @@ def test_metadata_that_is_no_json_is_refused(text: bytes) -> None:
     ("name", "array", "text"),
     [
         ("poses", np.zeros((11, 7), np.float32), "shape (11, 7)"),
-        ("poses", np.full((12, 7), np.nan, np.float32), "poses: holds NaN"),
+        ("poses", np.full((12, 7), np.nan, np.float32), "poses: contains NaN"),
         ("actions_tokens", np.full((12, 2), 7, np.int16), "maximum 7 is above 6"),
         ("actions_continuous", np.full((12, 2), 1.2, np.float32), "maximum 1.2"),
         ("actions_continuous", np.zeros((12, 2), np.float64), "dtype float64"),
