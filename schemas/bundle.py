@@ -242,5 +242,5 @@ def _name_findings(found: tuple[str, ...], expected: tuple[str, ...]) -> list[st
     missing = [name for name in expected if name not in set(found)]
     surplus = [name for name in found if name not in set(expected)]
     findings = [f"{len(missing)} members missing, first {missing[0]!r}"] if missing else []
-    findings += [f"{len(surplus)} surplus members, first {surplus[0]!r}"] if surplus else []
+    findings += [f"{len(surplus)} unexpected members, first {surplus[0]!r}"] if surplus else []
     return findings or ["members are not in their fixed order"]

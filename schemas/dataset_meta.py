@@ -109,7 +109,7 @@ def read_dataset_meta(root: Place) -> DatasetMeta:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
-        raise WorldError(f"{root} contains no dataset ({META_FILE} is missing): give the --out of a run") from error
+        raise WorldError(f"{root} is not a dataset: {META_FILE} is missing; give the --out of `factory run`") from error
     except (OSError, ValueError) as error:
         raise ArchiveCorrupt(f"{path} cannot be read: {error}") from error
     _refuse_newer(path, text)

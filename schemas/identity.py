@@ -99,7 +99,7 @@ def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]
             continue
         name, role = (*words, Role.WORKER)[:2]
         if len(words) > 2 or role not in known or not is_host_name(name):
-            raise UsageError(f"line {number} is {line[:80]!r}, expected: NAME, or NAME and one of: {', '.join(known)}")
+            raise UsageError(f"line {number} is {line[:80]!r}, expected NAME, or NAME and one of: {', '.join(known)}")
         found[name] = Role(role)
     return found
 

@@ -69,10 +69,10 @@ class ContainerWriter(Closing):
             ValueError: the container already has a member of that name, or would exceed 4 GiB.
         """
         if name in self._directory:
-            raise ValueError(f"the container already has a member {name!r}")
+            raise ValueError(f"{name!r} is already in the container")
         encoded = name.encode()
         if self._offset + len(data) + len(encoded) + _LOCAL.size > _MOST_BYTES:
-            raise ValueError(f"{name!r} of {len(data)} bytes exceeds the limit of a container, {_MOST_BYTES} bytes")
+            raise ValueError(f"{name!r} of {len(data)} bytes does not fit: a container has at most {_MOST_BYTES} bytes")
         flags = 0 if name.isascii() else _UTF8
         fields = (_VERSION, flags, _STORED, *_EPOCH, crc32(data), len(data), len(data), len(encoded), 0)
         self._directory[name] = (

@@ -135,7 +135,7 @@ class Objects:
         try:
             return action(obstore, self._store)
         except (AlreadyExistsError, PreconditionError):
-            raise FileExistsError(errno.EEXIST, "the object exists already", place) from None
+            raise FileExistsError(errno.EEXIST, "already exists", place) from None
         # errors of obstore may quote requests with their signatures, so they are not chained
         except FileNotFoundError as error:
             if "NoSuchBucket" not in str(error):
@@ -158,7 +158,8 @@ def _require_own_process(url: str) -> None:
         _users.append(os.getpid())
     if os.getpid() not in _users:
         raise UsageError(
-            f"{url} cannot be read in a process forked from one that has read it: start processes with 'spawn', e.g. "
+            f"{url} cannot be read after a fork of a process that has read it: start processes with the method "
+            "spawn, e.g. "
             "DataLoader(..., multiprocessing_context='spawn')"
         )
 
@@ -167,10 +168,11 @@ def _checked(url: str) -> str:
     scheme, _, rest = url.rstrip("/").partition("://")
     if scheme not in SCHEMES or not rest or any(mark in rest for mark in "?#") or ".." in rest.split("/"):
         raise UsageError(
-            f"{_shown(url)!r} is not a valid dataset URL: give a directory, or {'://, '.join(SCHEMES)}://BUCKET/NAME"
+            f"{_shown(url)!r} is not a valid location of a dataset: give a directory, "
+            f"or {'://, '.join(SCHEMES)}://BUCKET/NAME"
         )
     if "@" in rest:
-        raise UsageError(f"{_shown(url)!r}: a URL must not contain credentials; set them in the environment")
+        raise UsageError(f"{_shown(url)!r}: a URL must not contain credentials; they are read from the environment")
     return f"{scheme}://{rest}"
 
 
@@ -189,7 +191,7 @@ def _open(url: str) -> Any:
         return from_url(url, client_options=_CLIENT, retry_config=_RETRY)
     except (BaseError, ValueError) as error:
         text = str(error).split("\n")[0]
-        raise UsageError(f"cannot open {url}: {text}; set your cloud's variables in the environment") from None
+        raise UsageError(f"cannot open {url}: {text}; set the environment variables of your cloud provider") from None
 
 
 def _world_error(what: str, place: str, text: str) -> WorldError:

@@ -126,7 +126,7 @@ def test_truncated_and_foreign_files_among_the_episodes_are_found_and_mended(fac
 
 def test_an_episode_that_is_not_there_says_what_is(factory, calm):
     assert "holds 5 episodes" in factory("replay", calm, 77, expect=2).stderr
-    assert "no dataset" in factory("replay", calm.parent, 1, expect=2).stderr
+    assert "is not a dataset" in factory("replay", calm.parent, 1, expect=2).stderr
 
 
 def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, calm):

@@ -250,7 +250,7 @@ def test_free_space_is_that_of_the_disk_where_part_files_grow(kind: Kind) -> Non
 
 def test_file_in_place_of_the_directory_is_named_with_the_remedy(kind: Kind) -> None:
     kind.home.write_text("a file")
-    with pytest.raises(WorldError, match=r"cannot open .*; a file has the name of a required directory"):
+    with pytest.raises(WorldError, match=r"cannot open .*; the path is a file, not a directory"):
         kind.open()
 
 

@@ -137,5 +137,5 @@ def test_pictures_are_drawn_when_somebody_looks_and_never_of_an_episode_that_is_
         assert simulator.step(Twist(0.5, 0.0)).frame.rgb.shape == (640, 640, 3)
         assert laps.count("read-back") == 2
         simulator.reset(specs.specs[1], place)
-        with pytest.raises(RuntimeError, match="keep its frame"):
+        with pytest.raises(RuntimeError, match="keep the frame"):
             _ = first.frame

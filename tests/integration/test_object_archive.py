@@ -106,7 +106,7 @@ def test_credentials_in_a_url_are_refused_and_not_repeated() -> None:
 
 @pytest.mark.parametrize("url", ["s3://", "ftp://host/run", "s3://bucket/../other", "s3://bucket/run?versionId=1"])
 def test_url_that_names_no_place_is_refused(url: str) -> None:
-    with pytest.raises(UsageError, match="is not a valid dataset URL"):
+    with pytest.raises(UsageError, match="is not a valid location of a dataset"):
         place_of(url)
 
 

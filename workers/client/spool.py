@@ -78,14 +78,14 @@ class Spool(Closing):
     def __init__(self, root: Path, max_bundles: int, max_bytes: int, min_free_bytes: int = 0) -> None:
         self._max_bundles, self._max_bytes, self._min_free_bytes = max_bundles, max_bytes, min_free_bytes
         self._guard = threading.Lock()
-        self._short = Repeated(log.bind(remedy="free some space; attempts go on by themselves"), "spool_disk_low")
+        self._short = Repeated(log.bind(remedy="free some space; the worker then continues"), "spool_disk_low")
         try:
             self.directory, self._lock = _take_folder(root)
             for orphaned in _idle_siblings(root, self.directory):
                 _adopt(orphaned, self.directory)
             self._entries = {_key(entry.lease): entry for entry in _clean(self.directory)}
         except OSError as error:
-            raise WorldError(f"cannot spool in {root}: {error}; give a writable folder with --spool") from error
+            raise WorldError(f"cannot spool in {root}: {error}; choose a writable folder with --spool") from error
 
     @property
     def is_full(self) -> bool:
@@ -212,7 +212,7 @@ class Spool(Closing):
         except OSError as error:
             raise WorldError(
                 f"the spool {self.directory} cannot be used: {error.strerror or error}; restart the worker, which "
-                "creates the folder again, free some space, or give another folder with --spool"
+                "creates the folder again, free some space, or choose another folder with --spool"
             ) from error
 
     def _file(self, lease: Lease, suffix: str) -> Path:
@@ -243,7 +243,7 @@ def _take_folder(root: Path) -> tuple[Path, int]:
         lock = _try_lock(folder)
         if lock is not None:
             return folder, lock
-    raise WorldError(f"{_MAX_SIBLINGS} workers spool under {root}; give this one another folder with --spool")
+    raise WorldError(f"{_MAX_SIBLINGS} workers use spool folders below {root}; choose another folder with --spool")
 
 
 def _try_lock(folder: Path) -> int | None:

@@ -46,7 +46,7 @@ class PlannerExpert:
             RuntimeError: `begin` was not called or found no path.
         """
         if self._follower is None:
-            raise RuntimeError("act() without a path; call begin() first, and act() only if it returns a path")
+            raise RuntimeError("act() has no path; call begin() first, and act() only if begin() found a path")
         self._has_stopped = self._has_stopped or self._has_arrived(seen)
         if self._has_stopped:
             return Twist(0.0, 0.0)

@@ -106,7 +106,7 @@ class BulletClient(Closing):
     def __init__(self) -> None:
         self._id: int = _p.connect(_p.DIRECT)
         if self._id < 0:
-            raise WorldError("PyBullet has no free physics client; close worlds that are no longer used")
+            raise WorldError("PyBullet returned no physics client; close worlds that are no longer used")
         self._inertial: dict[int, tuple[Vector, tuple[float, float, float, float]]] = {}
 
     def close(self) -> None:

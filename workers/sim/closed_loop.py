@@ -119,7 +119,7 @@ class _RendererHandle:
 
     def get(self) -> Renderer:
         if self._renderer is None:
-            raise RuntimeError("the episode of this observation is over: store its frame, not the observation")
+            raise RuntimeError("the episode of this view has ended; keep the frame, not the view")
         return self._renderer
 
     def release(self) -> None:

@@ -192,7 +192,7 @@ def test_swapped_file_is_noticed(own: Path) -> None:
 
 
 def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="contains no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         Dataset(tmp_path)
 
 

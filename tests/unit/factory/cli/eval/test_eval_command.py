@@ -56,7 +56,7 @@ def test_a_split_that_is_none_is_a_mistake_of_usage(dataset: Path) -> None:
 
 
 def test_a_directory_that_is_no_dataset_is_named(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="contains no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         cli.main(["eval", "--data", str(tmp_path), "--policy", "stop"], standalone_mode=False)
 
 

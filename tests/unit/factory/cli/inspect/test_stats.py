@@ -262,7 +262,7 @@ def test_a_destroyed_table_of_episodes_is_refused_with_the_remedy(own: Path) -> 
 
 
 def test_a_directory_without_a_dataset_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="contains no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         measure_dataset(tmp_path)
 
 
