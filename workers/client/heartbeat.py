@@ -20,7 +20,7 @@ __all__ = ["Heartbeat", "make_hello"]
 _BEATS_PER_LEASE = 4
 _HURRIED_S = 0.25
 _REOPEN_S = 10.0
-_LOOK_S = 10.0
+_EVALUATION_CHECK_S = 10.0
 """Time between two checks for an evaluation, which has priority over collection, seconds."""
 
 log = structlog.get_logger(__name__)
@@ -39,7 +39,7 @@ class Heartbeat:
         self._hello = make_hello(host.sid, host.name, host.settings.cores)
         self.is_answered = True
         """Whether the coordinator answered the last heartbeat."""
-        self._looked = time.monotonic()
+        self._checked_at = time.monotonic()
 
     def run(self) -> None:
         """Sends four heartbeats in each lease time, and more while the worker leaves; an exception ends the worker."""
@@ -62,9 +62,9 @@ class Heartbeat:
         for start in range(0, max(len(live), len(spooled), 1), MAX_LEASES):
             part = slice(start, start + MAX_LEASES)
             if not self._beat_part(live[part], spooled[part]):
-                self._note_silence()
+                self._handle_silence()
                 return
-        self._look_for_evaluation()
+        self._check_for_evaluation()
 
     def _beat_part(self, live: tuple[LeaseProgress, ...], spooled: tuple[Spooled, ...]) -> bool:
         """Sends one heartbeat with part of the leases; returns whether the coordinator answered."""
@@ -73,7 +73,7 @@ class Heartbeat:
         reply = host.link.ask(Verb.BEAT, beat, BeatReply, host.phase.ask_timeout_s)
         if reply is None:
             return False
-        self._note_answer()
+        self._handle_reply()
         host.leases.lose(reply.lost)
         for lease in reply.drop:
             if host.spool.drop(lease):
@@ -95,16 +95,16 @@ class Heartbeat:
         done = Done(sid=host.sid, lease=entry.lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
         host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
 
-    def _note_silence(self) -> None:
+    def _handle_silence(self) -> None:
         host = self._host
         if self.is_answered:
             self.is_answered = False
             log.warning("coordinator_unreachable", endpoints=host.link.endpoints)
         if host.link.silence_s > _REOPEN_S and not host.phase.stopping.is_set():
             host.link.open()  # a new session recovers from a half-open connection or a router that accepts none
-            self._look_for_another_run()
+            self._check_for_other_run()
 
-    def _look_for_another_run(self) -> None:
+    def _check_for_other_run(self) -> None:
         host = self._host
         runs = {reply.run for reply in host.link.greet(self._hello) if isinstance(reply, HelloReply)}
         if runs and host.run not in runs and host.settings.run is None:
@@ -112,13 +112,13 @@ class Heartbeat:
             host.phase.moved.set()
             host.phase.stop(0.0)
 
-    def _look_for_evaluation(self) -> None:
+    def _check_for_evaluation(self) -> None:
         """Ends the work for a collection after the current attempts when an evaluation needs workers."""
         host = self._host
         is_free = host.trade is Trade.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
-        if not is_free or time.monotonic() - self._looked < _LOOK_S:
+        if not is_free or time.monotonic() - self._checked_at < _EVALUATION_CHECK_S:
             return
-        self._looked = time.monotonic()
+        self._checked_at = time.monotonic()
         if any(
             isinstance(reply, HelloReply) and reply.trade is Trade.EVALUATION for reply in host.link.greet(self._hello)
         ):
@@ -126,7 +126,7 @@ class Heartbeat:
             host.phase.moved.set()
             host.phase.close()
 
-    def _note_answer(self) -> None:
+    def _handle_reply(self) -> None:
         if not self.is_answered:
             self.is_answered = True
             log.info("coordinator_reconnected")

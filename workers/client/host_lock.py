@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["alone"]
+__all__ = ["exclusive_lock"]
 
 
 @contextmanager
-def alone(path: Path, wait: Callable[[], None]) -> Iterator[None]:
+def exclusive_lock(path: Path, wait: Callable[[], None]) -> Iterator[None]:
     """Holds the lock during the block.
 
     Args:

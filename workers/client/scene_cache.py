@@ -17,7 +17,7 @@ import structlog
 
 from schemas.errors import WorldError
 from schemas.keys import MAX_CHUNK_BYTES, Chunk
-from workers.client.host_lock import alone
+from workers.client.host_lock import exclusive_lock
 
 __all__ = ["SceneCache"]
 
@@ -58,7 +58,7 @@ class SceneCache:
         path = self._directory / f"{sha256}{_SUFFIX}"
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
-            with alone(self._directory / f"{sha256}.lock", wait):
+            with exclusive_lock(self._directory / f"{sha256}.lock", wait):
                 if not self._is_good(path, sha256):
                     self._download(path, sha256, size, fetch)
                 os.utime(path)

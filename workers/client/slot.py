@@ -45,7 +45,7 @@ class Slot:
     def __init__(self, host: Host) -> None:
         self._host = host
         self._simulation = Simulation(host.command, host.settings.hang_s)
-        self._trouble = Backoff(1.0, 60.0)
+        self._backoff = Backoff(1.0, 60.0)
         self._failing = Repeated(log, "attempts_failing")
 
     def run(self) -> None:
@@ -115,13 +115,13 @@ class Slot:
 
     def _claim(self) -> ClaimReply | None:
         """Claims a job with one token until a reply arrives; returns `None` if the worker closes before."""
-        host, away = self._host, Backoff(0.1, 5.0)
+        host, backoff = self._host, Backoff(0.1, 5.0)
         claim = Claim(sid=host.sid, token=secrets.token_hex(16))
         while not host.phase.closing.is_set():
             reply = host.link.ask(Verb.CLAIM, claim, ClaimReply, host.phase.ask_timeout_s)
             if reply is not None:
                 return reply
-            host.pause(away.fail())
+            host.pause(backoff.fail())
         return None
 
     def _work(self, job: Job, lease: Lease, given: ClaimReply) -> None:
@@ -130,20 +130,20 @@ class Slot:
             try:
                 report = self._attempt(job, lease, given)
             except LeaseLost:
-                self._give_up(lease)
+                self._abort(lease)
                 log.info("lease_lost", job=lease.job_id, fence=lease.fence, episode=job.episode_id)
                 return
             except _Stopped:
-                self._give_up(lease)
+                self._abort(lease)
                 report = failure(FailReason.RELEASED, "the worker stopped")
             if report.kind is SimulationReportKind.SUCCESS:
-                report = self._hand_over(job, lease, report)
+                report = self._spool_bundle(job, lease, report)
             if report.kind is SimulationReportKind.FAILURE:
                 self._host.spool.clear(lease)
                 self._report_failure(job, lease, report, time.monotonic() - started)
-        self._rest_after(report)
+        self._pause_after(report)
 
-    def _give_up(self, lease: Lease) -> None:
+    def _abort(self, lease: Lease) -> None:
         self._simulation.kill()
         self._host.spool.clear(lease)
 
@@ -188,13 +188,13 @@ class Slot:
             time.sleep(_POLL_S)
 
         def fetch(chunk: Chunk) -> bytes:
-            away = Backoff(0.1, 2.0)
+            backoff = Backoff(0.1, 2.0)
             while True:
                 self._check(lease)
                 data = host.link.fetch_scene(sha256, chunk)
                 if data is not None:
                     return data
-                host.phase.stopping.wait(away.fail())
+                host.phase.stopping.wait(backoff.fail())
 
         return host.scenes.ensure(sha256, size, fetch, wait)
 
@@ -204,11 +204,11 @@ class Slot:
         if self._host.leases.is_lost(lease):
             raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) belongs to another worker")
 
-    def _hand_over(self, job: Job, lease: Lease, report: SimulationReport) -> SimulationReport:
+    def _spool_bundle(self, job: Job, lease: Lease, report: SimulationReport) -> SimulationReport:
         """Spools and announces a bundle; returns the report, or a failure if the spool cannot store the bundle."""
         host = self._host
         if report.sha256 is None or report.size is None:
-            self._bug(report)
+            self._raise_invalid(report)
         try:
             entry = host.spool.add(lease, report.sha256, report.size)
         except WorldError as error:
@@ -221,9 +221,9 @@ class Slot:
 
     def _report_failure(self, job: Job, lease: Lease, report: SimulationReport, seconds: float) -> None:
         """Reports a failed attempt until a reply arrives, the lease is lost, or the worker ends."""
-        host, away = self._host, Backoff(0.1, 5.0)
+        host, backoff = self._host, Backoff(0.1, 5.0)
         if report.reason is None:
-            self._bug(report)
+            self._raise_invalid(report)
         fail = Fail(
             sid=host.sid,
             lease=lease,
@@ -236,21 +236,21 @@ class Slot:
         while host.phase.left_s > 0 and not host.leases.is_lost(lease):
             if host.link.ask(Verb.FAIL, fail, Ack, host.phase.ask_timeout_s) is not None:
                 return
-            pause_s = away.fail()
-            if host.phase.stopping.is_set() and away.failures >= _LAST_TRIES:
+            pause_s = backoff.fail()
+            if host.phase.stopping.is_set() and backoff.failures >= _LAST_TRIES:
                 return  # the coordinator is unreachable; the lease expires
             if host.phase.stopping.wait(pause_s):
                 time.sleep(min(pause_s, host.phase.left_s))
 
-    def _rest_after(self, report: SimulationReport) -> None:
+    def _pause_after(self, report: SimulationReport) -> None:
         """Pauses with a backoff after failures that this machine may have caused, so that it fails few jobs."""
         if report.reason in {FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}:
             if not self._host.phase.stopping.is_set():
                 self._failing.fail(report.detail, reason=str(report.reason))
-            self._host.pause(self._trouble.fail())
+            self._host.pause(self._backoff.fail())
         else:
-            self._trouble.succeed()
+            self._backoff.succeed()
             self._failing.succeed()
 
-    def _bug(self, report: SimulationReport) -> NoReturn:
+    def _raise_invalid(self, report: SimulationReport) -> NoReturn:
         raise AssertionError(f"invalid report: {report}")

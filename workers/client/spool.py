@@ -78,7 +78,7 @@ class Spool(Closing):
     def __init__(self, root: Path, max_bundles: int, max_bytes: int, min_free_bytes: int = 0) -> None:
         self._max_bundles, self._max_bytes, self._min_free_bytes = max_bundles, max_bytes, min_free_bytes
         self._guard = threading.Lock()
-        self._short = Repeated(log.bind(remedy="free some space; the worker then continues"), "spool_disk_low")
+        self._disk_low = Repeated(log.bind(remedy="free some space; the worker then continues"), "spool_disk_low")
         try:
             self.directory, self._lock = _take_folder(root)
             for orphaned in _idle_siblings(root, self.directory):
@@ -102,9 +102,9 @@ class Spool(Closing):
         with self._translated():
             free = shutil.disk_usage(self.directory).free
         if free >= self._min_free_bytes:
-            self._short.succeed()
+            self._disk_low.succeed()
             return False
-        self._short.fail(f"{free} bytes free, {self._min_free_bytes} required", spool=str(self.directory))
+        self._disk_low.fail(f"{free} bytes free, {self._min_free_bytes} required", spool=str(self.directory))
         return True
 
     def path_for(self, lease: Lease) -> Path:

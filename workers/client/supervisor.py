@@ -29,7 +29,7 @@ __all__ = ["Ending", "Supervisor", "run_worker"]
 _POLL_S = 0.2
 _DRAIN_S = 3.5
 _JOIN_S = 2.0
-_FAREWELL_S = 5.0
+_FINISH_TIMEOUT_S = 5.0
 """Time for asking the coordinator of a finished run about spooled bundles, seconds; it may have ended."""
 
 log = structlog.get_logger(__name__)
@@ -152,7 +152,7 @@ class Supervisor:
     def _is_over(self) -> bool:
         if self._at_once.is_set():
             return True
-        if self._phase.left_s == 0.0 or self._phase.finished_s > _FAREWELL_S:
+        if self._phase.left_s == 0.0 or self._phase.finished_s > _FINISH_TIMEOUT_S:
             return True
         if any(slot.is_alive() for slot in self._slots):
             return False
