@@ -1,4 +1,4 @@
-"""View frustum culling: selects the parts of a scene in the camera's view, ordered by the distance of their far corner.
+"""View frustum culling: selects the parts of a scene in the camera's view, in order of their far corner, nearest first.
 
 Pure geometry of bounding boxes. Does not render, and does not account for occlusion; the depth test does.
 """
@@ -54,7 +54,7 @@ def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) 
 
 
 def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Returns the indices of the parts whose box is at least partly in view, ordered by the distance of its far corner.
+    """Returns the indices of the parts whose box is at least partly in view, the one with the nearest far corner first.
 
     With this order a floor is drawn after the objects on it, so that its hidden pixels are not shaded.
 

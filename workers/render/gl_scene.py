@@ -15,7 +15,7 @@ from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.camera import OpticalPose
 from workers.render.cull import PartBounds, visible_parts
-from workers.render.occlude import Screens
+from workers.render.occlude import Occluders
 from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
 
 __all__ = ["GpuScene", "Programs"]
@@ -91,7 +91,7 @@ class GpuScene:
             scene: scene to upload.
         """
         self._is_textured = scene.part_texture >= 0
-        self._bounds, self._screens = PartBounds.of(scene), Screens.of(scene)
+        self._bounds, self._occluders = PartBounds.of(scene), Occluders.of(scene)
         self._draws = np.zeros(len(scene.part_first), _DRAW)
         self._draws["count"], self._draws["first"] = scene.part_count, scene.part_first
         self._draws["instances"] = 1
@@ -108,7 +108,7 @@ class GpuScene:
     def parts_to_draw(self, clip: NDArray[np.float64], optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
         """Returns the parts that are in view and not behind a wall, nearest first."""
         parts = visible_parts(self._bounds, clip, optical.eye)
-        return parts[~self._screens.hidden(self._bounds, parts, optical, camera)]
+        return parts[~self._occluders.hidden(self._bounds, parts, optical, camera)]
 
     def draw(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
         """Draws parts in the given order, but in each distance band those without texture first.

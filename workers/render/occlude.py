@@ -18,7 +18,7 @@ from schemas.scene import CompiledScene
 from workers.geometry.camera import OpticalPose
 from workers.render.cull import PartBounds, reach_of_planes
 
-__all__ = ["Screens"]
+__all__ = ["Occluders"]
 
 F64 = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ resolution of the depth buffer."""
 
 
 @dataclass(frozen=True, eq=False)
-class Screens:
+class Occluders:
     """Large flat rectangles that hide the parts behind them, seen from the side of their normal."""
 
     corners: F64

@@ -23,7 +23,7 @@ from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
-from workers.sim.spawn import draw_poses, is_spawn_firm
+from workers.sim.spawn import draw_poses, is_spawn_stable
 
 __all__ = ["AttemptFailure", "Outcome", "Success", "run_attempt"]
 
@@ -70,7 +70,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     stage.renderer.load(place.scene, job.camera)  # before the world exists, because both need much memory at times
     for draws, start in enumerate(draw_poses(job, target, place, rng), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
-            if not is_spawn_firm(world, start, job):
+            if not is_spawn_stable(world, start, job):
                 continue
             expert = make_expert(job)
             planned = expert.begin(world.pose(), place.grid, target)

@@ -26,7 +26,7 @@ __all__ = ["ClosedLoop"]
 
 
 class ClosedLoop:
-    """Closed loop of one episode: call `decide` with an action, then `advance`, until `decide` ends the episode.
+    """Closed loop of one episode: the caller calls `decide` with an action, then `advance`, until `decide` ends it.
 
     Frame t and pose t are taken before action t; the last action is recorded, not carried out, so that every array
     has the length T and the poses alone prove the end (docs/design/data.md#bundle).

@@ -16,7 +16,7 @@ from schemas.job import Job
 from workers.geometry.appearance import Appearance
 from workers.geometry.slew import Twist, slew
 
-__all__ = ["foresee"]
+__all__ = ["predict_path"]
 
 _HZ = 20
 """Predicted poses per second; at full speed they are one cell of the grid apart."""
@@ -24,7 +24,7 @@ _LOOK_EVERY = 3
 """Number of poses between two evaluations of the mask, which take most of the time."""
 
 
-def foresee(
+def predict_path(
     start: tuple[float, float, float], goal: tuple[float, float], job: Job, appearance: Appearance | None = None
 ) -> NDArray[np.float64]:
     """Returns the predicted poses (N, 3) x, y, yaw from `start` to the success circle, metres and radians.

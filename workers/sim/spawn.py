@@ -21,7 +21,7 @@ from workers.geometry.grid import are_within, straight_end
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import geodesic_field, pose_table
-from workers.sim.foresight import foresee
+from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene
 
 ARRIVAL_RADIUS_M = 0.97
@@ -30,10 +30,10 @@ _CLOSEST_FAR_M = 1.5
 """Smallest distance to the target's centroid of the planner's starts in the far tier, metres."""
 _BEARINGS = 384
 """Number of bearings tested at one distance."""
-_FORESEEN = 32
+_PREDICTIONS = 32
 """Largest number of starts with a predicted path, of an expert that drives straight; if none of them has
-`_FORESEEN_MARGIN_M`, the start with the most free space is selected."""
-_FORESEEN_MARGIN_M = 0.10
+`_PREDICTION_MARGIN_M`, the start with the most free space is selected."""
+_PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
 Bools = NDArray[np.bool_]
@@ -42,7 +42,7 @@ Poses = NDArray[np.float64]
 Start = tuple[float, float, float]
 """x, y in metres and yaw in radians of base_link, world frame."""
 
-__all__ = ["draw_poses", "is_spawn_firm"]
+__all__ = ["draw_poses", "is_spawn_stable"]
 
 
 def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Pose]:
@@ -69,7 +69,7 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
         yield Pose.planar(*found, z=z)
 
 
-def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
+def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
     """Places the robot, simulates the warm-up steps, and returns whether it kept its place.
 
     Design: docs/design/starts.md#in-physics.
@@ -92,12 +92,12 @@ def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.G
     first = next(fitting, None)
     if first is None or job.expert is ExpertName.PLANNER:
         return first
-    some = itertools.chain((first,), itertools.islice(fitting, _FORESEEN - 1))
+    some = itertools.chain((first,), itertools.islice(fitting, _PREDICTIONS - 1))
     appearance = Appearance(place.scene, target.instance_id, job.camera)
     best, most_m = first, -math.inf
     for start in some:
         room_m = _room_along_drive(job, target, place, start, appearance)
-        if room_m >= _FORESEEN_MARGIN_M:
+        if room_m >= _PREDICTION_MARGIN_M:
             return start
         if room_m > most_m:
             best, most_m = start, room_m
@@ -182,5 +182,5 @@ def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[n
 def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
     """Returns the smallest free space around the footprint along the predicted path, metres."""
     x, y = target.centroid_m[:2]
-    drive = foresee(start, (x, y), job, appearance)
+    drive = predict_path(start, (x, y), job, appearance)
     return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())
