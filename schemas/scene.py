@@ -92,7 +92,7 @@ class Target(Model):
 
 
 class SceneInfo(Model):
-    """JSON metadata of the package."""
+    """JSON metadata of a compiled package."""
 
     format: Count = SCENE_FORMAT
     """Version of the compiled package."""

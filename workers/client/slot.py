@@ -36,7 +36,7 @@ log = structlog.get_logger(__name__)
 
 
 class _Stopped(Exception):
-    """The worker stops."""
+    """Exception that ends the loop of a slot when the worker stops."""
 
 
 class Slot:

@@ -1,6 +1,6 @@
 """Generates the URDF of the robot from the published dimensions of the Nova Carter (docs/design/robot.md).
 
-Returns text only. Does not write or load a file, and contains no file of NVIDIA.
+Returns text only. Does not write or load a file, and copies no file of NVIDIA.
 """
 
 from __future__ import annotations

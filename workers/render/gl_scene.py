@@ -1,6 +1,6 @@
 """Scenes on the graphics device and the shader programs that draw them, for the OpenGL renderer.
 
-Draws the given parts. Does not select them, and does not manage targets or read back images.
+Selects the visible parts of a scene and draws them. Does not manage targets or read back images.
 """
 
 from __future__ import annotations
