@@ -72,12 +72,12 @@ One MCAP file an episode, `episodes/ep_000001.mcap`, of profile `ros2` (CDR), ch
 class McapOptions(Decimated):
     """What can be chosen; the rate is that of the images, all else keeps the dataset's."""
 
-    ros2: bool = Field(default=False, description="ROS 2 messages instead of Foxglove's; needs the extra `ros2`.")
+    ros2: bool = Field(default=False, description="Write ROS 2 messages (extra `ros2`). Default: Foxglove messages.")
     start_time: int | None = Field(
         default=None,
         ge=1,
         le=_LATEST_S,
-        description=f"Time of frame 0 of the first episode with --ros2, seconds since 1970; default: {START_TIME_S}.",
+        description=f"Unix time of frame 0 of the first episode, seconds; with --ros2 only. Default: {START_TIME_S}.",
     )
 
     @model_serializer(mode="wrap")

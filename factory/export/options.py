@@ -18,7 +18,7 @@ class Decimated(Options):
         default=None,
         ge=1,
         le=240,
-        description="Frames a second; a divisor of the dataset's rate, which is the default.",
+        description="Frame rate, 1/s, a divisor of the dataset's rate. Default: the dataset's rate.",
     )
 
     def check(self, meta: DatasetMeta) -> None:
