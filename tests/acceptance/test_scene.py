@@ -36,7 +36,7 @@ def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT, plant))
     made = factory("scene", "import", stage, "--name", "den")
     assert (
-        "targets: 1 chair, 1 plant\nno target: 5 of 7 instances\n  5 of no known category: /World/Floor" in made.stdout
+        "targets: 1 chair, 1 plant\nnot targets: 5 of 7 instances\n  5 without a category: /World/Floor" in made.stdout
     )
     assert "--rules FILE" in made.stdout
     assert "next:    factory scene inspect den" in made.stdout
@@ -55,7 +55,7 @@ def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
     last = factory.json("scene", "import", stage, "--name", "den")["package"]
     again = factory("scene", "inspect", "den")
     assert "categories: 1 chair\n" in again.stdout
-    assert f"den was imported 2 times; taking the last, {last}" in again.stderr
+    assert f"den was imported 2 times; the last import is used: {last}" in again.stderr
 
 
 def test_a_package_in_another_folder_is_told_by_its_path(factory, tmp_path):
@@ -63,7 +63,7 @@ def test_a_package_in_another_folder_is_told_by_its_path(factory, tmp_path):
     made = factory.json("scene", "import", stage, "--name", "attic", "--cache", tmp_path / "a b")
     assert made["next"][0] == f"factory scene inspect '{made['package']}' -o attic.png"
     assert [thing["category"] for thing in made["no_target"]] == [None] * 5
-    assert "no scene is called 'attic'" in factory("scene", "inspect", "attic", expect=2).stderr
+    assert "'attic' is neither a scene nor an existing file" in factory("scene", "inspect", "attic", expect=2).stderr
 
 
 def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factory, tmp_path):
@@ -72,8 +72,8 @@ def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factor
     assert report["spawns"] >= 40
     assert report["share_within"] == 1.0
     words = factory("scene", "survey", package).stdout
-    assert "spawns without a target in sight: " in words
-    assert "floor within 2 m of a spawn: 100.0 %" in words
+    assert "start points without a visible target: " in words
+    assert "floor within 2 m of a start point: 100.0 %" in words
     assert not any(key in words for key in ("blind", "share_within", "farthest_floor_m"))
     closet = TEXT.box("Floor", (0, 0, -0.1), (2, 2, 0)) + TEXT.box("SM_Crate_01", (0.2, 0.2, 0), (0.5, 0.5, 0.4))
     _, small = room(factory, tmp_path / "small", closet)

@@ -69,7 +69,7 @@ def filter_option(
         type=_Names(word, names),
         metavar=word.upper(),
         callback=_flatten,
-        help=text or f"Select this {word}; repeatable. Values: {', '.join(names)}. Default: all.",
+        help=text or f"{word.capitalize()} to include; repeatable. Values: {', '.join(names)}. Default: all.",
     )
 
 
@@ -86,7 +86,7 @@ def tier_filter() -> Callable[[Command], Command]:
 def scene_filter() -> Callable[[Command], Command]:
     """`--scene SCENE` as `scenes`. Names are not checked: imported scenes have any name."""
     known = ", ".join(BUILTIN_CATEGORIES)
-    return filter_option("--scene", "scenes", (), f"Select this scene; repeatable. Built-in: {known}. Default: all.")
+    return filter_option("--scene", "scenes", (), f"Scene to include; repeatable. Built-in: {known}. Default: all.")
 
 
 def _flatten(context: click.Context, param: click.Parameter, given: Any) -> tuple[str, ...] | None:  # noqa: ARG001

@@ -25,7 +25,7 @@ def http_options(command: Command) -> Command:
             "--http-token",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE",
-            help="File with the bearer token of /metrics in its first line; required if --http is not a loopback address.",
+            help="File whose first line is the bearer token of /metrics. Required if --http is not a loopback address.",
         ),
         click.option(
             "--http",

@@ -180,7 +180,7 @@ def _door(
         raise UsageError("--listen and --connect require -o DIR, where the results of the workers are stored")
     if workers is not None:
         raise UsageError(
-            "--workers cannot be combined with --listen or --connect: remove it, and start `factory worker` on each host"
+            "--workers cannot be combined with --listen or --connect: remove it and start `factory worker` on each host"
         )
     if tls is not None and connect:
         if listen:

@@ -12,7 +12,7 @@ __all__ = ["eval_split_filter", "splits_of"]
 _TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
 
 eval_split_filter = split_filter(
-    f"Select this split; repeatable. Values: {', '.join(Split)}, all. Default: the test splits."
+    f"Split to include; repeatable. Values: {', '.join(Split)}, all. Default: the test splits."
 )
 """`--split SPLIT`."""
 

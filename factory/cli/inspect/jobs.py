@@ -132,7 +132,7 @@ def retry(
 ) -> int:
     """Put failed or cancelled jobs back into the queue.
 
-    EPISODES are names or numbers: ep_000001 or 1. The attempt counter of each job is reset.
+    EPISODES are names or numbers: ep_000001 or 1. Each job is attempted again as often as a new one.
     """
     return _administer(site, AdminAction.RETRY, episodes, everything, ledger, tls, as_json)
 

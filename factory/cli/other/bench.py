@@ -89,7 +89,7 @@ def rollout(
     renderer: str,
     as_json: bool,
 ) -> None:
-    """Measure the speed of collection on one core, from physics to bundle.
+    """Measure the speed of collection on one core.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Includes physics, control,
     rendering, encoding and writing of the bundle. `frames_per_s_per_core` uses wall-clock time. `frames_per_cpu_s` uses
@@ -117,7 +117,10 @@ def rollout(
 @renderer_option
 @json_option
 def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
-    """Measure the speed of rendering at fixed random poses in each scene."""
+    """Measure the speed of rendering.
+
+    All runs render the same random poses of each scene.
+    """
     plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
     machine, watch = describe_machine(), ProcessWatch()
     with _bar("render", len(plan.scenes)) as tell, _temporary_folder() as folder:
@@ -138,7 +141,7 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
 @renderer_option
 @json_option
 def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json: bool) -> None:
-    """Measure the memory of a simulation process over many episodes.
+    """Measure the memory of a simulation over many episodes.
 
     The process switches to another scene after each episode.
     """
@@ -160,7 +163,7 @@ def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json
 @_repeats_option
 @json_option
 def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats: int, as_json: bool) -> None:
-    """Measure the speed and memory of a coordinator with a large ledger.
+    """Measure a coordinator with a large ledger.
 
     Measures leases and submissions of real bundles, by direct calls and over the network. The memory is that of a
     separate coordinator process with all sessions connected, and while all workers send a bundle at the same time.
@@ -195,7 +198,7 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
 def read(
     root: Place | None, scenes: tuple[str, ...] | None, frames: int, workers: int, repeats: int, as_json: bool
 ) -> None:
-    """Measure the speed of random access to the frames of a dataset.
+    """Measure random access to the frames of a dataset.
 
     Without DIR or URL, a few episodes of each scene are generated first.
     """

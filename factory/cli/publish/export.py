@@ -54,7 +54,7 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
 )
 @split_filter()
 @click.option(
-    "--episode", "episodes", metavar="IDS", help="Select these episodes, e.g. 1-50,60 or ep_000060. Default: all."
+    "--episode", "episodes", metavar="IDS", help="Episodes to include, e.g. 1-50,60 or ep_000060. Default: all."
 )
 @former_option("--episodes", "episodes", "--episode")
 @workers_option("Number of processes")

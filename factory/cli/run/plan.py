@@ -37,7 +37,7 @@ def command() -> None:
 @shrink_options
 @json_option
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
-    """Show the number of episodes for each scene, split and tier of a plan.
+    """Show the number of episodes by scene, split and tier.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Files named in the plan must exist.
     """

@@ -87,7 +87,7 @@ def test_ctrl_c_anywhere_says_how_to_go_on(
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == 130
-    assert "run the same command again to go on" in capsys.readouterr().err
+    assert "run the same command again to continue" in capsys.readouterr().err
 
 
 def test_the_shell_completes_the_names_of_imported_scenes() -> None:

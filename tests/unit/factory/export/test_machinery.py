@@ -224,7 +224,7 @@ def test_command_names_what_the_dataset_lacks_of_its_plan_and_ends_with_one(tmp_
 
 def test_option_of_another_format_is_refused(varied: Path, tmp_path: Path) -> None:
     words = [str(varied), "--to", "paper", "-o", str(tmp_path / "out"), "--depth"]
-    with pytest.raises(UsageError, match="format paper has no --depth; its own options: --split-names"):
+    with pytest.raises(UsageError, match="--depth not valid for format paper; valid format options: --split-names"):
         CliRunner().invoke(command, words, standalone_mode=False, catch_exceptions=False)
 
 
@@ -233,5 +233,5 @@ def test_dry_run_writes_nothing(varied: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(command, words, standalone_mode=False)
     assert done.return_value == 0
     assert "4 episodes, 60 frames" in done.stdout
-    assert "measured on ep_" in done.stdout
+    assert "measured with ep_" in done.stdout
     assert not (tmp_path / "out").exists()
