@@ -131,7 +131,7 @@ def parse(
     if verb not in known:
         return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(known)}")
     if not is_host_name(host):
-        return Refusal(error=f"{verb}: {host[:_SHOWN_CHARS]!r} is no name for a host; give one such as node-07")
+        return Refusal(error=f"{verb}: {host[:_SHOWN_CHARS]!r} is not a valid host name; example: node-07")
     most = _MESSAGE_BYTES.get(Verb(verb), _SMALL_MESSAGE_BYTES)
     if len(payload) > most:
         return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")

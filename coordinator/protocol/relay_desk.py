@@ -77,7 +77,7 @@ def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: d
             "the same version on both"
         )
     if terms.errands is not None:
-        return Refusal(error="what an evaluation brings is small and wanted in one place: connect its workers here")
+        return Refusal(error="gateways do not store the results of evaluations: connect the workers to the coordinator")
     return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)
 
 
@@ -153,7 +153,7 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
     for index, size in keepers.kept_by(connection, gateway, told.first, told.last):
         owned.add(index)
         if files.get(index) != size:
-            wrong[index] = f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is gone"
+            wrong[index] = f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is missing"
         if len(wrong) == MAX_LOST:
             break
     for index, why in wrong.items():

@@ -71,7 +71,7 @@ def survey_archive(
     found = {summary.index for summary in result.adopt} | (owned.keys() - gone)
     result.restore += _restorable(root, judge, found)
     back = {summary.index for _, summary in result.restore}
-    result.requeue += [(index, "its file is gone") for index in sorted(gone - back)]
+    result.requeue += [(index, "its file is missing") for index in sorted(gone - back)]
     result.requeue = [(index, why) for index, why in result.requeue if index not in back]
     return result
 

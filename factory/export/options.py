@@ -35,5 +35,5 @@ def stride_of(fps: int | None, recorded_hz: int) -> int:
     wanted = recorded_hz if fps is None else fps
     if wanted < 1 or recorded_hz % wanted:
         rates = ", ".join(str(rate) for rate in range(1, recorded_hz + 1) if recorded_hz % rate == 0)
-        raise UsageError(f"--fps {wanted}: the dataset has {recorded_hz} frames a second, which can become {rates}")
+        raise UsageError(f"--fps {wanted}: the dataset has {recorded_hz} frames per second; valid values: {rates}")
     return recorded_hz // wanted

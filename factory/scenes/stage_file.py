@@ -99,7 +99,7 @@ def find_fault(path: Path) -> str:
     if path.is_dir():
         return f"{path} is a directory; give the stage's root layer, a file in it ({_SUPPORTED})"
     if not path.is_file():
-        return f"no USD file at {path}; give the path of the stage's root layer"
+        return f"no USD file at {path}; give the path of a stage's root layer"
     try:
         with path.open("rb") as file:
             head = file.read(_READ_BYTES)

@@ -6,7 +6,8 @@ from tests.builders.stage import StageText, room_body
 
 
 def test_splits_that_get_no_episode_are_named(factory):
-    assert "4 episodes are too few; splits without episodes: test_id" in factory("plan", "show", "demo", "--episodes", 4).stderr
+    said = factory("plan", "show", "demo", "--episodes", 4).stderr
+    assert "4 episodes are too few; splits without episodes: test_id" in said
     assert "too few" not in factory("plan", "show", "demo").stderr
 
 

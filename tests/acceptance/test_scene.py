@@ -131,7 +131,7 @@ def test_render_into_what_is_no_folder_says_so(factory, tmp_path):
 BAD = {
     "no mesh": (TEXT.group("Empty", ""), "1", "at or below /World"),
     "no floor": (TEXT.box("Wall", (0, 0, 0), (5, 0.1, 3)), "1", "widest prim /World/Wall"),
-    "no unit": (room_body(TEXT), "0", "says metersPerUnit = 0"),
+    "no unit": (room_body(TEXT), "0", "has metersPerUnit = 0"),
     "a floor of kilometres": (room_body(TEXT), "1000", "widest prim /World/Floor"),
     "no known thing": (TEXT.box("Floor", (0, 0, -0.1), (8, 8, 0)), "1", "such as /World/Floor"),
     "a circle": (TEXT.group("Loop", "", head="references = </World>"), "1", "In </World/Loop>: Cycle detected"),

@@ -258,7 +258,7 @@ def test_an_operator_is_served_by_the_running_coordinator_and_without_one_under_
     assert list(cancelled.refused) == [7]
     assert read_address(out) is None
     assert administer(out, AdminRequest(action=AdminAction.RETRY, indices=(1,)), now).changed == (1,)
-    with pytest.raises(UsageError, match="nobody to drain"):
+    with pytest.raises(UsageError, match="no worker to drain"):
         administer(out, AdminRequest(action=AdminAction.DRAIN), now)
 
 

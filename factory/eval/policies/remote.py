@@ -118,7 +118,7 @@ class RemotePolicy:
             except bad as error:
                 raise UsageError(f"policy server {self._address}: {error}; write ws://HOST:PORT") from error
             except (WireError, TypeError) as error:
-                what = f"{self._address} is no policy server of openpi's kind"
+                what = f"{self._address} is not an openpi policy server"
                 raise UsageError(f"{what}: its greeting {error}") from error
             except closed as error:
                 raise OSError(str(error)) from error

@@ -130,7 +130,7 @@ def test_failed_write_leaves_the_former_file(tmp_path: Path) -> None:
 
 
 def test_two_exports_never_work_on_one_directory(tmp_path: Path) -> None:
-    with Output(tmp_path), pytest.raises(WorldError, match="another export works on"):
+    with Output(tmp_path), pytest.raises(WorldError, match="another export is writing to"):
         Output(tmp_path)
 
 

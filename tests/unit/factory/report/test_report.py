@@ -198,7 +198,7 @@ def test_a_partial_dataset_says_how_far_it_is(tmp_path: Path) -> None:
 
 
 def test_no_dataset_and_no_table_are_errors(own: Path, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="holds no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         make_report(tmp_path / "nothing", tmp_path / "out")
     (own / "metadata.parquet").unlink()
     with pytest.raises(ArchiveCorrupt, match="missing"):

@@ -33,11 +33,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ("--connect", "tls/h:1", "--listen", "tls/h:2", "--tls", "pki", "-o", "out"),
             "a certificate has one role: give one of them",
         ),
-        (("--policy", "oracle"), "no policy 'oracle'; there are expert"),
-        (("--policy", "expert:best"), "no expert 'best'"),
-        (("--policy", "expert:plannr"), "no expert 'plannr'; .*; did you mean 'planner'"),
+        (("--policy", "oracle"), "unknown policy 'oracle'; built-in policies: expert"),
+        (("--policy", "expert:best"), "unknown expert 'best'; valid experts: "),
+        (("--policy", "expert:plannr"), "unknown expert 'plannr'; .*; did you mean 'planner'"),
         (("--policy", "nowhere_pilot:Policy"), "no module 'nowhere_pilot'; looked in"),
-        (("--policy", "exprt"), "no policy 'exprt'; .*; did you mean 'expert'"),
+        (("--policy", "exprt"), "unknown policy 'exprt'; .*; did you mean 'expert'"),
         (("--policy", "stop"), "has no episodes in test splits; evaluate on its other splits with --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),
         (("--policy", "stop", "--specs", "/nowhere.json"), "factory eval specs"),
@@ -56,7 +56,7 @@ def test_a_split_that_is_none_is_a_mistake_of_usage(dataset: Path) -> None:
 
 
 def test_a_directory_that_is_no_dataset_is_named(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="holds no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         cli.main(["eval", "--data", str(tmp_path), "--policy", "stop"], standalone_mode=False)
 
 
@@ -65,5 +65,5 @@ def test_freshly_drawn_episodes_have_nothing_to_replay() -> None:
     from tests.builders.eval_results import spec_of, specs_of
 
     drawn = specs_of(spec_of(1, source_episode=None, spawn_source="drawn"))
-    with pytest.raises(UsageError, match="freshly drawn"):
+    with pytest.raises(UsageError, match="newly sampled"):
         require_recordings("replay", drawn)
