@@ -100,7 +100,7 @@ def test_a_policy_that_always_raises_is_quoted_and_can_be_driven_anew(
     specs = out.parent / "specs.json"
     words = ("eval", "--data", drives, "--specs", specs, "--policy", "tests.builders.policies:Raises", "--videos", 0)
     first = factory(*words, "-o", tmp_path / "out", expect=1)
-    assert "2 of 2 ended by policy_raised" in first.stdout
+    assert "2 of 2 episodes ended with policy_raised" in first.stdout
     assert "KeyError: 'depth_front' (policies.py:" in first.stdout
     assert "had a fault in every episode, so it was not evaluated" in first.stderr
     (log,) = tmp_path.rglob("episodes.jsonl")
