@@ -162,7 +162,7 @@ def _settle(
             result.adopted.append(index)
             continue
         if index in owned:
-            refusal = f"{unsure[index].stat().st_size} bytes, the ledger says {owned[index]}; {refusal}"
+            refusal = f"{unsure[index].stat().st_size} bytes; in the ledger {owned[index]}; {refusal}"
         result.quarantined.append(archive.quarantine(unsure[index], refusal))
         if index in owned:
             with engine.begin() as connection:

@@ -149,7 +149,7 @@ def _remedy(path: Path, kind: str) -> str:
     if kind in _CONVERTERS:
         return _CONVERTERS[kind]
     if kind not in {*_BLENDER_READS, "Blender"}:
-        return "export it as USD with the program that made it"
+        return "export it as USD from the program that created it"
     export = f"bpy.ops.wm.usd_export(filepath={path.stem + '.usdc'!r})"
     if kind == "Blender":
         return f"convert it: blender --background {shlex.quote(path.name)} --python-expr {_quoted(export)}"

@@ -138,7 +138,9 @@ def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
             report.add(Kind.FOREIGN, name, "is not named like an episode")
         elif episode_id(index) not in rows:
             report.add(
-                Kind.SURPLUS, name, f"{METADATA_FILE} does not name it (while a run is under way, it lags behind)"
+                Kind.SURPLUS,
+                name,
+                f"{METADATA_FILE} does not list it (during a run, the table is updated with a delay)",
             )
     for entry in children(root):
         if not is_part(entry.name):

@@ -211,11 +211,11 @@ def test_scenes_are_served_in_chunks(opened, worker, tmp_path):
 @pytest.mark.parametrize(
     ("verb", "payload", "reason"),
     [
-        ("claim", b"not json", "not understood"),
+        ("claim", b"not json", "invalid message"),
         ("claim", b'{"sid": "host-1", "token": "short"}', "token"),
-        ("steal", b"{}", "no verb"),
+        ("steal", b"{}", "unknown verb"),
         ("beat", b"x" * ((1 << 20) + 1), "more than"),
-        ("claim", Claim(sid="other-1", token="b" * 32).model_dump_json().encode(), "not of host"),
+        ("claim", Claim(sid="other-1", token="b" * 32).model_dump_json().encode(), "does not belong to host"),
     ],
 )
 def test_a_bad_message_is_refused_with_the_reason(worker, verb, payload, reason):

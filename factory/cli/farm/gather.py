@@ -35,7 +35,7 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
 
     DIR is the coordinator's dataset directory; stop its coordinator first. GATEWAY_DIR is the --out of a gateway, or a
     copy of it; it is not changed. Each episode is checked against the ledger. If you give only some of the gateways'
-    directories, run the command again with the others. Exits with 1 if episodes are missing.
+    directories, run the command again with the others. Exits with 1 if episodes are missing and not requeued.
     """
     configure_logs()
     with Bars(transient=True) as bar:

@@ -55,7 +55,7 @@ def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
             "--targets",
             type=file,
             metavar="FILE",
-            help="List of targets, written by `factory scene targets` and edited. Default: all.",
+            help="List of targets, written by `factory scene targets` and edited. Default: all that the rules find.",
         ),
         click.option(
             "--rules", type=file, metavar="FILE", help="YAML file of category rules. Default: the built-in rules."

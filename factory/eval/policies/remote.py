@@ -52,7 +52,7 @@ class RemotePolicy:
         message = {**self._fixed, **{key: value for key, value in observation.items() if key != "instruction"}}
         answer = self._ask(pack(message))
         if isinstance(answer, str):
-            lines = answer.strip().splitlines() or ["without a word"]
+            lines = answer.strip().splitlines() or ["no text"]
             raise PolicyFailure(PolicyFault.RAISED, f"the server reports an error: {lines[-1][:300]}")
         try:
             return unpack(answer)
