@@ -43,7 +43,7 @@ def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
     plan = tmp_path / "den.toml"
     plan.write_text(made.stdout[made.stdout.index('name = "den"') :])
     assert factory.json("plan", "nearest", plan)["possible"]
-    assert "no target: 5 of 7 instances" in factory("scene", "inspect", "den").stdout
+    assert "not targets: 5 of 7 instances" in factory("scene", "inspect", "den").stdout
     assert factory.json("scene", "survey", "den")["spawns"] >= 40
     assert factory.json("scene", "targets", "den", "-o", tmp_path / "list.yaml")["scene"] == "den"
     assert "did you mean 'den'?" in factory("scene", "inspect", "denn", expect=2).stderr

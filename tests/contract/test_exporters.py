@@ -233,7 +233,7 @@ def test_other_episodes_of_the_dataset_are_refused(dataset: Path, calm: dict[str
 @every_format
 def test_another_format_is_refused(dataset: Path, calm: dict[str, Path], name: str) -> None:
     other = next(other for other in EXPORTERS if other != name)
-    with pytest.raises(WorldError, match=f"format {name}, asked for {other}"):
+    with pytest.raises(WorldError, match=f"format {name}, requested {other}"):
         run_export(order(dataset, calm[name], other))
 
 

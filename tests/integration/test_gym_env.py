@@ -133,7 +133,7 @@ def test_what_is_no_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) ->
         ({"size": 0}, "choose 1 to 2048 pixels"),
         ({"size": 4096}, "choose 1 to 2048 pixels"),
         ({"actions": "joints"}, "tokens"),
-        ({"split": "test"}, "no split test"),
+        ({"split": "test"}, "unknown split test"),
         ({"instruction": "words"}, "choose text, tokens, none"),
         ({"vocabulary": ("<pad>", "<unknown>", "<any>", "go")}, "requires instruction='tokens'"),
         ({"instruction": "tokens", "vocabulary": ("go", "to")}, "not a vocabulary"),

@@ -128,7 +128,7 @@ def test_without_an_authority_nothing_is_issued(tmp_path):
 
 
 def test_unknown_hosts_cannot_be_revoked(pki):
-    with pytest.raises(UsageError, match="admitted: boss, node-1"):
+    with pytest.raises(UsageError, match="admitted hosts: boss, node-1"):
         revoke(pki, "nobody")
 
 

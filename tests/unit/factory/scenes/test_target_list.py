@@ -101,7 +101,7 @@ ROW = "{id: a_1, category: chair, prim_path: /World/A}"
             ["category, prim_path", "line 3", "check for a missing line"],
         ),
         ("scene: room\ntargets: 7", ["targets"]),
-        (f"scene: room\ntargets: [{ROW}, {ROW}]", ["id stands twice: a_1"]),
+        (f"scene: room\ntargets: [{ROW}, {ROW}]", ["id is listed twice: a_1"]),
         (
             "scene: room\ntargets: [{id: a_1, category: chair, prim_path: /A, enabled: false}]",
             ["all targets are disabled"],
