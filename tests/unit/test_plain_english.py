@@ -14,7 +14,8 @@ from tests.unit.factory.cli.test_conventions import commands, options
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("coordinator", "factory", "minivla", "schemas", "workers")
 RIDDLES = re.compile(
-    r"(?<!there )\b(is no (?!longer\b)|are none\b|is none\b|holds? (no|another|a|an)\b|lies? (in|at|there|outside|inside|under)\b|"
+    r"(?<!there )\b(is no (?!longer\b)|are none\b|is none\b|holds? (no|another|a|an)\b|"
+    r"lies? (in|at|there|outside|inside|under)\b|"
     r"stands? (in|there|twice|where|above)\b|somebody|nobody|everybody|anew\b|asked for\b|is wanted\b|are wanted\b|"
     r"put right\b|(one|frames?|\d+) a (core|second|scene|host)\b|is gone\b|go on\b|goes on\b|left out\b)"
 )

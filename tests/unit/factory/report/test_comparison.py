@@ -62,7 +62,10 @@ def test_the_overall_length_is_weighted_by_the_papers_tiers() -> None:
 
 
 def test_a_missing_tier_is_said_instead_of_weighted() -> None:
-    assert "There are no mid episodes, so the mean cannot be weighted" in found([drive(1, 6.0, 5.0)], "TL mean, all").reason
+    assert (
+        "There are no mid episodes, so the mean cannot be weighted"
+        in found([drive(1, 6.0, 5.0)], "TL mean, all").reason
+    )
 
 
 def test_a_rate_within_the_papers_range_differs_by_nothing() -> None:
