@@ -61,7 +61,7 @@ def test_a_directory_of_another_plan_is_left_alone(factory, calm, tmp_path):
 
 def test_a_directory_within_a_dataset_is_refused(factory, plan, calm):
     err = factory("run", plan, "--out", calm / "episodes" / "x", expect=2).stderr
-    assert f"lies in the dataset {calm}" in err
+    assert f"is inside the dataset {calm}" in err
     assert not (calm / "episodes" / "x").exists()
 
 
@@ -71,7 +71,7 @@ def test_what_is_no_part_of_a_dataset_is_said_before_one_is_made_beside_it(facto
     out.mkdir()
     (out / "thesis.tex").write_text("mine")
     err = factory("run", plan, "--out", out, expect=2).stderr
-    assert "no part of a dataset, as `factory verify` will say: thesis.tex" in err
+    assert "files that do not belong to a dataset; `factory verify` will report them: thesis.tex" in err
 
 
 def test_a_worker_without_a_coordinator_says_how_to_start_one(factory):

@@ -163,18 +163,18 @@ def test_upload_in_parts_that_was_never_finished_is_not_seen(
 
 def test_store_that_ignores_conditions_is_refused(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
     relay.ignores_conditions = True
-    assert "overwrites an object although it was told not to" in said_by(lambda: open_archive(tmp_path, store))
+    assert "ignores conditional writes" in said_by(lambda: open_archive(tmp_path, store))
     assert list(store.walk()) == []
 
 
 def test_dataset_belongs_to_one_home_until_it_is_closed_or_taken_over(store: ObjectPath, tmp_path: Path) -> None:
     first = ObjectArchive(store, tmp_path / "first")
     said = said_by(lambda: open_archive(tmp_path / "second", store))
-    assert f"another coordinator holds {store}: that of {tmp_path / 'first'} on host" in said
+    assert f"is in use by another coordinator {store}: that of {tmp_path / 'first'} on host" in said
     assert f"factory repair --take-over {store}" in said
     with open_archive(tmp_path / "second", store, take_over=True):
         first.close()
-        assert "another coordinator holds" in said_by(lambda: open_archive(tmp_path / "first", store))
+        assert "is in use by another coordinator" in said_by(lambda: open_archive(tmp_path / "first", store))
     with open_archive(tmp_path / "first", store):
         pass
     assert list(store.walk()) == []
