@@ -143,7 +143,7 @@ def _require_whole(root: Path, store: Store) -> None:
     with look_into(ledger_url_of(root)) as connection:
         failed = list_jobs(connection, JobFilter(states=(JobState.FAILED,)), limit=_NAMED)
     if failed:
-        reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)
+        reasons = "\n".join(f"  - {job.episode.target_id} in {job.episode.scene}: {job.reason}" for job in failed)
         raise WorldError(
             f"some episodes could not be driven; the others are kept in {store.root}. Put right what is wrong and run "
             f"the same command again:\n{reasons}"

@@ -13,6 +13,7 @@ from factory.eval.models.messages import EvalOrder, EvalTask
 from factory.eval.policies import file_of
 from factory.eval.specs.campaign import Campaign, orders_for, with_actions
 from factory.eval.specs.from_dataset import Places
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.keys import EVALUATION_PREFIX
 from schemas.plan import Budget, Plan, canonical_json
@@ -96,19 +97,8 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], att
 
 def planned_of(order: EvalOrder, index: int) -> PlannedJob:
     """Returns an order as a row of the ledger."""
-    question, spec = order.question, order.question.spec
-    return PlannedJob(
-        index=index,
-        draw=0,
-        scene=spec.scene,
-        tier=spec.tier,
-        split=spec.split,
-        category=spec.category,
-        target_id=spec.target_id,
-        colour=spec.colour,
-        template_id=spec.template_id,
-        instruction=question.instruction,
-    )
+    question = order.question
+    return PlannedJob(index, 0, EpisodeSpec.of(question.spec, instruction=question.instruction))
 
 
 def text_of(campaign: Campaign, order: EvalOrder) -> str:
