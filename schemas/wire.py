@@ -20,7 +20,7 @@ __all__ = [
     "HOST_PATTERN",
     "MAX_ATTACHMENT_BYTES",
     "MAX_DETAIL_CHARS",
-    "MAX_ERRAND_CHARS",
+    "MAX_EVAL_TASK_CHARS",
     "MAX_HOSTS",
     "MAX_INDICES",
     "MAX_LEASES",
@@ -36,6 +36,7 @@ __all__ = [
     "Claim",
     "ClaimReply",
     "Done",
+    "EvalPayload",
     "Fail",
     "Hello",
     "HelloReply",
@@ -53,7 +54,7 @@ __all__ = [
 PROTOCOL = 1
 """Version of keys and messages; it stands in every key."""
 MAX_MESSAGE_BYTES = 1 << 20
-MAX_ERRAND_CHARS = 1 << 18
+MAX_EVAL_TASK_CHARS = 1 << 18
 MAX_LEASES = 256
 """Most leases in simulation, and as many in the spool, of one beat; a host that has more beats several times."""
 MAX_DETAIL_CHARS = 2000
@@ -131,10 +132,19 @@ class Claim(Model):
 
 
 class Attachment(Model):
-    """A file that an errand needs; fetched by its digest as a compiled scene is."""
+    """A file that an evaluation task needs; fetched by its digest as a compiled scene is."""
 
     sha256: Sha256
     size: Annotated[int, Field(ge=1, le=MAX_ATTACHMENT_BYTES)]
+
+
+class EvalPayload(Model):
+    """The task of an evaluation's job; coordinator and worker carry it and do not read the text."""
+
+    task: Annotated[str, Field(max_length=MAX_EVAL_TASK_CHARS)]
+    """An `EvalTask` of `factory.eval.models.messages`, as JSON."""
+    attachment: Attachment | None = None
+    """What its policy is made of."""
 
 
 class ClaimReply(Model):
@@ -142,9 +152,8 @@ class ClaimReply(Model):
 
     job: Job | None = None
     lease: Lease | None = None
-    errand: Annotated[str, Field(max_length=MAX_ERRAND_CHARS)] | None = None
-    """What a run of errands tells the simulation beside the job; nobody in between reads it."""
-    attachment: Attachment | None = None
+    evaluation: EvalPayload | None = None
+    """The task of the job, in an evaluation."""
     retry_after_s: NonNegative = 0.0
     finished: bool = False
     """Whether every job has reached its end, so that the worker may leave."""

@@ -63,7 +63,7 @@ def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: d
             error=f"gateway {gateway} runs minivla-factory {join.version}, the coordinator {terms.version}: install "
             "the same version on both"
         )
-    if terms.errands is not None:
+    if terms.evaluation is not None:
         return Refusal(error="what an evaluation brings is small and wanted in one place: connect its workers here")
     return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)
 

@@ -13,9 +13,9 @@ from coordinator.recovery.judge import Draws
 from coordinator.tables.checkpoint import count_failures, read_failures
 from coordinator.tables.table_reader import read_column, read_failed_attempts
 from schemas.dataset import EpisodeSummary, FailedAttempt
-from schemas.episode_spec import columns_of
 from schemas.dataset_files import ATTEMPTS_FILE, METADATA_FILE
 from schemas.dataset_meta import read_dataset_meta
+from schemas.episode_spec import columns_of
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place

@@ -16,8 +16,8 @@ from coordinator.ledger.reading.records import LedgerEpisodes
 from coordinator.ledger.tables import attempts, episodes, jobs
 from coordinator.tables.write import write_tables
 from schemas.dataset import FailedAttempt
-from schemas.episode_spec import columns_of
 from schemas.dataset_meta import DatasetMeta, GateOutcome, read_dataset_meta
+from schemas.episode_spec import columns_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan

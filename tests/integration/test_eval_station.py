@@ -1,4 +1,4 @@
-"""The process at the end of a worker's pipe in a run of errands: what it refuses by itself."""
+"""The process at the end of a worker's pipe in an evaluation: what it refuses by itself."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 
 
 def said_to(policy: str, tmp_path: Path) -> list[SimulationReport]:
-    """Returns the reports on one errand."""
-    question = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
-    errand = EvalTask(setup=Setup(settings=EvalSettings()), policy=policy, question=question)
+    """Returns the reports on one task."""
+    request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
+    task = EvalTask(number=1, policy=policy, request=request, setup=Setup(settings=EvalSettings()))
     order = SimulationOrder(
         job=job_for(1),
         scene_path=tmp_path / "no.scene",
         bundle_path=tmp_path / "1.1.zip",
         sid="host-1",
-        errand=errand.model_dump_json(),
+        eval_task=task.model_dump_json(),
     )
     command = [sys.executable, "-m", "factory.eval.remote.eval_worker"]
     found: list[SimulationReport] = []

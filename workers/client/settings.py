@@ -55,8 +55,8 @@ class WorkerSettings:
     max_scene_bytes: int = 4 << 30
     command: tuple[str, ...] = ()
     """How to start a simulation; empty takes our own."""
-    errand_command: tuple[str, ...] = ()
-    """How to start what carries out errands; empty refuses runs of errands."""
+    eval_command: tuple[str, ...] = ()
+    """Command of a process that executes evaluation tasks; empty refuses evaluations."""
 
     @property
     def simulation_command(self) -> tuple[str, ...]:
@@ -71,11 +71,9 @@ class WorkerSettings:
         """
         if trade is Trade.COLLECTION:
             return self.simulation_command
-        if not self.errand_command:
-            raise WorldError(
-                f"the run is an {trade}, and this worker was given no errand_command: use `factory worker`"
-            )
-        return self.errand_command
+        if not self.eval_command:
+            raise WorldError(f"the run is an {trade}, and this worker was given no eval_command: use `factory worker`")
+        return self.eval_command
 
     @property
     def spool_limit(self) -> int:

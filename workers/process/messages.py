@@ -26,10 +26,10 @@ class SimulationOrder(Model):
     """Where the finished bundle shall lie; nothing lies there before it is whole."""
     sid: str
     """Session id of the worker, for the provenance."""
-    errand: str | None = None
-    """What a run of errands says beside the job, as it came."""
+    eval_task: str | None = None
+    """The task of an evaluation's job, as it came."""
     attachment_path: Path | None = None
-    """The file that came with the errand, fetched and checked."""
+    """The file that is attached to the task, fetched and checked."""
 
 
 class SimulationReportKind(StrEnum):

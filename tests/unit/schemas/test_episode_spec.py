@@ -29,7 +29,7 @@ def test_the_fields_of_the_spec_stay_flat_in_published_json(message: Model) -> N
 
 @pytest.mark.parametrize("model", [Job, EvalSpec])
 def test_jobs_and_evaluation_specs_define_no_field_of_the_spec_again(model: type[Model]) -> None:
-    assert FIELDS == set(EpisodeSpec.model_fields)
+    assert set(EpisodeSpec.model_fields) == FIELDS
     assert issubclass(model, EpisodeSpec)
     assert not FIELDS & model.__annotations__.keys()
 

@@ -101,16 +101,17 @@ def test_paraphrased_templates_appear_only_in_test_paraphrase_ood():
 
 def test_colour_templates_are_left_out_when_colours_are_off():
     plan = shrink(PAPER, episodes=300).model_copy(update={"colors": "off"})
-    jobs = expand(plan, make_catalog(plan))
-    assert all(job.episode.colour == "unknown" for job in jobs)
-    assert {job.episode.template_id for job in jobs}.isdisjoint({"train_06", "train_07", "train_08", "train_16", "ood_04"})
-    assert len({job.episode.template_id for job in jobs if job.episode.template_id.startswith("train")}) == 14
+    episodes = [job.episode for job in expand(plan, make_catalog(plan))]
+    assert all(episode.colour == "unknown" for episode in episodes)
+    drawn = {episode.template_id for episode in episodes}
+    assert drawn.isdisjoint({"train_06", "train_07", "train_08", "train_16", "ood_04"})
+    assert sum(name.startswith("train") for name in drawn) == 14
 
 
 def test_balanced_plans_draw_categories_as_evenly_as_whole_numbers_allow():
     plan = shrink(BUILTIN_PLANS["balanced"], episodes=240)
-    jobs = [j for j in expand(plan, make_catalog(plan)) if j.episode.scene == "office" and j.episode.split is not Split.TEST_OOD_OBJ]
-    counts = Counter(job.episode.category for job in jobs)
+    episodes = [job.episode for job in expand(plan, make_catalog(plan))]
+    counts = Counter(e.category for e in episodes if e.scene == "office" and e.split is not Split.TEST_OOD_OBJ)
     assert max(counts.values()) - min(counts.values()) <= 1
 
 
