@@ -43,8 +43,8 @@ def bundle_for(job: Job) -> bytes:
     return parts_for(job).write()
 
 
-def until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
-    """Waits for something that happens in another thread."""
+def until(condition: Callable[[], bool], within_s: float = 120.0) -> None:
+    """Waits for something that happens in another thread; the limit ends a hang and measures nothing."""
     end = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < end, "waited in vain"
