@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from factory.eval.models.messages import EvalTask, Setup
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalTask, Setup
 from factory.eval.models.request import EvalRequest
 from factory.eval.models.spec import EvalSettings
+from factory.eval.process.driver_process import DriverProcess
 from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.eval_results import spec_of
@@ -54,3 +55,25 @@ def test_a_scene_that_is_not_there_is_no_result(tmp_path: Path) -> None:
     last = said_to("stop", tmp_path)[-1]
     assert last.reason is FailReason.CRASH
     assert "no.scene" in last.detail
+
+
+def test_a_driver_process_is_replaced_when_the_settings_change(tmp_path: Path) -> None:
+    seat = DriverProcess()
+
+    def process_for(act_timeout_s: float) -> int | None:
+        setup = Setup(settings=EvalSettings(), act_timeout_s=act_timeout_s)
+        request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
+        task = EvalTask(number=1, policy="stop", request=request, setup=setup)
+        seat.give(DriverOrder(task=task, package=tmp_path / "no.scene"))
+        while (heard := seat.hear(60.0)) is None:
+            pass
+        assert isinstance(heard, EvalReport)
+        assert heard.number == task.number
+        assert seat.made == {"stop": "nothing"}
+        return seat.pid
+
+    try:
+        first, again, other = process_for(1.0), process_for(1.0), process_for(2.0)
+    finally:
+        seat.kill()
+    assert first == again != other
