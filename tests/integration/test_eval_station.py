@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from factory.eval.models.messages import DriverOrder, EvalReport, EvalTask, Setup
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask, Setup
 from factory.eval.models.request import EvalRequest
 from factory.eval.models.spec import EvalSettings
 from factory.eval.process.driver_process import DriverProcess
@@ -58,17 +58,19 @@ def test_a_scene_that_is_not_there_is_no_result(tmp_path: Path) -> None:
 
 
 def test_a_driver_process_is_replaced_when_the_settings_change(tmp_path: Path) -> None:
+    package = tmp_path / "damaged.scene"
+    package.write_bytes(b"damaged")
     seat = DriverProcess()
 
     def process_for(act_timeout_s: float) -> int | None:
         setup = Setup(settings=EvalSettings(), act_timeout_s=act_timeout_s)
         request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
         task = EvalTask(number=1, policy="stop", request=request, setup=setup)
-        seat.give(DriverOrder(task=task, package=tmp_path / "no.scene"))
+        seat.give(DriverOrder(task=task, package=package))
         while (heard := seat.hear(60.0)) is None:
             pass
         assert isinstance(heard, EvalReport)
-        assert heard.number == task.number
+        assert (heard.kind, heard.number) == (EvalReportKind.REFUSED, task.number)
         assert seat.made == {"stop": "nothing"}
         return seat.pid
 
