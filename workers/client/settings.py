@@ -72,7 +72,7 @@ class WorkerSettings:
         if trade is Trade.COLLECTION:
             return self.simulation_command
         if not self.eval_command:
-            raise WorldError(f"the run is an {trade}, and this worker was given no eval_command: use `factory worker`")
+            raise WorldError(f"the run is an {trade}, and this worker has no eval_command: use `factory worker`")
         return self.eval_command
 
     @property

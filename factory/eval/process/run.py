@@ -128,10 +128,10 @@ class _Round:
         if report.kind is EvalReportKind.REFUSED:
             raise UsageError(report.detail) if report.exit_code == 2 else WorldError(report.detail)
         if report.kind is EvalReportKind.AWAY:
-            kept = f"results so far are kept in {self._store.root}"
+            kept = f"the results so far are in {self._store.root}"
             raise WorldError(f"{report.detail}; {kept}: start the server and run the same command again")
         if report.kind is EvalReportKind.DEFECT:
-            raise RuntimeError(f"a driving process broke: {report.detail}")
+            raise RuntimeError(f"a simulation process failed: {report.detail}")
         return report.result
 
     def _after_end(self, seat: DriverProcess, ended: DriverEnded, waiting: deque[EvalTask]) -> EpisodeResult | None:
@@ -141,7 +141,7 @@ class _Round:
         if ended.fault is not None and self._made() is not None:
             return result_of_end(task, ended.detail, ended.fault, ended.state)
         if ended.fault is not None:
-            raise WorldError(f"policy {task.policy} cannot be made: {ended.detail}")
+            raise WorldError(f"policy {task.policy} cannot be created: {ended.detail}")
         self._deaths[task.number] = self._deaths.get(task.number, 0) + 1
         if self._deaths[task.number] >= _TRIES:
             raise WorldError(f"{task.request.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")

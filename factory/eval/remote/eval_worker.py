@@ -106,7 +106,7 @@ def _result(
     if isinstance(heard, DriverEnded):
         if heard.fault is not None and task.policy in seat.made:
             return result_of_end(task, heard.detail, heard.fault, heard.state)
-        where = "" if heard.fault is None else f"policy {task.policy} cannot be made: "
+        where = "" if heard.fault is None else f"policy {task.policy} cannot be created: "
         return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
     if heard.result is not None:
         return heard.result
