@@ -10,6 +10,7 @@ from pydantic import Field
 
 from schemas.base import Bytes, Count, Finite, Line, Model, Name, NonNegative, Ordinal, PrimPath, Sha256
 from schemas.episode import EpisodeMeta
+from schemas.episode_spec import columns_of
 from schemas.terms import EndReason, ExpertName, Split, Tier
 
 __all__ = ["PUBLISHED_COLUMNS", "BundleReceipt", "EpisodeSummary", "FailedAttempt", "file_name_of", "summary_of"]
@@ -208,20 +209,13 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
     spawn_x, spawn_y, spawn_yaw = rollout.spawn_pose
     return EpisodeSummary(
         episode_id=meta.episode_id,
-        split=job.split,
-        scene=job.scene,
-        instruction=job.instruction,
-        target_category=job.category,
-        target_id=job.target_id,
-        spawn_tier=job.tier,
+        **columns_of(job, EpisodeSummary),
         spawn_dist_m=rollout.spawn_dist_m,
         num_steps=rollout.num_steps,
         trajectory_length_m=rollout.trajectory_length_m,
         final_ne_m=rollout.final_ne_m,
         collision_count=rollout.collision_count,
-        template_id=job.template_id,
         index=job.index,
-        colour=job.colour,
         phrase_is_unique=meta.phrase_is_unique,
         target_prim_path=meta.target_prim_path,
         goal_x_m=goal_x,

@@ -7,10 +7,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from schemas.base import Bytes, Count, Line, Model, Name, Ordinal, Sha256
+from schemas.base import Bytes, Count, Line, Ordinal, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import ExpertName
 
 __all__ = ["EPISODE_ID_FORMAT", "Job", "episode_id"]
 
@@ -22,7 +23,7 @@ def episode_id(index: int) -> str:
     return EPISODE_ID_FORMAT.format(index)
 
 
-class Job(Model):
+class Job(EpisodeSpec):
     """One attempt at one planned episode; a pure function of plan, scene, index and attempt."""
 
     run: Line
@@ -37,26 +38,10 @@ class Job(Model):
     """Number of times that target and template were drawn again after too many failed attempts."""
     attempt: Ordinal
     """Number of the attempt over all draws, from 1; increases only after a failure of the task."""
-    scene: Name
-    """Name of the scene."""
     scene_sha256: Sha256
     """Digest of the compiled package."""
     scene_bytes: Annotated[Bytes, Field(ge=1)]
     """Size of the compiled package, bytes."""
-    tier: Tier
-    """Distance tier of the start."""
-    split: Split
-    """Split of the episode."""
-    category: Name
-    """Category of the target."""
-    target_id: Name
-    """Name of the target within the scene."""
-    colour: Name
-    """Colour word that the instruction may use, or `unknown`."""
-    template_id: Name
-    """Name of the instruction template."""
-    instruction: Line
-    """Instruction in English."""
     expert: ExpertName
     """Controller that drives."""
     task: TaskConfig

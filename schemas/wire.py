@@ -21,7 +21,7 @@ __all__ = [
     "HOST_PATTERN",
     "MAX_ATTACHMENT_BYTES",
     "MAX_DETAIL_CHARS",
-    "MAX_ERRAND_CHARS",
+    "MAX_EVAL_TASK_CHARS",
     "MAX_HOSTS",
     "MAX_INDICES",
     "MAX_LEASES",
@@ -37,6 +37,7 @@ __all__ = [
     "Claim",
     "ClaimReply",
     "Done",
+    "EvalPayload",
     "Fail",
     "Hello",
     "HelloReply",
@@ -55,8 +56,8 @@ PROTOCOL = 1
 """Version of keys and messages; it is part of every key."""
 MAX_MESSAGE_BYTES = 1 << 20
 """Largest size of a message, bytes."""
-MAX_ERRAND_CHARS = 1 << 18
-"""Largest length of an errand, characters."""
+MAX_EVAL_TASK_CHARS = 1 << 18
+"""Largest length of an evaluation task, characters."""
 MAX_LEASES = 256
 """Largest number of leases in simulation, and of leases in the spool, in one heartbeat; a host with more leases sends
 several heartbeats."""
@@ -145,12 +146,21 @@ class Claim(Model):
 
 
 class Attachment(Model):
-    """File that an errand needs; the worker fetches it by digest, as it fetches a compiled scene."""
+    """File that an evaluation task needs; the worker fetches it by digest, as it fetches a compiled scene."""
 
     sha256: Sha256
     """SHA-256 of the file."""
     size: Annotated[int, Field(ge=1, le=MAX_ATTACHMENT_BYTES)]
     """Size of the file, bytes."""
+
+
+class EvalPayload(Model):
+    """The task of an evaluation's job; coordinator and worker carry it and do not read the text."""
+
+    task: Annotated[str, Field(max_length=MAX_EVAL_TASK_CHARS)]
+    """An `EvalTask` of `factory.eval.models.messages`, as JSON."""
+    attachment: Attachment | None = None
+    """File that its policy is made of."""
 
 
 class ClaimReply(Model):
@@ -160,10 +170,8 @@ class ClaimReply(Model):
     """Job to execute; null if none is available."""
     lease: Lease | None = None
     """Lease on the job."""
-    errand: Annotated[str, Field(max_length=MAX_ERRAND_CHARS)] | None = None
-    """Additional input of the simulation in a run of errands; the worker passes it on unparsed."""
-    attachment: Attachment | None = None
-    """File that the errand needs."""
+    evaluation: EvalPayload | None = None
+    """Task of the job in an evaluation."""
     retry_after_s: NonNegative = 0.0
     """Time to wait before the next claim, seconds."""
     finished: bool = False

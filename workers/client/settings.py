@@ -59,8 +59,8 @@ class WorkerSettings:
     """Largest size of the scene cache, bytes."""
     command: tuple[str, ...] = ()
     """Command line of a simulation process; empty selects the default."""
-    errand_command: tuple[str, ...] = ()
-    """Command line of a process that executes errands; if empty, the worker rejects runs of errands."""
+    eval_command: tuple[str, ...] = ()
+    """Command line of a process that executes evaluation tasks; if empty, the worker rejects evaluations."""
 
     @property
     def simulation_command(self) -> tuple[str, ...]:
@@ -75,9 +75,9 @@ class WorkerSettings:
         """
         if trade is Trade.COLLECTION:
             return self.simulation_command
-        if not self.errand_command:
-            raise WorldError(f"the run is an {trade}, and this worker has no errand_command: use `factory worker`")
-        return self.errand_command
+        if not self.eval_command:
+            raise WorldError(f"the run is an {trade}, and this worker has no eval_command: use `factory worker`")
+        return self.eval_command
 
     @property
     def spool_limit(self) -> int:

@@ -151,7 +151,7 @@ class Slot:
         host = self._host
         try:
             scene = self._fetch(job.scene_sha256, job.scene_bytes, lease)
-            more = given.attachment
+            more = None if given.evaluation is None else given.evaluation.attachment
             attached = self._fetch(more.sha256, more.size, lease) if more is not None else None
         except FactoryError as error:
             if isinstance(error, LeaseLost):
@@ -163,7 +163,7 @@ class Slot:
             scene_path=scene,
             bundle_path=bundle,
             sid=host.sid,
-            errand=given.errand,
+            eval_task=None if given.evaluation is None else given.evaluation.task,
             attachment_path=attached,
         )
         self._simulation.order(order)
@@ -180,7 +180,7 @@ class Slot:
                 host.leases.note_step(lease, step)
 
     def _fetch(self, sha256: str, size: int, lease: Lease) -> Path:
-        """Returns the path of the file with that digest, a scene or the attachment of an errand."""
+        """Returns the path of the file with that digest, a scene or the attachment of an evaluation task."""
         host = self._host
 
         def wait() -> None:

@@ -27,10 +27,10 @@ class SimulationOrder(Model):
     """Path of the finished bundle; the file appears there when it is complete."""
     sid: str
     """Session id of the worker, for the provenance."""
-    errand: str | None = None
-    """Additional input in a run of errands, unparsed."""
+    eval_task: str | None = None
+    """Evaluation task, unparsed."""
     attachment_path: Path | None = None
-    """Path of the errand's attachment, already fetched and checked."""
+    """Path of the task's attachment, already fetched and checked."""
 
 
 class SimulationReportKind(StrEnum):
