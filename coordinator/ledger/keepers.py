@@ -10,9 +10,10 @@ from collections.abc import Mapping
 from sqlalchemy import delete, func, insert, inspect, select
 from sqlalchemy.engine import Connection
 
+from coordinator.archive.difference import RecordedFile
 from coordinator.ledger.tables import episodes, keepers
 
-__all__ = ["all_keepers", "bring_home", "count_by_gateway", "is_kept", "kept_by", "note_keeper"]
+__all__ = ["all_keepers", "bring_home", "count_by_gateway", "is_kept", "kept_by", "note_keeper", "recorded_files"]
 
 _KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == episodes.c.idx)
 
@@ -33,10 +34,17 @@ def is_kept(connection: Connection, index: int, gateway: str, sha256: str) -> bo
     return connection.execute(_KEPT.where(*same)).first() is not None
 
 
-def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Mapping[int, int]:
-    """Returns the bytes of each episode that a gateway keeps, between two numbers, both included."""
+def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Mapping[int, RecordedFile]:
+    """Returns the record of each episode that a gateway keeps, between two numbers, both included."""
     rows = connection.execute(_KEPT.where(keepers.c.gateway == gateway, episodes.c.idx.between(first, last)))
-    return {row.idx: row.size for row in rows}
+    return {row.idx: RecordedFile(row.size) for row in rows}
+
+
+def recorded_files(connection: Connection) -> Mapping[int, RecordedFile]:
+    """Returns the record of every archived episode, with the gateway that keeps it."""
+    away = all_keepers(connection)
+    rows = connection.execute(select(episodes.c.idx, episodes.c.size, episodes.c.sha256))
+    return {row.idx: RecordedFile(row.size, row.sha256, away.get(row.idx)) for row in rows}
 
 
 def all_keepers(connection: Connection) -> Mapping[int, str]:

@@ -5,13 +5,14 @@ Like `protocol` for workers; a gateway can do to the ledger what the core's own 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any
 
 from sqlalchemy.engine import Connection
 
+from coordinator.archive.difference import GONE, ListedFile, diff_archive
 from coordinator.expansion.draw import to_job
 from coordinator.ledger import claims, keepers, outcomes
 from coordinator.ledger.opening import planned_of
@@ -117,21 +118,17 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
             "give the --out it had, or another --name; what is gone for good is made again after "
             "`factory gather CORE_DIR --requeue-missing`"
         )
-    files = dict(told.files)
-    wrong = {
-        index: f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is gone"
-        for index, size in owned.items()
-        if files.get(index) != size
-    }
+    difference = diff_archive({index: ListedFile(size) for index, size in told.files}, owned)
+    wrong = dict.fromkeys(difference.missing, GONE) | dict(difference.changed)
     for index, why in wrong.items():
         outcomes.lose(connection, index, now, f"at gateway {gateway}: {why}")
-    strays = tuple(_strays(connection, files.keys() - owned.keys(), terms))
-    strays += tuple(Stray(index=index, why=why) for index, why in wrong.items() if index in files)
+    strays = tuple(_strays(connection, difference.unknown, terms))
+    strays += tuple(Stray(index=index, why=why) for index, why in difference.changed.items())
     return InventoryReply(strays=strays, lost=tuple(sorted(wrong)))
 
 
-def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator[Stray]:
-    for index in sorted(indices):
+def _strays(connection: Connection, indices: Sequence[int], terms: Terms) -> Iterator[Stray]:
+    for index in indices:
         row = current_job(connection, index)
         if row is None:
             yield Stray(index=index, why="the plan has no such episode")
