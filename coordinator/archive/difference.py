@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["GONE", "ArchiveDifference", "ListedFile", "RecordedFile", "diff_archive"]
+__all__ = ["GONE", "ArchiveDifference", "ListedFile", "RecordedFile", "describe_difference", "diff_archive"]
 
 GONE = "its file is gone"
 """Why an episode is made again whose file is missing."""
@@ -63,7 +63,7 @@ def diff_archive(listed: Mapping[int, ListedFile], recorded: Mapping[int, Record
         recorded: the ledger's records, by episode number.
     """
     both = sorted(listed.keys() & recorded.keys())
-    changed = {index: words for index in both if (words := _difference(listed[index], recorded[index]))}
+    changed = {index: words for index in both if (words := describe_difference(listed[index], recorded[index]))}
     whole = [index for index in both if index not in changed]
     gone = sorted(recorded.keys() - listed.keys())
     return ArchiveDifference(
@@ -75,7 +75,10 @@ def diff_archive(listed: Mapping[int, ListedFile], recorded: Mapping[int, Record
     )
 
 
-def _difference(found: ListedFile, record: RecordedFile) -> str:
+def describe_difference(found: ListedFile | None, record: RecordedFile) -> str:
+    """Returns in words what differs between a file, `None` when it is missing, and its record; empty when nothing."""
+    if found is None:
+        return GONE
     if found.size != record.size:
         return f"{found.size} bytes, the ledger says {record.size}"
     if found.fault or found.sha256 in (None, record.sha256):

@@ -5,23 +5,26 @@ The same jobs in every repeat; what an attempt makes is thrown away. The plain p
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import SceneEntry
-from factory.bench.deliver import time_delivery
+from coordinator.validation.validate import validate
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
 from factory.bench.plain import run_plain
 from factory.bench.watch import ProcessWatch, StageTimes, stage_costs
 from schemas.bundle import BundleReader
-from schemas.errors import WorldError
+from schemas.errors import InvalidBundle, WorldError
 from schemas.job import Job
 from workers.geometry.pose import Pose
 from workers.sim.attempt import Success, run_attempt
@@ -163,3 +166,30 @@ def _add(runs: Iterable[StageTimes]) -> StageTimes:
             before = total.get(stage, (0.0, 0.0))
             total[stage] = (before[0] + wall, before[1] + cpu)
     return total
+
+
+def time_delivery(file: BinaryIO, repeats: int) -> tuple[StageCost, ...]:
+    """Validates and archives the bundle in `file` so many times and returns the cost of both stages a frame.
+
+    Raises:
+        InvalidBundle: it may not enter a dataset, so that its validation is no measure.
+    """
+    return stage_costs([_deliver(file) for _ in range(repeats)])
+
+
+def _deliver(file: BinaryIO) -> tuple[int, StageTimes]:
+    watch = ProcessWatch()
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder, open_archive(Path(folder)) as archive:
+        watch.start()
+        bundle = BundleReader(file)
+        findings = validate(bundle)
+        watch("validate")
+        index = bundle.meta.job.index
+        file.seek(0)
+        with archive.stage(index) as staged:
+            shutil.copyfileobj(file, staged, 1 << 20)
+            archive.publish(staged, index)
+        watch("archive")
+    if findings:
+        raise InvalidBundle("the benchmark's own bundle is refused", findings)
+    return bundle.length, watch.take()

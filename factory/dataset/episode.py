@@ -7,7 +7,6 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
-from types import TracebackType
 from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
@@ -18,6 +17,7 @@ from schemas.dataset import EpisodeSummary
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.storage.place import Place
+from schemas.support.closing import Closing
 
 __all__ = ["Episode", "Frame"]
 
@@ -33,7 +33,7 @@ class Frame(NamedTuple):
     """(640, 640) instance ids; `Episode.meta.instances` says of what; 0 is nothing."""
 
 
-class Episode:
+class Episode(Closing):
     """An episode of T steps: T frames, T actions, T poses; frame t and pose t are from before action t.
 
     Cheap to make and to pickle; the file is opened at the first access and again in every process that uses it. Threads
@@ -138,14 +138,6 @@ class Episode:
         if self._opened is not None:
             self._opened.close()
             self._opened = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __reduce__(self) -> tuple[type[Self], tuple[Place, EpisodeSummary]]:
         return type(self), (self.path, self.summary)

@@ -13,8 +13,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import structlog
 
@@ -28,6 +26,7 @@ from schemas.plan import Plan
 from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
 from schemas.support.child import child_environment, python_module
+from schemas.support.closing import Closing
 from schemas.terms import RendererKind
 from schemas.wire import Progress
 from workers.client.spool import find_bundle, folder_of
@@ -126,7 +125,7 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     )
 
 
-class _Crew:
+class _Crew(Closing):
     """The worker processes; each watches our end of its stdin and leaves when it closes, however we end."""
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
@@ -167,12 +166,8 @@ class _Crew:
             start_new_session=True,
         )
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Lets the workers end; kills those that take too long."""
         for member in self._members:
             if member.stdin is not None:
                 member.stdin.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coordinator.archive.difference import ListedFile, RecordedFile, diff_archive
+from coordinator.archive.difference import GONE, ListedFile, RecordedFile, describe_difference, diff_archive
 
 
 def test_files_as_recorded_are_the_same() -> None:
@@ -35,3 +35,8 @@ def test_episode_that_a_gateway_keeps_is_never_missing_and_told_apart_when_it_is
     kept = {1: RecordedFile(5, gateway="g"), 2: RecordedFile(5, gateway="g"), 3: RecordedFile(5, gateway="g")}
     difference = diff_archive({2: ListedFile(5), 3: ListedFile(4)}, kept)
     assert (difference.missing, difference.elsewhere, difference.strays) == ((), (2,), (3,))
+
+
+def test_missing_file_differs_from_its_record() -> None:
+    assert describe_difference(None, RecordedFile(5)) == GONE
+    assert describe_difference(ListedFile(5), RecordedFile(5)) == ""
