@@ -72,9 +72,7 @@ def open_context(stack: ExitStack, root: Path, terms: Terms, options: Coordinato
     )
 
 
-def _reconcile(
-    archive: Archive, ledger: RunLedger, terms: Terms, checker: Judge, options: CoordinatorOptions
-) -> bool:
+def _reconcile(archive: Archive, ledger: RunLedger, terms: Terms, checker: Judge, options: CoordinatorOptions) -> bool:
     planned = terms.errands.planned if terms.errands is not None else None
     is_new = open_run(ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned)
     for name, entry in terms.catalog.items():

@@ -53,9 +53,7 @@ class TableWriter:
                 is_over = not claims.has_open_jobs(connection)
                 # the first and the last time from the ledger alone, whatever became of the file meanwhile
                 anew = is_over or not self._has_written
-                write_checkpoint(
-                    run.archive, connection, terms.plan, terms.catalog, run.clock(), self._gate, anew=anew
-                )
+                write_checkpoint(run.archive, connection, terms.plan, terms.catalog, run.clock(), self._gate, anew=anew)
             self._has_written = True
         except Exception:
             self._changed.set()  # they are still owed
