@@ -36,6 +36,7 @@ from factory.scenes.version import COMPILER_VERSION
 from schemas.config import SpawnConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, Instance, SceneInfo, Target
+from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
 
 __all__ = ["compile_extraction", "compile_stage"]
@@ -45,8 +46,6 @@ _SANE_SPREAD = 5.0
 _FARTHEST_M = 9000.0
 _SEE_THROUGH = 0.3
 _MAX_NOTES = 200
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,19 +8,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
+from schemas.support.numpy_types import Floats
 
 __all__ = ["Appearance"]
 
 _LONGEST_M = 0.7
 """Triangles with a longer side are cut: each is looked at from its middle alone, and near ends must weigh more."""
 _CUTS = 3
-
-Floats = NDArray[np.float64]
 
 
 class Appearance:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.scene import CompiledScene, Target
 from schemas.support import portable
+from schemas.support.numpy_types import Bools, Floats
 
 __all__ = [
     "BODY_CENTRE_M",
@@ -39,9 +40,6 @@ CONNECT_CLEARANCE_M = 0.36
 """Clearance of the body centre that lets the robot pass: half its width and a hand's breadth."""
 FREE, OCCUPIED, HIDING = 0, 1, 2
 """Values of `CompiledScene.occupancy`; `HIDING` also blocks the sight of what stands behind."""
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.config import PlannerConfig, RobotConfig
+from schemas.support.numpy_types import Floats
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.planning.lattice import Waypoint
@@ -30,8 +30,6 @@ _PREVIEW_M = 0.6
 """Way ahead whose bends limit the speed."""
 _REACH_M = 0.5
 """How far along the leg the nearest point may lie from the one before."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
