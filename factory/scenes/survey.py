@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.reach import Terrain
+from factory.scenes.navigation.reach import Terrain
 from schemas.support.numpy_types import Floats
 from workers.geometry.grid import DISC_RADIUS_M
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
 from factory.scenes.author.placement import FloorPlan
-from factory.scenes.occupancy import BAND_M
+from factory.scenes.navigation.occupancy import BAND_M
 from factory.scenes.rules import load_rules
 from schemas.support.numpy_types import Floats
 from schemas.terms import BUILTIN_CATEGORIES

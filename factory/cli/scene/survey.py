@@ -53,7 +53,7 @@ def command(scene: str, seed: int, within: float, as_json: bool) -> int:
 
 def say_survey(report: SurveyReport) -> Iterator[str]:
     """Yields what was measured, a line each with what it means."""
-    from factory.scenes.reach import SEE_RANGE_M
+    from factory.scenes.navigation.reach import SEE_RANGE_M
 
     low, high = SEE_RANGE_M
     yield f"spawns (start points of the far tier): {report.spawns}"

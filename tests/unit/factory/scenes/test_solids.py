@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from factory.scenes.collider import solid_triangles, weld
-from factory.scenes.floor import find_floor_height, floor_triangles
 from factory.scenes.importer import Part
 from factory.scenes.importer.material import Surface
-from factory.scenes.occupancy import GridFrame, build_occupancy, draw_band
+from factory.scenes.navigation.collider import solid_triangles, weld
+from factory.scenes.navigation.floor import find_floor_height, floor_triangles
+from factory.scenes.navigation.occupancy import GridFrame, build_occupancy, draw_band
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Floats
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from factory.scenes.floor import floor_triangles
+from factory.scenes.navigation.floor import floor_triangles
 from schemas.errors import WorldError
 from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import FREE, HIDING, OCCUPIED
