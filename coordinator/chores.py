@@ -52,7 +52,7 @@ class RoomWatch:
             free_bytes=free,
             reserve_bytes=self._reserve_bytes,
             directory=str(archive.root),
-            remedy="none" if has_room else "free some space; the run goes on by itself",
+            remedy="none" if has_room else "free some space; the run then continues",
         )
 
 
@@ -125,7 +125,7 @@ class RunChores:
             )
             self._watch.accept()
             self._limit.restart()
-            log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases begin anew")
+            log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases restart")
 
     def _warn_of_barred(self) -> None:
         with self._run.ledger.reading() as connection:

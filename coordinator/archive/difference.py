@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 __all__ = ["GONE", "ArchiveDifference", "ListedFile", "RecordedFile", "describe_difference", "diff_archive"]
 
-GONE = "its file is gone"
+GONE = "its file is missing"
 """Why an episode is made again whose file is missing."""
 
 
@@ -80,7 +80,7 @@ def describe_difference(found: ListedFile | None, record: RecordedFile) -> str:
     if found is None:
         return GONE
     if found.size != record.size:
-        return f"{found.size} bytes, the ledger says {record.size}"
+        return f"{found.size} bytes; in the ledger {record.size}"
     if found.fault or found.sha256 in (None, record.sha256):
         return found.fault
-    return f"SHA-256 {found.sha256}, the ledger says {record.sha256}"
+    return f"SHA-256 {found.sha256}; in the ledger {record.sha256}"

@@ -83,7 +83,7 @@ def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
 def _require_possible(plan: Plan, scenes: Sequence[SceneCells]) -> None:
     mistakes = _find_impossible(scenes)
     if mistakes:
-        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
 
 
 def _find_impossible(scenes: Sequence[SceneCells]) -> list[str]:
@@ -114,7 +114,7 @@ def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
     ]
     shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
     blocked = f"; shown but out of reach: {', '.join(sorted(filter(None, shown)))}" if shown else ""
-    remedy = "take out of seen and held_out what is not there, or change the scene"
+    remedy = "remove the missing categories from seen and held_out, or change the scene"
     if scene.usd is not None:
         remedy += ", its rules or its list of targets"
     return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none at all'}{blocked}; {remedy}"

@@ -97,7 +97,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
 
 def _requeue(connection: Connection, index: int, now: datetime, reason: str, result: Reconciled) -> None:
     if lose(connection, index, now, reason):
-        log.warning("episode_lost", index=index, reason=reason, remedy="it is made anew, with the same content")
+        log.warning("episode_lost", index=index, reason=reason, remedy="it is generated again, with the same content")
         result.requeued.append(index)
 
 
@@ -126,7 +126,7 @@ def _judge_errand(ledger: Connection, index: int, path: Place, terms: Terms, che
     """Judges a result of an evaluation, which does not say which attempt it is of: the one in force."""
     row = current_job(ledger, index)
     if row is None:
-        return "nothing of that number was asked for"
+        return "the plan has no episode of this number"
     try:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         target = terms.catalog[row.scene].info.target(row.target_id)
@@ -145,8 +145,8 @@ def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Ve
     strange = [found for found in verdicts.values() if isinstance(found, Foreign)]
     if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
         raise UsageError(
-            f"{archive.root} holds {len(strange)} episodes, and none of run {terms.plan.run}; the first is "
-            f"{strange[0]}: give the plan that it was begun with, or choose another --out"
+            f"{archive.root} holds {len(strange)} episodes, none of them of run {terms.plan.run}; the first is "
+            f"{strange[0]}: give the plan of the dataset, or choose another --out"
         )
 
 

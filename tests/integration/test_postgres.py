@@ -73,7 +73,7 @@ def test_a_second_coordinator_is_refused_even_from_another_directory(finished, t
             finished.catalog,
             CoordinatorOptions(listen=ANY_PORT, ledger_url=finished.url, settings=SETTINGS),
         ),
-        pytest.raises(WorldError, match="another coordinator writes"),
+        pytest.raises(WorldError, match="is in use by another coordinator"),
     ):
         Coordinator(
             tmp_path / "elsewhere",

@@ -94,21 +94,21 @@ class Simulation:
             log.warning("simulation_unkillable", pid=process.pid)
 
     def _give_up(self, process: JsonlProcess[SimulationReport]) -> Death:
-        detail = f"no progress for {self._silence_s:.1f} s (limit {self._hang_s:g} s), killed" + _last_words(process)
+        detail = f"no progress for {self._silence_s:.1f} s (limit {self._hang_s:g} s), killed" + _last_output(process)
         self.kill()
         log.warning("simulation_hung", pid=process.pid, detail=detail)
         return Death(FailReason.HANG, detail)
 
     def _reap(self, process: JsonlProcess[SimulationReport]) -> Death:
-        detail = describe_exit(process.wait()) + _last_words(process)
+        detail = describe_exit(process.wait()) + _last_output(process)
         self.kill()
         log.warning("simulation_died", pid=process.pid, detail=detail)
         return Death(FailReason.CRASH, detail)
 
 
-def _last_words(process: JsonlProcess[SimulationReport]) -> str:
+def _last_output(process: JsonlProcess[SimulationReport]) -> str:
     line = process.last_stderr_line()
-    return f"; last words: {line}" if line else ""
+    return f"; last output: {line}" if line else ""
 
 
 def _parse(line: bytes) -> SimulationReport | None:

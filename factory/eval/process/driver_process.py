@@ -127,7 +127,7 @@ class DriverProcess:
         }.get(state.busy, _SIMULATION_S)
         if time.monotonic() - state.since_s <= limit_s:
             return None
-        words = _last_words(process)
+        words = _last_output(process)
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         who = "no answer from the policy" if is_policy else "no progress of the simulation"
@@ -139,16 +139,16 @@ class DriverProcess:
 
     def _reap(self, process: JsonlProcess[EvalReport]) -> DriverEnded:
         assert self._sheet is not None
-        state, how = self._sheet.read(), describe_exit(process.wait()) + _last_words(process)
+        state, how = self._sheet.read(), describe_exit(process.wait()) + _last_output(process)
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
         whom = "the process died in the policy" if is_policy else "the driving process died"
         return DriverEnded(PolicyFault.DIED if is_policy else None, f"{whom}: {how}", state)
 
 
-def _last_words(process: JsonlProcess[EvalReport]) -> str:
+def _last_output(process: JsonlProcess[EvalReport]) -> str:
     line = process.last_stderr_line()
-    return f"; last words: {line[:_MOST_WORDS_CHARS]}" if line else ""
+    return f"; last output: {line[:_MOST_WORDS_CHARS]}" if line else ""
 
 
 def _environment() -> dict[str, str]:

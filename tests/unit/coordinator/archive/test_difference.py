@@ -20,8 +20,8 @@ def test_change_is_told_in_words() -> None:
     listed = {1: ListedFile(4), 2: ListedFile(5, "x"), 3: ListedFile(5, fault="cannot be read: I/O error")}
     difference = diff_archive(listed, dict.fromkeys((1, 2, 3), RecordedFile(5, "a")))
     assert difference.changed == {
-        1: "4 bytes, the ledger says 5",
-        2: "SHA-256 x, the ledger says a",
+        1: "4 bytes; in the ledger 5",
+        2: "SHA-256 x; in the ledger a",
         3: "cannot be read: I/O error",
     }
     assert difference.same == ()
