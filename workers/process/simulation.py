@@ -1,4 +1,4 @@
-"""The supervisor's handle on one simulation process: start it, order, hear, kill. Knows no lease and no network."""
+"""Handle of a simulation process: starts it, sends orders, receives reports, kills it. Uses no lease and no network."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Death:
-    """The process is no more; it has been reaped."""
+    """End of a simulation process, which has been reaped."""
 
     reason: FailReason
-    """`crash`, or `hang` when it was killed for its silence."""
+    """`crash`, or `hang` if the process was killed because it made no progress."""
     detail: str
+    """Explanation with the exit status and the last output."""
 
 
 class Simulation:
-    """A process that simulates; restarted at will.
+    """Simulation process that can be restarted.
 
     Args:
-        command: how to start it; it must take orders on stdin and report on stdout.
-        hang_s: silence in seconds after which it is killed while something is expected of it.
+        command: command line of the process, which reads orders from stdin and reports to stdout.
+        hang_s: time without a report after which a busy process is killed, seconds.
     """
 
     def __init__(self, command: Sequence[str], hang_s: float) -> None:
@@ -45,16 +46,20 @@ class Simulation:
 
     @property
     def is_running(self) -> bool:
-        """Whether there is a process that has not been found dead."""
+        """Whether a process was started and its death has not been detected."""
         return self._process is not None
 
     @property
     def pid(self) -> int | None:
-        """Of the process, if there is one."""
+        """Process id, or `None` if no process is running."""
         return self._process.pid if self._process is not None else None
 
     def start(self) -> None:
-        """Starts a fresh process; the first thing to hear of it is that it is ready."""
+        """Starts a new process; its first report is `ready`.
+
+        Raises:
+            WorldError: the process cannot be started.
+        """
         self.kill()
         try:
             self._process = JsonlProcess(self._command, one_core(child_environment(os.environ)), _parse)
@@ -63,16 +68,16 @@ class Simulation:
         self._silence_s = 0.0
 
     def order(self, order: SimulationOrder) -> None:
-        """Sends an order; `hear` reports a process that has died meanwhile."""
+        """Sends an order; `receive` reports a process that has died meanwhile."""
         if self._process is None:
             raise RuntimeError("order() before start()")
         self._silence_s = 0.0
         self._process.send(to_line(order))
 
-    def hear(self, timeout_s: float) -> SimulationReport | Death | None:
-        """Returns the next report, the process's death, or `None` when nothing arrived within `timeout_s`.
+    def receive(self, timeout_s: float) -> SimulationReport | Death | None:
+        """Returns the next report, the death of the process, or `None` after `timeout_s` seconds without a report.
 
-        A process that reports nothing for longer than `hang_s` is killed here and reported as hung.
+        Kills a process that sends no report for more than `hang_s`, and returns its death as a hang.
         """
         if self._process is None:
             return Death(FailReason.CRASH, "not started")
@@ -81,14 +86,14 @@ class Simulation:
         except EOFError:
             return self._reap(self._process)
         if report is None:
-            # counted in waiting, not by the clock: a supervisor that was frozen itself blames no simulation
+            # sum of the waiting times, not wall time, so that a suspended supervisor does not report a hang
             self._silence_s += timeout_s
             return self._give_up(self._process) if self._silence_s > self._hang_s else None
         self._silence_s = 0.0
         return report
 
     def kill(self) -> None:
-        """Ends the process at once, if there is one."""
+        """Kills the process, if one is running."""
         process, self._process = self._process, None
         if process is not None and process.kill() is None:
             log.warning("simulation_unkillable", pid=process.pid)
@@ -114,5 +119,5 @@ def _last_output(process: JsonlProcess[SimulationReport]) -> str:
 def _parse(line: bytes) -> SimulationReport | None:
     report = read_report(line)
     if report is None:
-        log.warning("simulation_unintelligible", line=line[:200].decode(errors="replace"))
+        log.warning("simulation_output_invalid", line=line[:200].decode(errors="replace"))
     return report
