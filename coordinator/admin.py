@@ -13,7 +13,7 @@ from coordinator.archive.staging import Staging
 from coordinator.ledger import hosts, operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import ledger_url_of, read_info
-from coordinator.ledger.reading.look import damage_translated, look_into, require_sound
+from coordinator.ledger.reading.reader import open_ledger, require_sound, translate_damage
 from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import OPERATOR, ask_admin
 from schemas.errors import TransientError, UsageError
@@ -47,7 +47,7 @@ def administer(
         UsageError: the ledger is of a newer format, or there is nobody to drain.
     """
     url = ledger_url_of(root, ledger_url)
-    with look_into(url) as connection:
+    with open_ledger(url) as connection:
         read_info(connection)  # says no before anything is created
     beacon = read_address(root)
     if beacon is not None:
@@ -68,7 +68,7 @@ def _administer_offline(url: str, request: AdminRequest, now: datetime) -> Admin
     require_sound(url)
     engine = open_writer(url)
     try:
-        with damage_translated(url), engine.begin() as connection:
+        with translate_damage(url), engine.begin() as connection:
             if request.action is AdminAction.RELEASE:
                 return hosts.release(connection, request.hosts)
             change = operator.retry if request.action is AdminAction.RETRY else operator.cancel

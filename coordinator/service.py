@@ -19,29 +19,29 @@ from coordinator.archive.opening import open_archive
 from coordinator.clock import ClockWatch, seconds_since_boot
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.evaluation import Errands
-from coordinator.housekeeper import Housekeeper
 from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.hosts import troubled
 from coordinator.ledger.opening import ledger_url_of, note_sandbox, open_run
-from coordinator.ledger.reading.look import Connection, damage_translated
 from coordinator.ledger.reading.progress import count_frames, read_progress
+from coordinator.ledger.reading.reader import Connection, translate_damage
 from coordinator.ledger.writer import Writer
 from coordinator.meters import Meter, Meters
+from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.address_file import remove_address, write_address
 from coordinator.protocol.dispatch import Dispatch
-from coordinator.protocol.front import Front
 from coordinator.protocol.protocol import Terms
+from coordinator.protocol.request_handler import RequestHandler
 from coordinator.protocol.router import Router
 from coordinator.protocol.tls import Guard
+from coordinator.recovery.ledger_replacement import replace_unusable_ledger
 from coordinator.recovery.reconcile import reconcile
-from coordinator.recovery.renewal import renew_ledger
 from coordinator.settings import CoordinatorSettings
-from coordinator.status.vitals import Vitals
+from coordinator.status.health import HealthMonitor
 from coordinator.tables.checkpoint import is_checkpoint_owed, write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
-from coordinator.transfer.book import LedgerBook
+from coordinator.transfer.local_ledger import LocalLedgerClient
 from coordinator.transfer.puller import Judge, Nearby, Pullers, nothing_nearby
 from coordinator.validation.validator import Validator, sandbox_of
 from schemas.dataset_meta import GateOutcome
@@ -61,7 +61,7 @@ _BARRED_S = 5.0
 _SANDBOX_S = 1.0
 _LEASE_LIMIT_S = 1.0
 """Pause between two looks for leases that are too old."""
-_FAREWELL_S = 3.0
+_DEPARTURE_S = 3.0
 """How long a finished run is announced at least: a worker may just be reconnecting."""
 _AGAIN = "start again: the ledger is rebuilt from the episodes"
 
@@ -143,7 +143,7 @@ class Coordinator(Closing):
         with ExitStack() as stack:
             stack.callback(checker.close)
             self._archive = stack.enter_context(open_archive(root, store))
-            renew_ledger(self._archive, url, catalog)
+            replace_unusable_ledger(self._archive, url, catalog)
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
             stack.callback(self._note_sandbox)
@@ -153,15 +153,15 @@ class Coordinator(Closing):
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
             limit_s = settings.lease_limit_s
             self._lease_limit = LeaseLimit(self._reading, self._writer.call, self._terms, clock, limit_s)
-            self._look_for_room()
-            front = stack.enter_context(self._open_front())
+            self._check_free_space()
+            handler = stack.enter_context(self._open_request_handler())
             files = errands.files if errands is not None else {}
-            router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard, connect, files)
+            router = Router(plan.run, listen, catalog, settings, handler.take, handler.note_gone, guard, connect, files)
             self._router = stack.enter_context(router)
-            stack.enter_context(self._open_housekeeper())
+            stack.enter_context(self._open_periodic_tasks())
             # a thread of its own: writing the tables of a large run takes seconds, and leases expire meanwhile
-            stack.enter_context(Housekeeper({"write_tables": (settings.checkpoint_s, self._write_tables)}))
-            self.vitals = self._measured()
+            stack.enter_context(PeriodicTasks({"write_tables": (settings.checkpoint_s, self._write_tables)}))
+            self.health = self._measured()
             """How it does."""
             write_address(root, plan.run, router.endpoints)
             stack.callback(remove_address, root)
@@ -208,7 +208,7 @@ class Coordinator(Closing):
             left = None if left is None else left - _WAIT_S
         return True
 
-    def see_off(self, stop: threading.Event | None = None) -> None:
+    def wait_for_departures(self, stop: threading.Event | None = None) -> None:
         """Stays until the workers of a finished run have heard that it is, and have left; a lease long at most.
 
         Args:
@@ -216,8 +216,8 @@ class Coordinator(Closing):
         """
         stop = stop or threading.Event()
         begun = time.monotonic()
-        least = begun + _FAREWELL_S
-        most = begun + _FAREWELL_S + self._settings.lease_ttl_s
+        least = begun + _DEPARTURE_S
+        most = begun + _DEPARTURE_S + self._settings.lease_ttl_s
         while (now := time.monotonic()) < most and (now < least or self._router.present):
             if stop.wait(_WAIT_S):
                 return
@@ -235,7 +235,7 @@ class Coordinator(Closing):
         """Yields a reading connection; a ledger that was damaged or removed meanwhile is a `WorldError`."""
         if self._writer.damage:
             raise WorldError(f"the ledger of run {self.run} is damaged: {self._writer.damage}; {_AGAIN}")
-        with damage_translated(self._url), self._reader.connect() as connection:
+        with translate_damage(self._url), self._reader.connect() as connection:
             yield connection
 
     def _open_ledger(self, stack: ExitStack, url: str, checker: Judge) -> None:
@@ -258,7 +258,7 @@ class Coordinator(Closing):
     def _open_pullers(self, checker: Judge, nearby: Nearby) -> Pullers:
         return Pullers(
             self._archive,
-            LedgerBook(self._writer, self._terms, self._clock),
+            LocalLedgerClient(self._writer, self._terms, self._clock),
             lambda sid, lease, chunk: self._router.fetch(sid, lease, chunk),
             checker,
             self._settings,
@@ -267,8 +267,8 @@ class Coordinator(Closing):
             nearby,
         )
 
-    def _open_front(self) -> Front:
-        return Front(
+    def _open_request_handler(self) -> RequestHandler:
+        return RequestHandler(
             self._writer,
             self._terms,
             self._clock,
@@ -280,8 +280,8 @@ class Coordinator(Closing):
             meters=self._meters,
         )
 
-    def _measured(self) -> Vitals:
-        return Vitals(
+    def _measured(self) -> HealthMonitor:
+        return HealthMonitor(
             self._writer,
             self._meters,
             self._read_figures,
@@ -295,13 +295,13 @@ class Coordinator(Closing):
         with self._reading() as connection:
             return read_progress(connection, self._clock()), count_frames(connection)
 
-    def _open_housekeeper(self) -> Housekeeper:
+    def _open_periodic_tasks(self) -> PeriodicTasks:
         settings = self._settings
-        return Housekeeper(
+        return PeriodicTasks(
             {
                 "expire": (settings.sweep_s, self._expire),
                 "limit_leases": (_LEASE_LIMIT_S, self._limit_leases),
-                "look_for_room": (1.0, self._look_for_room),
+                "check_free_space": (1.0, self._check_free_space),
                 "admit": (settings.admission_s, self._admit),
                 "note_sandbox": (_SANDBOX_S, self._note_sandbox),
                 "warn_of_barred": (_BARRED_S, self._warn_of_barred),
@@ -309,14 +309,14 @@ class Coordinator(Closing):
         )
 
     def _expire(self) -> None:
-        self._mind_clock()
+        self._check_clock()
         expired = self._writer.call(lambda connection: claims.expire(connection, self._clock()))
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
 
     def _limit_leases(self) -> None:
-        self._mind_clock()
+        self._check_clock()
         if not self._has_room:
             self._lease_limit.restart()  # no worker is to blame that its bundle waits
         self._meters.add(Meter.EXPIRED, self._lease_limit.enforce())
@@ -338,7 +338,7 @@ class Coordinator(Closing):
             )
         self._barred = frozenset(barred)
 
-    def _mind_clock(self) -> None:
+    def _check_clock(self) -> None:
         """Starts all leases anew when the clock was set, for they end at times of the former one."""
         jump_s = self._watch.jump_s()
         if jump_s:
@@ -352,7 +352,7 @@ class Coordinator(Closing):
         if self._router.admit():
             log.warning("admission_changed", remedy="none; workers reconnect within seconds")
 
-    def _look_for_room(self) -> None:
+    def _check_free_space(self) -> None:
         free = self._archive.free_bytes()
         has_room = free >= self._settings.reserve_bytes
         if has_room != self._has_room:

@@ -43,7 +43,7 @@ class CoreLink:
         self.run = _ANY_RUN
         """The run that is asked about; any, until it is known."""
         self._heard = self._opened = time.monotonic()
-        self._healing = threading.Lock()
+        self._reconnecting = threading.Lock()
         self._away = Repeated(log, "core_away")
 
     @property
@@ -61,7 +61,7 @@ class CoreLink:
         key = verb_key(self.run, self._name, verb)
         found = list(self._node.ask(key, message.model_dump_json(), _TIMEOUT_S))
         if not found:
-            self._heal()
+            self._reconnect()
             raise TransientError(f"the core does not answer {verb!r} to gateway {self._name}; it is asked again")
         if len(found) > 1:
             raise WorldError(f"{len(found)} cores answer gateway {self._name}: --connect to those of one run only")
@@ -83,9 +83,9 @@ class CoreLink:
                 if stop.wait(_PAUSE_S):
                     raise
 
-    def _heal(self) -> None:
+    def _reconnect(self) -> None:
         """Opens the router anew after a long silence: a half-open link, or one that zenoh has given up, heals so."""
-        with self._healing:
+        with self._reconnecting:
             if time.monotonic() - max(self._heard, self._opened) < _REOPEN_S:
                 return
             self._away.fail(f"no answer for {self.silence_s:.0f} s", remedy="the router is opened anew; else none")

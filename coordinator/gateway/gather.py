@@ -17,11 +17,11 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.contract import Archive
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.engine import open_writer
-from coordinator.ledger.keepers import all_keepers, bring_home
+from coordinator.ledger.gateway_episodes import gateways_by_episode, record_at_core
 from coordinator.ledger.outcomes import lose
-from coordinator.ledger.reading.look import require_sound
+from coordinator.ledger.reading.reader import require_sound
 from coordinator.ledger.tables import episodes
-from coordinator.recovery.mend import RepairInput
+from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.base import Model
@@ -72,7 +72,7 @@ class _Wanted:
 
 
 def gather(
-    patient: RepairInput,
+    dataset: RepairInput,
     sources: Sequence[Path],
     now: datetime,
     *,
@@ -82,7 +82,7 @@ def gather(
     """Takes home what lies at gateways, as far as it is found.
 
     Args:
-        patient: the core's dataset, and what is known of it.
+        dataset: the core's dataset, and what is known of it.
         sources: directories of gateways, or copies of them.
         now: of the gathering.
         requeue_missing: whether what is found nowhere is given up for lost and made anew.
@@ -97,12 +97,12 @@ def gather(
             raise UsageError(f"{source} has no {EPISODES}/: give the --out of a gateway, or a copy of it")
     missing: list[Missing] = []
     with ExitStack() as stack:
-        store = patient.root if isinstance(patient.root, ObjectPath) else None
-        archive = stack.enter_context(open_archive(patient.home, store))
-        if patient.stranger:
-            raise WorldError(f"the ledger {patient.stranger}; `factory repair {patient.root}` rebuilds the right one")
-        require_sound(patient.url)
-        engine = open_writer(patient.url)
+        store = dataset.root if isinstance(dataset.root, ObjectPath) else None
+        archive = stack.enter_context(open_archive(dataset.home, store))
+        if dataset.stranger:
+            raise WorldError(f"the ledger {dataset.stranger}; `factory repair {dataset.root}` rebuilds the right one")
+        require_sound(dataset.url)
+        engine = open_writer(dataset.url)
         stack.callback(engine.dispose)
         with engine.connect() as connection:
             wanted = _wanted(connection)
@@ -113,21 +113,21 @@ def gather(
             _settle(engine, one, why, now, requeue_missing=requeue_missing)
             tell(done, len(wanted))
         with engine.connect() as connection:
-            write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+            write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive)
         return GatherReport(
-            dataset=str(patient.root),
-            run=patient.plan.run,
+            dataset=str(dataset.root),
+            run=dataset.plan.run,
             gathered=len(wanted) - len(missing),
             missing=tuple(missing),
             requeued=requeue_missing and bool(missing),
             episodes=len(archive.present()),
-            planned=patient.plan.episodes,
+            planned=dataset.plan.episodes,
         )
 
 
 def _wanted(connection: Connection) -> list[_Wanted]:
-    away = all_keepers(connection)
+    away = gateways_by_episode(connection)
     rows = connection.execute(select(episodes.c.idx, episodes.c.sha256, episodes.c.size).order_by(episodes.c.idx))
     return [_Wanted(row.idx, away[row.idx], row.sha256, row.size) for row in rows if row.idx in away]
 
@@ -135,7 +135,7 @@ def _wanted(connection: Connection) -> list[_Wanted]:
 def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_missing: bool) -> None:
     if not why:
         with engine.begin() as connection:
-            bring_home(connection, one.index)
+            record_at_core(connection, one.index)
     elif requeue_missing:
         with engine.begin() as connection:
             lose(connection, one.index, now, f"kept by gateway {one.gateway}: {why}")

@@ -15,18 +15,18 @@ import structlog
 
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
-from coordinator.gateway.remote_book import RemoteBook
-from coordinator.gateway.stock import take_stock
-from coordinator.gateway.title import holds_title, require_title, write_title
-from coordinator.housekeeper import Housekeeper
+from coordinator.gateway.inventory import reconcile_directory
+from coordinator.gateway.owner_file import has_owner, require_owner, write_owner
+from coordinator.gateway.remote_ledger import RemoteLedgerClient
 from coordinator.meters import Meters
+from coordinator.periodic_tasks import PeriodicTasks
 from coordinator.protocol.node import ZenohNode
 from coordinator.protocol.protocol import Pull
 from coordinator.protocol.relay import MAX_ORDERS, Duty, Join, JoinReply, Orders, RelayOrder
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
-from coordinator.status.vitals import Snapshot
+from coordinator.status.health import Snapshot
 from coordinator.transfer.puller import Checker, Pullers
 from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
@@ -89,7 +89,7 @@ class Gateway(Closing):
             self._pullers = stack.enter_context(self._open_pullers(checker))
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
             stack.callback(stop.set)
-            self._chores = stack.enter_context(self._open_housekeeper())
+            self._periodic_tasks = stack.enter_context(self._open_periodic_tasks())
             self._stack = stack.pop_all()
         log.info("gateway_started", run=self.run, name=name, endpoints=self.endpoints, directory=str(root))
 
@@ -100,7 +100,7 @@ class Gateway(Closing):
 
     def is_alive(self) -> bool:
         """Whether the thread that asks for orders still runs; if not, only a restart helps."""
-        return self._chores.is_alive
+        return self._periodic_tasks.is_alive
 
     def troubles(self) -> tuple[str, ...]:
         """Returns why it cannot serve now, in words; nothing when it can.
@@ -142,17 +142,17 @@ class Gateway(Closing):
         """Finds the run and brings directory and ledger to agree."""
         join = Join(version=version("minivla-factory"), router=self._node.router_id)
         terms = self._core.insist(Verb.JOIN, join, JoinReply, stop)
-        is_new = not holds_title(root)
-        require_title(root, terms.run, name)
+        is_new = not has_owner(root)
+        require_owner(root, terms.run, name)
         self._core.run = terms.run
-        take_stock(self._archive, self._core, checker, stop, is_new=is_new)
-        write_title(root, terms.run, name)
+        reconcile_directory(self._archive, self._core, checker, stop, is_new=is_new)
+        write_owner(root, terms.run, name)
         return terms.run
 
     def _open_pullers(self, checker: Checker) -> Pullers:
         return Pullers(
             self._archive,
-            RemoteBook(self._core, self._archive, self._closing),
+            RemoteLedgerClient(self._core, self._archive, self._closing),
             self._fetch,
             checker,
             self._settings,
@@ -163,8 +163,8 @@ class Gateway(Closing):
     def _fetch(self, sid: str, lease: Lease, chunk: Chunk) -> bytes:
         return self._node.fetch(self.run, sid, lease, chunk, self._settings.pull_timeout_s)
 
-    def _open_housekeeper(self) -> Housekeeper:
-        return Housekeeper(
+    def _open_periodic_tasks(self) -> PeriodicTasks:
+        return PeriodicTasks(
             {"fetch_orders": (_ORDERS_S, self._fetch_orders), "admit": (self._settings.admission_s, self._admit)}
         )
 

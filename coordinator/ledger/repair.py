@@ -28,7 +28,7 @@ from schemas.plan import Plan
 from schemas.terms import FailReason
 from schemas.wire import Done
 
-__all__ = ["REPAIRER", "current_job", "obstacle_to", "recall", "record_whole"]
+__all__ = ["REPAIRER", "current_job", "obstacle_to", "record_failures", "record_whole"]
 
 REPAIRER = "repair"
 """Stands in the ledger where otherwise a worker's session id does."""
@@ -124,7 +124,7 @@ def record_whole(
     return "" if outcomes.adopt(connection, row.id, receipt, now) else "the ledger moved meanwhile"
 
 
-def recall(
+def record_failures(
     connection: Connection,
     plan: Plan,
     catalog: Catalog,
@@ -154,7 +154,9 @@ def recall(
         row = current_job(connection, index) if told else None
         if told and row is not None:
             end = (row.draw, row.attempt) if row.state == JobState.ARCHIVED else whole.get(index)
-            _recall_episode(connection, plan, catalog, row, [one for one in told if _is_before(one, end)], now)
+            _record_failures_of_episode(
+                connection, plan, catalog, row, [one for one in told if _is_before(one, end)], now
+            )
 
 
 def _key(failure: FailedAttempt) -> tuple[str, int, int, str, datetime]:
@@ -168,7 +170,7 @@ def _is_before(failure: FailedAttempt, end: tuple[int, int] | None) -> bool:
     return failure.draw <= end[0] and (failure.attempt < end[1] or (not settles and failure.attempt == end[1]))
 
 
-def _recall_episode(
+def _record_failures_of_episode(
     connection: Connection, plan: Plan, catalog: Catalog, row: Row[Any], told: list[FailedAttempt], now: datetime
 ) -> None:
     settled = list(_following(row, told))

@@ -12,7 +12,7 @@ from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.tables import workers
 from schemas.wire import Hello
 
-__all__ = ["SESSIONS", "SESSIONS_OF_HOST", "introduce", "note_alive"]
+__all__ = ["SESSIONS", "SESSIONS_OF_HOST", "note_alive", "register"]
 
 SESSIONS, SESSIONS_OF_HOST = 10_000, 2000
 """Most sessions that are known, in all and of one host: twice as many as can be connected."""
@@ -26,7 +26,7 @@ _OF_HOST = PreparedStatement(_KNOWN.where(workers.c.host == bindparam("name")))
 _HEARD = PreparedStatement(update(workers).where(workers.c.sid == bindparam("by")).values(last_beat=bindparam("now")))
 
 
-def introduce(connection: Connection, hello: Hello, now: datetime) -> bool:
+def register(connection: Connection, hello: Hello, now: datetime) -> bool:
     """Records a worker, or what it says of itself now; returns whether there was room for it."""
     values = {"host": hello.host, "slots": hello.slots, "version": hello.version, "last_beat": now.timestamp()}
     if connection.execute(update(workers).where(workers.c.sid == hello.sid).values(values)).rowcount:

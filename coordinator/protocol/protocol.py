@@ -183,7 +183,7 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"{terms.version}; episodes of two versions may differ: install the same version on both"
             )
         )
-    if not workers.introduce(connection, hello, now):
+    if not workers.register(connection, hello, now):
         return ProtocolAnswer(
             Refusal(
                 error=f"hello: host {host!r} has {workers.SESSIONS_OF_HOST} sessions that were heard of lately, or all "

@@ -18,14 +18,14 @@ from sqlalchemy.engine import Connection
 from coordinator.archive.contract import Archive
 from coordinator.expansion.draw import to_job
 from coordinator.ledger.claims import grant_grace
-from coordinator.ledger.keepers import all_keepers, bring_home
+from coordinator.ledger.gateway_episodes import gateways_by_episode, record_at_core
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.tables import episodes
 from coordinator.protocol.protocol import Terms
-from coordinator.recovery.judge import Draws, Foreign, StrayJudge
-from coordinator.recovery.memory import recall_failures, validated_files
+from coordinator.recovery.stray_files import ForeignEpisode, PlannedDraws, StrayClassifier
+from coordinator.recovery.table_records import restore_failures, validated_files
 from coordinator.transfer.puller import Checker, Judge
 from schemas.dataset import BundleReceipt, EpisodeSummary
 from schemas.errors import InvalidBundle, UsageError
@@ -71,7 +71,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
     present = archive.present()
     with engine.begin() as connection:
         owned = {row.idx: row.size for row in connection.execute(select(episodes.c.idx, episodes.c.size))}
-        away = all_keepers(connection)
+        away = gateways_by_episode(connection)
     unsure = {index: path for index, path in present.items() if path.stat().st_size != owned.get(index)}
     verdicts = _judge_all(archive, engine, terms, checker, unsure, owned.keys())
     _require_own_plan(archive, terms, verdicts, len(owned))
@@ -80,7 +80,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
         for index in sorted(owned.keys() - present.keys() - away.keys()):
             _requeue(connection, index, now, "its file is gone", result)
         for index in sorted((owned.keys() & present.keys() & away.keys()) - unsure.keys()):
-            bring_home(connection, index)  # `factory gather` was cut off between file and ledger
+            record_at_core(connection, index)  # `factory gather` was cut off between file and ledger
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     _settle(archive, engine, terms, now, unsure, verdicts, {i: owned[i] for i in owned if i not in away}, result)
     log.info(
@@ -109,8 +109,10 @@ def _judge_all(
         if terms.errands is not None:
             return {index: _judge_errand(ledger, index, path, terms, checker) for index, path in unsure.items()}
         validated = validated_files(archive.root, terms.plan)
-        judge = StrayJudge(Draws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated)
-        found = {index: judge.judge(path, index, replaces=index in owned) for index, path in unsure.items()}
+        judge = StrayClassifier(
+            PlannedDraws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated
+        )
+        found = {index: judge.classify(path, index, replaces=index in owned) for index, path in unsure.items()}
     return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
 
 
@@ -134,7 +136,7 @@ def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Ve
     Raises:
         UsageError: says which run it is.
     """
-    strange = [found for found in verdicts.values() if isinstance(found, Foreign)]
+    strange = [found for found in verdicts.values() if isinstance(found, ForeignEpisode)]
     if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
         raise UsageError(
             f"{archive.root} holds {len(strange)} episodes, and none of run {terms.plan.run}; the first is "
@@ -155,7 +157,7 @@ def _settle(
     whole = {index: found[0] for index, found in verdicts.items() if not isinstance(found, str)}
     episodes_found = {index: found for index, found in whole.items() if isinstance(found, EpisodeSummary)}
     if terms.errands is None:
-        recall_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
+        restore_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
     for index, found in verdicts.items():
         refusal = found if isinstance(found, str) else _adopt(engine, terms, *found, now)
         if not refusal:

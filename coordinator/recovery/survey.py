@@ -11,10 +11,10 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import Catalog
-from coordinator.ledger.keepers import all_keepers
+from coordinator.ledger.gateway_episodes import gateways_by_episode
 from coordinator.ledger.tables import episodes
-from coordinator.recovery.judge import Draws, StrayJudge
-from coordinator.recovery.memory import validated_files
+from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
+from coordinator.recovery.table_records import validated_files
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import EPISODES, QUARANTINE
@@ -56,10 +56,10 @@ def survey_archive(
     """
     result = Survey()
     owned = _owned(ledger)
-    away = all_keepers(ledger) if ledger is not None else {}
+    away = gateways_by_episode(ledger) if ledger is not None else {}
     files, foreign = _listing(root)
     result.quarantine += [(path, "no episode by its name") for path in foreign]
-    judge = StrayJudge(Draws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
+    judge = StrayClassifier(PlannedDraws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
     for done, (index, path) in enumerate(files.items(), 1):
         reason = _difference(path, owned[index]) if index in owned else "the ledger does not own it"
         if not reason:
@@ -107,9 +107,9 @@ def _difference(path: Place, row: Row[Any]) -> str:
 
 
 def _judge(
-    path: Place, index: int, reason: str, judge: StrayJudge, result: Survey, *, is_owned: bool, is_kept: bool
+    path: Place, index: int, reason: str, judge: StrayClassifier, result: Survey, *, is_owned: bool, is_kept: bool
 ) -> None:
-    verdict = judge.judge(path, index, replaces=is_owned)
+    verdict = judge.classify(path, index, replaces=is_owned)
     if not isinstance(verdict, str):
         result.adopt.append(verdict)
         return
@@ -118,7 +118,7 @@ def _judge(
         result.requeue.append((index, reason))
 
 
-def _restorable(root: Place, judge: StrayJudge, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
+def _restorable(root: Place, judge: StrayClassifier, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
     """Yields what was put aside although it is a whole episode of the plan, where the dataset has none."""
     had = set(found)
     for path in children(root / QUARANTINE):
@@ -126,7 +126,7 @@ def _restorable(root: Place, judge: StrayJudge, found: Set[int]) -> Iterator[tup
         index = index_of_file(name) if mark != "txt" else None
         if index is None or index in had or not path.is_file() or path.is_symlink():
             continue
-        verdict = judge.judge(path, index, replaces=True)
+        verdict = judge.classify(path, index, replaces=True)
         if not isinstance(verdict, str):
             had.add(index)
             yield path, verdict

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from coordinator.meters import Meter
-from coordinator.status.vitals import Snapshot
+from coordinator.status.health import Snapshot
 from coordinator.validation.sandbox import RLIMITS, SECCOMP
 from schemas.support.extras import missing_package
 from schemas.wire import Progress

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from http import HTTPStatus
 
 from coordinator.status.exposition import Exposition
-from coordinator.status.vitals import Watched
+from coordinator.status.health import StatusSource
 
 __all__ = ["Page", "Pages", "say"]
 
@@ -22,17 +22,17 @@ class Pages:
     """The pages of one process.
 
     Args:
-        vitals: of the coordinator, or of a gateway.
+        source: of the coordinator, or of a gateway.
         token: that `/metrics` asks for; `None` asks for none.
 
     Raises:
         UsageError: the extra `metrics` is not installed.
     """
 
-    def __init__(self, vitals: Watched, token: str | None) -> None:
-        self._vitals = vitals
+    def __init__(self, source: StatusSource, token: str | None) -> None:
+        self._source = source
         self._token = token
-        self._exposition = Exposition(vitals.snapshot)
+        self._exposition = Exposition(source.snapshot)
         self._pages: dict[str, Callable[[], Page]] = {
             "/": lambda: (HTTPStatus.OK, _PLAIN, _INDEX.encode()),
             "/healthz": self._health,
@@ -54,12 +54,12 @@ class Pages:
         return self._token is None or hmac.compare_digest(authorization.encode("utf-8", "replace"), wanted)
 
     def _health(self) -> Page:
-        if self._vitals.is_alive():
+        if self._source.is_alive():
             return say(HTTPStatus.OK, "ok")
         return say(HTTPStatus.SERVICE_UNAVAILABLE, "the thread that everything goes through has ended; restart it")
 
     def _readiness(self) -> Page:
-        troubles = self._vitals.troubles()
+        troubles = self._source.troubles()
         if troubles:
             return say(HTTPStatus.SERVICE_UNAVAILABLE, "\n".join(troubles))
         return say(HTTPStatus.OK, "ready")

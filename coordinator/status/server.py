@@ -18,8 +18,8 @@ from tornado.iostream import IOStream
 from tornado.web import Application, RequestHandler
 
 from coordinator.status.address import HttpAddress, is_own_name
+from coordinator.status.health import StatusSource
 from coordinator.status.pages import Pages, say
-from coordinator.status.vitals import Watched
 from schemas.errors import WorldError
 from schemas.support.closing import Closing
 
@@ -42,7 +42,7 @@ class StatusServer(Closing):
 
     Args:
         address: where to listen.
-        vitals: of the coordinator, or of a gateway.
+        source: of the coordinator, or of a gateway.
         token: that `/metrics` asks for as `Authorization: Bearer TOKEN`; `None` asks for none.
 
     Raises:
@@ -50,8 +50,8 @@ class StatusServer(Closing):
         UsageError: the extra `metrics` is not installed.
     """
 
-    def __init__(self, address: HttpAddress, vitals: Watched, token: str | None = None) -> None:
-        pages = Pages(vitals, token)
+    def __init__(self, address: HttpAddress, source: StatusSource, token: str | None = None) -> None:
+        pages = Pages(source, token)
         try:
             listening = create_server((address.host, address.port), family=AF_INET6 if ":" in address.host else AF_INET)
         except OSError as error:

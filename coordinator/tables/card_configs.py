@@ -16,8 +16,8 @@ from schemas.terms import Split
 
 __all__ = [
     "Configs",
+    "configs_to_yaml",
     "names_split_tables",
-    "spell_configs",
     "split_configs",
     "splits_at",
     "with_configs",
@@ -49,7 +49,7 @@ def splits_at(root: Place) -> tuple[str, ...]:
     return tuple(str(split) for split in Split if any(name.startswith(f"{split}-") for name in names))
 
 
-def spell_configs(configs: Configs) -> str:
+def configs_to_yaml(configs: Configs) -> str:
     """Returns the lines of a card's front matter."""
     entries: list[dict[str, Any]] = []
     for name, files in configs.items():
@@ -63,7 +63,7 @@ def with_configs(card: str, configs: Configs) -> str:
     """Returns a card with other configurations; a card without any is returned as it is."""
     before, begin, rest = card.partition(_BEGIN)
     _, end, after = rest.partition(_END)
-    return before + spell_configs(configs) + end + after if begin and end else card
+    return before + configs_to_yaml(configs) + end + after if begin and end else card
 
 
 def names_split_tables(card: str) -> bool:

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
-from coordinator.tables.tally import Tally
+from coordinator.tables.aggregates import TableAggregates
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary
 from schemas.storage.place import Place, table_of
@@ -66,7 +66,7 @@ def write_metadata(
     side_column: str,
     episodes: Episodes,
     sides: Mapping[str, Sides],
-    tally: Tally,
+    aggregates: TableAggregates,
     *,
     anew: bool,
 ) -> int:
@@ -79,7 +79,7 @@ def write_metadata(
         side_column: column that says who may name the target.
         episodes: of the ledger.
         sides: scene name -> side of each instance.
-        tally: adds up what the rows say.
+        aggregates: adds up what the rows say.
         anew: whether to take nothing from the table that is there.
 
     Returns:
@@ -98,7 +98,7 @@ def write_metadata(
                 plain = [{**plain_row(row), side_column: _side(sides, row)} for row in rows]
                 table = pa.Table.from_pylist(plain, schema=schema)
             writer.write_table(table, row_group_size=GROUP_ROWS)
-            _add(tally, table)
+            _add(aggregates, table)
             count += len(digests)
     return count
 
@@ -149,15 +149,15 @@ def _side(sides: Mapping[str, Sides], row: EpisodeSummary) -> str | None:
     return None if side is None else str(side)
 
 
-def _add(tally: Tally, table: pa.Table) -> None:
+def _add(aggregates: TableAggregates, table: pa.Table) -> None:
     names, digests = table["episode_id"].to_pylist(), table["content_digest"].to_pylist()
-    tally.digests.extend(zip(names, digests, strict=True))
-    tally.renderers.update(table["renderer"].unique().to_pylist())
+    aggregates.digests.extend(zip(names, digests, strict=True))
+    aggregates.renderers.update(table["renderer"].unique().to_pylist())
     for row in _sums(table, ["target_category"], ()):
-        tally.categories[row["target_category"]] += row["count_all"]
+        aggregates.categories[row["target_category"]] += row["count_all"]
     for row in _sums(table, _CELL, ()):
-        tally.counts[row["scene"], row["split"], row["spawn_tier"]] += row["count_all"]
-    for key, sums in (("scene", tally.scenes), ("spawn_tier", tally.tiers)):
+        aggregates.counts[row["scene"], row["split"], row["spawn_tier"]] += row["count_all"]
+    for key, sums in (("scene", aggregates.scenes), ("spawn_tier", aggregates.tiers)):
         for row in _sums(table, [key], _SUMS):
             sums[row[key]].add(row["count_all"], *(row[f"{name}_sum"] for name in _SUMS))
 

@@ -18,10 +18,10 @@ import pyarrow.parquet as pq
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.instances import Sides
+from coordinator.tables.aggregates import TableAggregates
 from coordinator.tables.card import dataset_card
 from coordinator.tables.card_configs import splits_at
 from coordinator.tables.metadata_table import Episodes, ListedEpisodes, plain_row, write_metadata
-from coordinator.tables.tally import Tally
 from schemas.base import Model
 from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
@@ -74,10 +74,12 @@ def write_tables(
     Raises:
         WorldError: the disk is full or gone; the files are as they were.
     """
-    tally, former = Tally(), _former(archive.root)
+    aggregates, former = TableAggregates(), _former(archive.root)
     listed = ListedEpisodes(episodes) if isinstance(episodes, Iterable) else episodes
-    written = write_metadata(archive, METADATA_FILE, _METADATA_SCHEMA, SIDE_COLUMN, listed, sides, tally, anew=anew)
-    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(plain_row, tally.watch_failures(failures)))
+    written = write_metadata(
+        archive, METADATA_FILE, _METADATA_SCHEMA, SIDE_COLUMN, listed, sides, aggregates, anew=anew
+    )
+    failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(plain_row, aggregates.watch_failures(failures)))
     complete = written == plan.episodes
     meta = DatasetMeta(
         run=plan.run,
@@ -89,8 +91,8 @@ def write_tables(
         planned=plan.episodes,
         failed_attempts=failed,
         complete=complete,
-        dataset_digest=dataset_digest(tally.digests) if complete else None,
-        renderers=tuple(sorted(tally.renderers)),
+        dataset_digest=dataset_digest(aggregates.digests) if complete else None,
+        renderers=tuple(sorted(aggregates.renderers)),
         software=software_versions(),
         git_commit=git_commit(Path(__file__).parents[2]),
         created_at=former.created_at if former else now.astimezone(UTC),
@@ -98,7 +100,7 @@ def write_tables(
         shared_instances=None if shared is None else dict(shared),
         gate=tuple(gate) or (former.gate if former else ()),
     )
-    _write_text(archive, CARD_FILE, dataset_card(meta, tally, splits_at(archive.root)))
+    _write_text(archive, CARD_FILE, dataset_card(meta, aggregates, splits_at(archive.root)))
     _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last: it describes the others
     return meta
 

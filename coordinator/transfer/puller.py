@@ -29,7 +29,7 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import Lease
 
-__all__ = ["Book", "Checker", "Judge", "Nearby", "Pullers", "nothing_nearby"]
+__all__ = ["Checker", "Judge", "LedgerClient", "Nearby", "Pullers", "nothing_nearby"]
 
 _VALIDATION_S = 120.0
 """Lease granted once a bundle is here whole: its worker may die now."""
@@ -71,7 +71,7 @@ class Checker(Judge, Protocol):
         """Returns the episode's row, or raises `InvalidBundle` or `TransientError`."""
 
 
-class Book(Protocol):
+class LedgerClient(Protocol):
     """The ledger as pullers need it: at hand in a coordinator, asked from afar in a gateway.
 
     All but `refuse` may be said twice; all of it raises `TransientError` when the ledger cannot be had.
@@ -132,7 +132,7 @@ class Pullers(Closing):
     def __init__(
         self,
         archive: Archive,
-        book: Book,
+        ledger: LedgerClient,
         fetch: Fetch,
         checker: Judge,
         settings: CoordinatorSettings,
@@ -141,7 +141,7 @@ class Pullers(Closing):
         nearby: Nearby = nothing_nearby,
     ) -> None:
         self._archive = archive
-        self._book = book
+        self._ledger = ledger
         self._fetch = fetch
         self._nearby = nearby
         self._checker = checker
@@ -228,7 +228,7 @@ class Pullers(Closing):
         elif staged.sha256 != pull.sha256:
             self._refuse(pull, f"SHA-256 {staged.sha256} arrived, {pull.sha256} was announced")
         else:
-            self._book.keep(pull, _VALIDATION_S)
+            self._ledger.keep(pull, _VALIDATION_S)
             summary = self._judge(pull, staged.path)
             if summary is not None:
                 self._publish(pull, staged, summary)
@@ -237,7 +237,7 @@ class Pullers(Closing):
     def _begin(self, transfer: _Transfer) -> bool:
         """Opens the part file of a bundle that is wanted; returns whether it is."""
         pull = transfer.pull
-        if not self._book.keep(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
+        if not self._ledger.keep(pull, self._settings.lease_ttl_s) or not self._is_way_clear(pull.job.index):
             return False
         if pull.size > MAX_BUNDLE_BYTES:
             self._refuse(pull, f"{pull.size} bytes announced, more than {MAX_BUNDLE_BYTES}")
@@ -251,7 +251,7 @@ class Pullers(Closing):
         """Whether the episode's place is free; what an unfinished commit left there is removed."""
         if not self._archive.path_of(index).exists():
             return True
-        if self._book.is_owned(index):
+        if self._ledger.is_owned(index):
             return False
         self._archive.unpublish(index)
         return True
@@ -334,7 +334,7 @@ class Pullers(Closing):
         self._meters.add(Meter.REFUSED)
         episode, host = episode_id(pull.job.index), host_of(pull.sid)
         self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=pull.sid, detail=detail)
-        self._book.refuse(pull, detail)
+        self._ledger.refuse(pull, detail)
 
     def _forget_failures(self, pull: Pull) -> None:
         with self._guard:
@@ -344,7 +344,7 @@ class Pullers(Closing):
         index = pull.job.index
         self._forget_failures(pull)
         self._archive.publish(staged, index)
-        if self._book.own(pull, receipt):
+        if self._ledger.own(pull, receipt):
             self._meters.add(Meter.ARCHIVED)
             self._failing.succeed()
             log.info("archived", episode=episode_id(index), worker=pull.sid, steps=receipt.num_steps)

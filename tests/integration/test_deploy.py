@@ -163,7 +163,7 @@ def test_every_watched_metric_is_served(tmp_path):
     endpoint = ("tcp/127.0.0.1:0",)
     with (
         Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), endpoint, settings=settings) as running,
-        StatusServer(HttpAddress("127.0.0.1", 0), running.vitals) as server,
+        StatusServer(HttpAddress("127.0.0.1", 0), running.health) as server,
     ):
         page = ask(server, "/metrics")[1]
     served = set(re.findall(r"^# TYPE (\w+) ", page, re.MULTILINE))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.service import Coordinator
@@ -34,7 +34,7 @@ class SweptClock:
 
 
 def times_of(url: str, event: Event) -> list[float]:
-    with look_into(url) as ledger:
+    with open_ledger(url) as ledger:
         return [row.at for row in ledger.execute(select(events.c.at).where(events.c.event == event))]
 
 

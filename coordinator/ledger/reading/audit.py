@@ -223,7 +223,7 @@ def _history_findings(connection: Connection, plan: Plan) -> Iterator[str]:
     """Compares the counters of jobs that will be simulated with the attempts and events recorded of them."""
     for row in connection.execute(text(_HISTORY)):
         attempt = row.last_attempt if row.last_attempt is not None else row.former if row.draw else 1
-        # the first attempt of a draw, and what `recall` brought back, rise without an event
+        # the first attempt of a draw, and what `record_failures` brought back, rise without an event
         if row.attempt <= (row.settled or 0) or (attempt is not None and row.attempt < attempt):
             yield f"is damaged: episode {row.idx} stands at attempt {row.attempt}, which has ended"
         expected = max(attempt or 1, (row.settled or 0) + 1)

@@ -10,8 +10,8 @@ from sqlalchemy import Row, func, select
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.claims import HELD_STATES
+from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.hosts import troubled
-from coordinator.ledger.keepers import count_by_gateway
 from coordinator.ledger.opening import read_info
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.states import OPEN_STATES, JobState

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import click
 
 from coordinator.expansion.file import load_plan
-from coordinator.recovery.mend import repair
+from coordinator.recovery.repair_dataset import repair
 from coordinator.recovery.report import RepairReport
 from coordinator.validation.validator import Validator
 from factory.cli.common.bars import Bars

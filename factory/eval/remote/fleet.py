@@ -17,7 +17,7 @@ from coordinator.ledger import operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, list_jobs
 from coordinator.ledger.states import JobState
 from coordinator.protocol.ask import ask_presence
@@ -109,7 +109,7 @@ def run_fleet(
             is_over = coordinator.wait(_POLL_S, stop)
             intake.take(root)
         if is_over:
-            coordinator.see_off(stop)
+            coordinator.wait_for_departures(stop)
     if is_over:
         _require_whole(root, store)
         shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
@@ -140,7 +140,7 @@ def _try_failed_again(root: Path) -> None:
 
 
 def _require_whole(root: Path, store: Store) -> None:
-    with look_into(ledger_url_of(root)) as connection:
+    with open_ledger(ledger_url_of(root)) as connection:
         failed = list_jobs(connection, JobFilter(states=(JobState.FAILED,)), limit=_NAMED)
     if failed:
         reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)

@@ -21,7 +21,7 @@ from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.load import Load
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
 from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, JoinReply
-from coordinator.protocol.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
+from coordinator.protocol.relay_handlers import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
 from schemas.keys import Verb
@@ -29,7 +29,7 @@ from schemas.support.closing import Closing
 from schemas.support.log_limit import LogLimit, Repeated, describe_error
 from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
-__all__ = ["Front"]
+__all__ = ["RequestHandler"]
 
 _READS_WAITING = 16
 _WAITING_BYTES = 16 << 20
@@ -39,7 +39,7 @@ _VERBS = frozenset(verb.value for verb in Verb)
 log = structlog.get_logger(__name__)
 
 
-class Front(Closing):
+class RequestHandler(Closing):
     """Between router and writer; a context manager whose exit ends its reading thread.
 
     Args:

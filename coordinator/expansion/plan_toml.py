@@ -6,10 +6,10 @@ import tomli_w
 
 from schemas.plan import Plan
 
-__all__ = ["spell_plan"]
+__all__ = ["plan_to_toml"]
 
 
-def spell_plan(plan: Plan) -> str:
+def plan_to_toml(plan: Plan) -> str:
     """Returns the plan as TOML, without values that equal their default, except for the shares."""
     shares = {"tiers", "splits"}
     data = plan.model_dump(mode="json", exclude_defaults=True, exclude_none=True, exclude=shares)

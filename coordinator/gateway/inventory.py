@@ -23,7 +23,7 @@ from schemas.job import Job
 from schemas.keys import Verb
 from schemas.wire import Ack
 
-__all__ = ["Stock", "take_stock"]
+__all__ = ["DirectoryInventory", "reconcile_directory"]
 
 _LAST = 2**31 - 1
 
@@ -31,7 +31,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass
-class Stock:
+class DirectoryInventory:
     """What was found, by episode number."""
 
     kept: int = 0
@@ -43,9 +43,9 @@ class Stock:
     """The ledger owned them here, and their files are gone; they are made anew."""
 
 
-def take_stock(
+def reconcile_directory(
     archive: DirectoryArchive, core: CoreLink, checker: Checker, stop: threading.Event, *, is_new: bool
-) -> Stock:
+) -> DirectoryInventory:
     """Brings a gateway's directory and the ledger to agree.
 
     Args:
@@ -59,25 +59,25 @@ def take_stock(
         TransientError: told to stop before the core has answered, or nothing can be judged on this machine now.
         WorldError: the core says that episodes lie in another directory of this gateway.
     """
-    stock = Stock()
+    inventory = DirectoryInventory()
     for path in archive.foreign():
         archive.quarantine(path, "no episode by its name")
     present = archive.present()
     for told in _inventories({index: path.stat().st_size for index, path in present.items()}, is_new=is_new):
         while len((reply := core.insist(Verb.INVENTORY, told, InventoryReply, stop)).lost) == MAX_LOST:
-            stock.lost += reply.lost
-        stock.kept += len(told.files) - len(reply.strays)
-        stock.lost += reply.lost
+            inventory.lost += reply.lost
+        inventory.kept += len(told.files) - len(reply.strays)
+        inventory.lost += reply.lost
         for stray in reply.strays:
-            _settle(stray, present[stray.index], archive, core, checker, stop, stock)
+            _settle(stray, present[stray.index], archive, core, checker, stop, inventory)
     log.info(
         "stock_taken",
-        kept=stock.kept,
-        adopted=len(stock.adopted),
-        quarantined=len(stock.quarantined),
-        lost=len(stock.lost),
+        kept=inventory.kept,
+        adopted=len(inventory.adopted),
+        quarantined=len(inventory.quarantined),
+        lost=len(inventory.lost),
     )
-    return stock
+    return inventory
 
 
 def _inventories(sizes: dict[int, int], *, is_new: bool) -> Iterator[Inventory]:
@@ -97,14 +97,14 @@ def _settle(
     core: CoreLink,
     checker: Checker,
     stop: threading.Event,
-    stock: Stock,
+    inventory: DirectoryInventory,
 ) -> None:
     refusal = _offer(stray, path, core, checker, stop)
     if refusal:
         archive.quarantine(path, refusal)
-        stock.quarantined.append(stray.index)
+        inventory.quarantined.append(stray.index)
     else:
-        stock.adopted.append(stray.index)
+        inventory.adopted.append(stray.index)
 
 
 def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: threading.Event) -> str:

@@ -26,16 +26,16 @@ from schemas.job import Job, episode_id
 from schemas.plan import Plan
 from schemas.storage.place import Place, at_hand, children, digest_of
 
-__all__ = ["Draws", "Foreign", "StrayJudge", "count_plans"]
+__all__ = ["ForeignEpisode", "PlannedDraws", "StrayClassifier", "count_plans"]
 
 _SAMPLE = 25
 
 
-class Foreign(str):
+class ForeignEpisode(str):
     """A refusal: the file is an episode, but of another run."""
 
 
-class Draws:
+class PlannedDraws:
     """The draws that a plan gives its episodes.
 
     Args:
@@ -72,7 +72,7 @@ class Draws:
         return self._first.get(index)
 
 
-class StrayJudge:
+class StrayClassifier:
     """Judges files one by one.
 
     Args:
@@ -85,7 +85,7 @@ class StrayJudge:
 
     def __init__(
         self,
-        draws: Draws,
+        draws: PlannedDraws,
         checker: Checker,
         ledger: Connection | None,
         validated: Mapping[int, str] = MappingProxyType({}),
@@ -109,7 +109,7 @@ class StrayJudge:
                     meta = bundle.meta
                 said, plan = meta.job, self._draws.plan
                 if said.plan_digest != plan.digest:
-                    return Foreign(f"an episode of run {said.run}, which has another plan than {plan.run}")
+                    return ForeignEpisode(f"an episode of run {said.run}, which has another plan than {plan.run}")
                 job = self._draws.job(index, said.draw, said.attempt)
                 if job is None:
                     return f"the plan has no draw {said.draw} of {episode_id(index)}"

@@ -1,4 +1,4 @@
-"""A thread that does chores at their intervals; one that fails is logged once and tried again, more and more seldom."""
+"""A thread that does tasks at their intervals; one that fails is logged once and tried again, more and more seldom."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from sqlalchemy.exc import SQLAlchemyError
 from schemas.support.closing import Closing
 from schemas.support.log_limit import Repeated
 
-__all__ = ["Chore", "Housekeeper"]
+__all__ = ["PeriodicTask", "PeriodicTasks"]
 
-Chore = tuple[float, Callable[[], None]]
+PeriodicTask = tuple[float, Callable[[], None]]
 """Pause in seconds, and what to do."""
 
 _SHARE = 20
@@ -25,12 +25,14 @@ _AFTER_FAILURE_S, _LONGEST_S = 2.0, 15.0
 log = structlog.get_logger(__name__)
 
 
-class Housekeeper(Closing):
-    """Runs chores one after the other until closed; a context manager."""
+class PeriodicTasks(Closing):
+    """Runs tasks one after the other until closed; a context manager."""
 
-    def __init__(self, chores: Mapping[str, Chore]) -> None:
-        self._chores = chores
-        self._failing = {name: Repeated(log.bind(chore=name), "chore_failed", (SQLAlchemyError,)) for name in chores}
+    def __init__(self, tasks: Mapping[str, PeriodicTask]) -> None:
+        self._tasks = tasks
+        self._failing = {
+            name: Repeated(log.bind(task=name), "periodic_task_failed", (SQLAlchemyError,)) for name in tasks
+        }
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="housekeeper")
         self._thread.start()
@@ -46,15 +48,15 @@ class Housekeeper(Closing):
         self._thread.join()
 
     def _run(self) -> None:
-        due = {name: time.monotonic() + pause for name, (pause, _) in self._chores.items()}
+        due = {name: time.monotonic() + pause for name, (pause, _) in self._tasks.items()}
         while not self._stop.wait(max(0.0, min(due.values()) - time.monotonic())):
             name = min(due, key=due.__getitem__)
-            pause, work = self._chores[name]
+            pause, work = self._tasks[name]
             began = time.monotonic()
             failing = self._failing[name]
             try:
                 work()
-            except Exception as error:  # noqa: BLE001 - the loop of chores: logged, and done again
+            except Exception as error:  # noqa: BLE001 - the loop of tasks: logged, and done again
                 failing.fail(error)
                 pause = max(pause, min(_AFTER_FAILURE_S * 2 ** min(failing.failures - 1, 10), _LONGEST_S))
             else:

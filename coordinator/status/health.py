@@ -14,7 +14,7 @@ from coordinator.meters import Meter, Meters
 from schemas.errors import FactoryError
 from schemas.wire import Progress
 
-__all__ = ["Snapshot", "Vitals", "Watched"]
+__all__ = ["HealthMonitor", "Snapshot", "StatusSource"]
 
 _COMMIT_S = 5.0
 _FRESH_S = 1.0
@@ -38,7 +38,7 @@ class Snapshot:
     """What confines the processes that validate bundles; empty before the first bundle."""
 
 
-class Watched(Protocol):
+class StatusSource(Protocol):
     """A process that serves for long, as status pages ask it."""
 
     def is_alive(self) -> bool:
@@ -51,7 +51,7 @@ class Watched(Protocol):
         """Returns the figures."""
 
 
-class Vitals:
+class HealthMonitor:
     """Answers for a coordinator; safe to ask from any thread.
 
     Args:

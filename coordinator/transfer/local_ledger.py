@@ -12,11 +12,11 @@ from schemas.dataset import BundleReceipt
 from schemas.terms import FailReason
 from schemas.wire import Fail, cut_detail
 
-__all__ = ["LedgerBook"]
+__all__ = ["LocalLedgerClient"]
 
 
-class LedgerBook:
-    """A `Book` beside the ledger."""
+class LocalLedgerClient:
+    """A `LedgerClient` beside the ledger."""
 
     def __init__(self, writer: Writer, terms: Terms, clock: Callable[[], datetime]) -> None:
         self._writer = writer
@@ -24,15 +24,15 @@ class LedgerBook:
         self._clock = clock
 
     def keep(self, pull: Pull, seconds: float) -> bool:
-        """See `Book`."""
+        """See `LedgerClient`."""
         return self._writer.call(lambda connection: claims.extend(connection, pull.lease, self._clock(), seconds))
 
     def is_owned(self, index: int) -> bool:
-        """See `Book`."""
+        """See `LedgerClient`."""
         return self._writer.call(lambda connection: outcomes.is_owned(connection, index))
 
     def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
-        """See `Book`."""
+        """See `LedgerClient`."""
         return self._writer.call(
             lambda connection: (
                 outcomes.archive(connection, pull.lease, receipt, self._clock())
@@ -41,7 +41,7 @@ class LedgerBook:
         )
 
     def refuse(self, pull: Pull, detail: str) -> None:
-        """See `Book`."""
+        """See `LedgerClient`."""
         report = Fail(
             sid=pull.sid,
             lease=pull.lease,

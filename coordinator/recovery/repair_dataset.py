@@ -23,10 +23,10 @@ from coordinator.ledger.outcomes import lose
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
 from coordinator.ledger.repair import record_whole
-from coordinator.recovery.memory import recall_failures
-from coordinator.recovery.renewal import set_aside_ledger
+from coordinator.recovery.ledger_replacement import quarantine_ledger
 from coordinator.recovery.report import Action, RepairKind, RepairReport
 from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
+from coordinator.recovery.table_records import restore_failures
 from coordinator.tables.checkpoint import read_failures, write_checkpoint
 from coordinator.tables.split_faults import find_faults
 from coordinator.tables.split_tables import write_split_tables
@@ -67,7 +67,7 @@ class RepairInput:
 
 
 def repair(
-    patient: RepairInput,
+    dataset: RepairInput,
     checker: Checker,
     now: datetime,
     *,
@@ -78,7 +78,7 @@ def repair(
     """Finds what is wrong and, unless it is a dry run, puts it right.
 
     Args:
-        patient: the directory.
+        dataset: the directory.
         checker: validates what might be adopted.
         now: of the repair.
         apply: whether to carry out what is found; else nothing is changed.
@@ -90,27 +90,27 @@ def repair(
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
-        archive = stack.enter_context(_open(patient, take_over)) if apply else None
-        trouble = patient.stranger or ledger_trouble(patient.url, patient.catalog)
-        with _reading(patient.url, trouble) as ledger:
-            survey = survey_archive(patient.root, patient.plan, patient.catalog, ledger, checker, tell)
-            actions = [*_of_ledger(trouble), *_of_scenes(patient), *_of(patient.root, survey)]
-            actions += _of_tables(patient, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
+        archive = stack.enter_context(_open(dataset, take_over)) if apply else None
+        trouble = dataset.stranger or ledger_trouble(dataset.url, dataset.catalog)
+        with _reading(dataset.url, trouble) as ledger:
+            survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, tell)
+            actions = [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
+            actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:
-            _carry_out(patient, archive, survey, trouble, now)
+            _carry_out(dataset, archive, survey, trouble, now)
         return RepairReport(
-            dataset=str(patient.root),
-            run=patient.plan.run,
+            dataset=str(dataset.root),
+            run=dataset.plan.run,
             applied=archive is not None,
             actions=tuple(actions),
             episodes=survey.whole + len(survey.adopt) + len(survey.restore),
-            planned=patient.plan.episodes,
+            planned=dataset.plan.episodes,
         )
 
 
-def _open(patient: RepairInput, take_over: bool) -> Archive:
-    store = patient.root if isinstance(patient.root, ObjectPath) else None
-    return open_archive(patient.home, store, take_over=take_over)
+def _open(dataset: RepairInput, take_over: bool) -> Archive:
+    store = dataset.root if isinstance(dataset.root, ObjectPath) else None
+    return open_archive(dataset.home, store, take_over=take_over)
 
 
 @contextmanager
@@ -131,8 +131,8 @@ def _of_ledger(trouble: str) -> Iterator[Action]:
         yield Action(kind=RepairKind.REBUILD, what="ledger", why=trouble)
 
 
-def _of_scenes(patient: RepairInput) -> Iterator[Action]:
-    for name, why in patient.scenes.items():
+def _of_scenes(dataset: RepairInput) -> Iterator[Action]:
+    for name, why in dataset.scenes.items():
         yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
 
 
@@ -151,9 +151,9 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
         yield Action(kind=RepairKind.REQUEUE, what=episode_id(index), why=why)
 
 
-def _of_tables(patient: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
+def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
     """Says which tables do not say what the ledger says, or will say once the other actions are done."""
-    for name, why in _table_findings(patient.root, ledger).items():
+    for name, why in _table_findings(dataset.root, ledger).items():
         yield Action(kind=RepairKind.REWRITE, what=name, why=why)
     if changes and ledger is not None:
         yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="follows the actions above")
@@ -186,43 +186,43 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
     return found
 
 
-def _carry_out(patient: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
+def _carry_out(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
     """Every step may be cut off and done again: files first, then the ledger, the tables last."""
-    for name, why in patient.scenes.items():
-        path = archive.scene_path(name, patient.catalog[name].sha256)
+    for name, why in dataset.scenes.items():
+        path = archive.scene_path(name, dataset.catalog[name].sha256)
         if path.exists():
             archive.quarantine(path, why)
-    for name, entry in patient.catalog.items():
+    for name, entry in dataset.catalog.items():
         archive.add_scene(entry.path, name, entry.sha256)
     for path, why in survey.quarantine:
         archive.quarantine(path, why)
     for path, summary in survey.restore:
         archive.restore(path, summary.index)
     if trouble:
-        set_aside_ledger(archive, patient.url, trouble)
-    engine = open_writer(patient.url)
+        quarantine_ledger(archive, dataset.url, trouble)
+    engine = open_writer(dataset.url)
     try:
-        open_run(engine, patient.plan, patient.catalog, _lease_ttl_of(engine), now)
+        open_run(engine, dataset.plan, dataset.catalog, _lease_ttl_of(engine), now)
         with engine.begin() as connection:
             for index, why in survey.requeue:
                 lose(connection, index, now, why)
         whole = [*survey.adopt, *(summary for _, summary in survey.restore)]
-        recall_failures(
-            engine, patient.root, patient.plan, patient.catalog, now, {summary.index: summary for summary in whole}
+        restore_failures(
+            engine, dataset.root, dataset.plan, dataset.catalog, now, {summary.index: summary for summary in whole}
         )
         for summary in whole:
-            _adopt(engine, patient, archive, summary, now)
+            _adopt(engine, dataset, archive, summary, now)
         with engine.connect() as connection:
-            write_checkpoint(archive, connection, patient.plan, patient.catalog, now)
+            write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive, deep=True)
     finally:
         engine.dispose()
 
 
-def _adopt(engine: Engine, patient: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
+def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
     with engine.begin() as connection:
         at = (summary.draw, summary.attempt)
-        refusal = record_whole(connection, patient.plan, patient.catalog, summary, now, at, replaces=True)
+        refusal = record_whole(connection, dataset.plan, dataset.catalog, summary, now, at, replaces=True)
         if refusal:
             connection.rollback()
     if refusal:

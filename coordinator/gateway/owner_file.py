@@ -8,29 +8,29 @@ from pathlib import Path
 from schemas.errors import UsageError
 from schemas.storage.disk import sync_directory, sync_file, translated
 
-__all__ = ["TITLE", "holds_title", "require_title", "write_title"]
+__all__ = ["OWNER_FILE", "has_owner", "require_owner", "write_owner"]
 
-TITLE = "gateway.json"
+OWNER_FILE = "gateway.json"
 
 
-def holds_title(root: Path) -> bool:
+def has_owner(root: Path) -> bool:
     """Returns whether a gateway has worked in the directory before."""
-    return (root / TITLE).exists()
+    return (root / OWNER_FILE).exists()
 
 
-def require_title(root: Path, run: str, gateway: str) -> None:
+def require_owner(root: Path, run: str, gateway: str) -> None:
     """Makes sure that a directory which has a title has this one.
 
     Raises:
         UsageError: it belongs to another run or gateway, or cannot be read.
     """
-    if not holds_title(root):
+    if not has_owner(root):
         return
     try:
-        found = json.loads((root / TITLE).read_text(encoding="utf-8"))
+        found = json.loads((root / OWNER_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(
-            f"{root / TITLE} cannot be read: {error}; give the directory of a gateway, or a new one"
+            f"{root / OWNER_FILE} cannot be read: {error}; give the directory of a gateway, or a new one"
         ) from error
     if found != {"run": run, "gateway": gateway}:
         raise UsageError(
@@ -38,17 +38,17 @@ def require_title(root: Path, run: str, gateway: str) -> None:
         )
 
 
-def write_title(root: Path, run: str, gateway: str) -> None:
+def write_owner(root: Path, run: str, gateway: str) -> None:
     """Writes the title, durably; does nothing when it stands there.
 
     Raises:
         WorldError: the disk refuses.
     """
-    if holds_title(root):
+    if has_owner(root):
         return
-    part = root / f".{TITLE}.part"
-    with translated("write", root / TITLE):
+    part = root / f".{OWNER_FILE}.part"
+    with translated("write", root / OWNER_FILE):
         part.write_text(json.dumps({"run": run, "gateway": gateway}), encoding="utf-8")
         sync_file(part)
-        part.replace(root / TITLE)
+        part.replace(root / OWNER_FILE)
         sync_directory(root)

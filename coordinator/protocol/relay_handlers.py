@@ -14,7 +14,7 @@ from sqlalchemy import bindparam, select
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.draw import to_job
-from coordinator.ledger import claims, keepers, outcomes
+from coordinator.ledger import claims, gateway_episodes, outcomes
 from coordinator.ledger.moves import JobRow
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import current_job, record_whole
@@ -93,14 +93,14 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
     wrong = _contradictions(row, summary, terms)
     if wrong:
         return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
-    if keepers.is_kept(connection, summary.index, gateway, summary.file_sha256):
+    if gateway_episodes.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
         return Ack(accepted=True)  # said before, and the answer was lost
     if told.lease is not None:
         accepted = outcomes.archive(connection, told.lease, summary, now)
     else:
         accepted = _adopt(connection, summary, terms, now)
     if accepted:
-        keepers.note_keeper(connection, summary.index, gateway)
+        gateway_episodes.record_at_gateway(connection, summary.index, gateway)
     return Ack(accepted=accepted)
 
 
@@ -142,7 +142,7 @@ def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, 
 
 
 def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
-    if told.is_new and (kept := keepers.count_by_gateway(connection).get(gateway)):
+    if told.is_new and (kept := gateway_episodes.count_by_gateway(connection).get(gateway)):
         return Refusal(
             error=f"the ledger says that {kept} episodes lie at gateway {gateway}, and its directory is new: "
             "give the --out it had, or another --name; what is gone for good is made again after "
@@ -150,7 +150,7 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
         )
     files = {index: size for index, size in told.files if told.first <= index <= told.last}
     owned, wrong = set(), {}
-    for index, size in keepers.kept_by(connection, gateway, told.first, told.last):
+    for index, size in gateway_episodes.records_of_gateway(connection, gateway, told.first, told.last):
         owned.add(index)
         if files.get(index) != size:
             wrong[index] = f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is gone"

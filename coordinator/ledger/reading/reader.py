@@ -12,13 +12,13 @@ from coordinator.ledger.engine import open_reader, shown_url
 from coordinator.ledger.reading.audit import ledger_trouble
 from schemas.errors import FactoryError, WorldError
 
-__all__ = ["Connection", "damage_translated", "look_into", "require_sound"]
+__all__ = ["Connection", "open_ledger", "require_sound", "translate_damage"]
 
 _REMEDY = "`factory repair` rebuilds it from the episodes"
 
 
 @contextmanager
-def look_into(url: str) -> Iterator[Connection]:
+def open_ledger(url: str) -> Iterator[Connection]:
     """Opens the ledger at a URL for reading.
 
     Raises:
@@ -26,14 +26,14 @@ def look_into(url: str) -> Iterator[Connection]:
     """
     engine = open_reader(url)
     try:
-        with damage_translated(url), engine.connect() as connection:
+        with translate_damage(url), engine.connect() as connection:
             yield connection
     finally:
         engine.dispose()
 
 
 @contextmanager
-def damage_translated(url: str) -> Iterator[None]:
+def translate_damage(url: str) -> Iterator[None]:
     """Turns what goes wrong in the block into a `WorldError` when the ledger is damaged; else lets it pass.
 
     A value that cannot be understood is our mistake as long as the ledger is sound, so that is looked at first.

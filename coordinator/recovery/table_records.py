@@ -8,8 +8,8 @@ from datetime import datetime
 from sqlalchemy import Engine
 
 from coordinator.expansion.catalog import Catalog
-from coordinator.ledger.repair import recall
-from coordinator.recovery.judge import Draws
+from coordinator.ledger.repair import record_failures
+from coordinator.recovery.stray_files import PlannedDraws
 from coordinator.tables.checkpoint import count_failures, read_failures
 from coordinator.tables.table_reader import read_column, read_failed_attempts
 from schemas.dataset import EpisodeSummary, FailedAttempt
@@ -19,7 +19,7 @@ from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
 
-__all__ = ["recall_failures", "validated_files"]
+__all__ = ["restore_failures", "validated_files"]
 
 
 def validated_files(root: Place, plan: Plan) -> Mapping[int, str]:
@@ -39,7 +39,7 @@ def validated_files(root: Place, plan: Plan) -> Mapping[int, str]:
     }
 
 
-def recall_failures(
+def restore_failures(
     engine: Engine,
     root: Place,
     plan: Plan,
@@ -63,9 +63,9 @@ def recall_failures(
         if not whole and _failed_attempts(root) <= count_failures(connection):
             return
         known = list(read_failures(connection))
-        told = list(_of_plan(read_failed_attempts(root / ATTEMPTS_FILE), Draws(plan, catalog, connection)))
+        told = list(_of_plan(read_failed_attempts(root / ATTEMPTS_FILE), PlannedDraws(plan, catalog, connection)))
         ends = {index: (summary.draw, summary.attempt) for index, summary in whole.items()}
-        recall(connection, plan, catalog, told, known, now, ends)
+        record_failures(connection, plan, catalog, told, known, now, ends)
 
 
 def _failed_attempts(root: Place) -> int:
@@ -75,7 +75,7 @@ def _failed_attempts(root: Place) -> int:
         return 0
 
 
-def _of_plan(failures: list[FailedAttempt], draws: Draws) -> Iterator[FailedAttempt]:
+def _of_plan(failures: list[FailedAttempt], draws: PlannedDraws) -> Iterator[FailedAttempt]:
     """Yields the rows that are of the plan's draws: a table of another run must not move an episode."""
     for one in failures:
         number = one.episode_id.removeprefix("ep_")

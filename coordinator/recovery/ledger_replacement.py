@@ -10,12 +10,12 @@ from coordinator.ledger.engine import is_server, shown_url, sqlite_files
 from coordinator.ledger.reading.audit import ledger_trouble
 from schemas.errors import WorldError
 
-__all__ = ["renew_ledger", "set_aside_ledger"]
+__all__ = ["quarantine_ledger", "replace_unusable_ledger"]
 
 log = structlog.get_logger(__name__)
 
 
-def renew_ledger(archive: Archive, url: str, catalog: Catalog) -> None:
+def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> None:
     """Sets the ledger of a run aside when it cannot be used; a sound one stays.
 
     Args:
@@ -35,12 +35,12 @@ def renew_ledger(archive: Archive, url: str, catalog: Catalog) -> None:
             f"the ledger {shown_url(url)} {trouble}: bring the database back from a backup, or give an empty one with "
             f"--ledger; `factory repair {archive.root}` then rebuilds it from the episodes"
         )
-    set_aside_ledger(archive, url, trouble)
+    quarantine_ledger(archive, url, trouble)
     if episodes := len(archive.present()):
         log.warning("ledger_rebuilt", ledger=shown_url(url), why=trouble, episodes=episodes, remedy="none")
 
 
-def set_aside_ledger(archive: Archive, url: str, why: str) -> None:
+def quarantine_ledger(archive: Archive, url: str, why: str) -> None:
     """Moves the files of an SQLite ledger into quarantine, its log before it; a lost ledger may have left a log.
 
     A log that stayed would be replayed into the next ledger of that name.

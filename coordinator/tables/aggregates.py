@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 
 from schemas.terms import FailReason
 
-__all__ = ["Sums", "Tally"]
+__all__ = ["EpisodeSums", "TableAggregates"]
 
 
 class _Refused(Protocol):
@@ -22,8 +22,8 @@ _OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_task
 
 
 @dataclass
-class Sums:
-    """Sums over some episodes."""
+class EpisodeSums:
+    """Sums over a set of episodes."""
 
     episodes: int = 0
     steps: int = 0
@@ -43,15 +43,15 @@ class Sums:
 
 
 @dataclass
-class Tally:
+class TableAggregates:
     """What the rows tell while they pass by; grows by some hundred bytes an episode."""
 
     digests: list[tuple[str, str]] = field(default_factory=list)
     counts: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     """Episodes by (scene, split, tier)."""
     categories: Counter[str] = field(default_factory=Counter)
-    scenes: defaultdict[str, Sums] = field(default_factory=lambda: defaultdict(Sums))
-    tiers: defaultdict[str, Sums] = field(default_factory=lambda: defaultdict(Sums))
+    scenes: defaultdict[str, EpisodeSums] = field(default_factory=lambda: defaultdict(EpisodeSums))
+    tiers: defaultdict[str, EpisodeSums] = field(default_factory=lambda: defaultdict(EpisodeSums))
     refused: Counter[str] = field(default_factory=Counter)
     """Attempts that the world refused, by scene."""
     renderers: set[str] = field(default_factory=set)

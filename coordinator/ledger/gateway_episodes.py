@@ -12,29 +12,36 @@ from sqlalchemy.engine import Connection
 
 from coordinator.ledger.tables import episodes, keepers
 
-__all__ = ["all_keepers", "bring_home", "count_by_gateway", "is_kept", "kept_by", "note_keeper"]
+__all__ = [
+    "count_by_gateway",
+    "gateways_by_episode",
+    "is_recorded_at_gateway",
+    "record_at_core",
+    "record_at_gateway",
+    "records_of_gateway",
+]
 
 _ROWS = 1000
 _KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == episodes.c.idx)
 
 
-def note_keeper(connection: Connection, index: int, gateway: str) -> None:
+def record_at_gateway(connection: Connection, index: int, gateway: str) -> None:
     """Records that an episode archived just now lies at a gateway."""
     connection.execute(insert(keepers), {"idx": index, "gateway": gateway})
 
 
-def bring_home(connection: Connection, index: int) -> None:
+def record_at_core(connection: Connection, index: int) -> None:
     """Records that an episode lies in the core's own directory now."""
     connection.execute(delete(keepers).where(keepers.c.idx == index))
 
 
-def is_kept(connection: Connection, index: int, gateway: str, sha256: str) -> bool:
+def is_recorded_at_gateway(connection: Connection, index: int, gateway: str, sha256: str) -> bool:
     """Returns whether a gateway keeps this very file for the ledger."""
     same = (episodes.c.idx == index, episodes.c.sha256 == sha256, keepers.c.gateway == gateway)
     return connection.execute(_KEPT.where(*same)).first() is not None
 
 
-def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Iterator[tuple[int, int]]:
+def records_of_gateway(connection: Connection, gateway: str, first: int, last: int) -> Iterator[tuple[int, int]]:
     """Yields number and bytes of each episode that a gateway keeps, between two numbers, both included; ascending."""
     query = _KEPT.where(keepers.c.gateway == gateway, keepers.c.idx.between(first, last)).order_by(keepers.c.idx)
     with connection.execute(query.execution_options(yield_per=_ROWS)) as rows:
@@ -42,7 +49,7 @@ def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Iter
             yield row.idx, row.size
 
 
-def all_keepers(connection: Connection) -> Mapping[int, str]:
+def gateways_by_episode(connection: Connection) -> Mapping[int, str]:
     """Returns the gateway of every episode that lies at one, in the order of the plan."""
     if not inspect(connection).has_table(keepers.name):
         return {}
