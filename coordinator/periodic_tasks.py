@@ -1,4 +1,4 @@
-"""A thread that does tasks at their intervals; one that fails is logged once and tried again, more and more seldom."""
+"""Runs tasks periodically in one thread. A failing task is logged once and retried with growing pauses."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from schemas.support.log_limit import Repeated
 __all__ = ["PeriodicTask", "PeriodicTasks"]
 
 PeriodicTask = tuple[float, Callable[[], None]]
-"""Pause in seconds, and what to do."""
+"""Pause in seconds, and the function to call."""
 
 _SHARE = 20
-"""A chore rests at least so many times as long as it took."""
+"""Least ratio of the pause after a task to the duration of the task."""
 _AFTER_FAILURE_S, _LONGEST_S = 2.0, 15.0
-"""Pause after the first failure of a chore; it doubles up to the second. A longer interval of the chore stays."""
+"""Pause after the first failure of a task, and longest pause, seconds. The pause doubles with each failure. It is never
+shorter than the interval of the task."""
 
 log = structlog.get_logger(__name__)
 
 
 class PeriodicTasks(Closing):
-    """Runs tasks one after the other until closed; a context manager."""
+    """Thread that runs tasks one after the other until closed; a context manager."""
 
     def __init__(self, tasks: Mapping[str, PeriodicTask]) -> None:
         self._tasks = tasks
@@ -34,16 +35,16 @@ class PeriodicTasks(Closing):
             name: Repeated(log.bind(task=name), "periodic_task_failed", (SQLAlchemyError,)) for name in tasks
         }
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="housekeeper")
+        self._thread = threading.Thread(target=self._run, name="periodic-tasks")
         self._thread.start()
 
     @property
     def is_alive(self) -> bool:
-        """Whether its thread runs."""
+        """Whether the thread runs."""
         return self._thread.is_alive()
 
     def close(self) -> None:
-        """Ends after the chore in hand."""
+        """Stops the thread after the current task."""
         self._stop.set()
         self._thread.join()
 

@@ -1,6 +1,7 @@
-"""The coordinator of one run: opens archive, ledger, writer, pullers and router in order and closes them in reverse.
+"""Coordinator of one run: opens archive, ledger, writer, pullers and router in order and closes them in reverse.
 
-Wires the parts and keeps house (expiry, free space, tables); what a verb means or how a job moves is decided elsewhere.
+The module connects the components and runs the periodic tasks (lease expiry, free space, tables). It does not implement
+verbs or state transitions of jobs.
 """
 
 from __future__ import annotations
@@ -56,46 +57,47 @@ __all__ = ["DEFAULT_LISTEN", "Coordinator", "utc_now"]
 DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 _WAIT_S = 0.5
 _THUMBNAILS_S = 2.0
-"""Time for thumbnails at the end of a run that is not finished."""
+"""Time limit of thumbnails when an unfinished run stops, seconds."""
 _BARRED_S = 5.0
 _SANDBOX_S = 1.0
 _LEASE_LIMIT_S = 1.0
-"""Pause between two looks for leases that are too old."""
+"""Pause between two checks of the lease limit, seconds."""
 _DEPARTURE_S = 3.0
-"""How long a finished run is announced at least: a worker may just be reconnecting."""
+"""Least time for which the end of a run is announced, seconds: a worker may be reconnecting."""
 _AGAIN = "start again: the ledger is rebuilt from the episodes"
 
 log = structlog.get_logger(__name__)
 
 
 def utc_now() -> datetime:
-    """Returns the time of this machine, in UTC."""
+    """Returns the current time in UTC."""
     return datetime.now(UTC)
 
 
 class Coordinator(Closing):
-    """A running coordinator; a context manager whose exit loses nothing.
+    """Running coordinator; a context manager. Closing it loses no data.
 
     Args:
-        root: dataset directory, or with `store` the home of what cannot lie there; it is created, or resumed.
-        plan: what to make.
-        catalog: the compiled scenes of the plan.
-        listen: zenoh endpoints; port 0 takes a free one.
-        ledger_url: another database than `ledger.db` in the directory.
-        settings: numbers that change no byte of the dataset.
-        guard: certificates and who is admitted; `None` lets in whoever can connect.
-        checker: judges bundles and is closed with the coordinator; by default sandboxed children, one a puller.
-        clock: the time; an argument, so that a test can let leases run out.
-        elapsed: seconds that pass evenly, by which a clock that was set is noticed.
-        gate: what a pilot found before a new run; goes into the dataset's description.
-        store: where the dataset lies, when in object storage.
-        errands: jobs in the place of the plan's draws; what they bring is kept, and no tables of episodes are written.
-        connect: endpoints of other coordinators, whose workers may work for this one too.
-        nearby: where bundles of workers on this machine lie, which then need not come over the network.
+        root: dataset directory, or with `store` the local home; created, or opened to resume the run.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        listen: zenoh endpoints; port 0 selects a free port.
+        ledger_url: URL of the ledger; by default `ledger.db` in the directory.
+        settings: operational settings, which do not affect the contents of the dataset.
+        guard: TLS credentials and admission list; `None` admits every peer that can connect.
+        checker: validator of bundles, closed with the coordinator; by default one sandboxed child process per puller.
+        clock: wall clock; tests provide one to let leases expire.
+        elapsed: monotonic clock, seconds, to detect changes of the wall clock.
+        gate: results of the pilot before a new run, recorded in the dataset's metadata.
+        store: root of the dataset in object storage; `None` for a dataset in a directory.
+        errands: jobs of an evaluation, which replace the plan's draws; their results are archived without episode
+            tables.
+        connect: endpoints of other coordinators, whose workers may also execute jobs of this one.
+        nearby: function that finds bundles of workers on this machine, to avoid the transfer over the network.
 
     Raises:
         UsageError: the directory holds another plan.
-        WorldError: another coordinator works there, the disk refuses, or an endpoint is taken.
+        WorldError: another coordinator holds the directory, the disk cannot be written, or an endpoint is in use.
     """
 
     def __init__(
@@ -150,7 +152,7 @@ class Coordinator(Closing):
             stack.callback(self._write_split_tables)
             stack.callback(self._write_tables)
             self._pullers = stack.enter_context(self._open_pullers(checker, nearby))
-            stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
+            stack.callback(checker.close)  # before the pullers end, so that they do not wait for a long validation
             limit_s = settings.lease_limit_s
             self._lease_limit = LeaseLimit(self._reading, self._writer.call, self._terms, clock, limit_s)
             self._check_free_space()
@@ -159,10 +161,10 @@ class Coordinator(Closing):
             router = Router(plan.run, listen, catalog, settings, handler.take, handler.note_gone, guard, connect, files)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_periodic_tasks())
-            # a thread of its own: writing the tables of a large run takes seconds, and leases expire meanwhile
+            # a separate thread: writing the tables of a large run takes seconds, and leases expire meanwhile
             stack.enter_context(PeriodicTasks({"write_tables": (settings.checkpoint_s, self._write_tables)}))
             self.health = self._measured()
-            """How it does."""
+            """Health and metrics of the coordinator."""
             write_address(root, plan.run, router.endpoints)
             stack.callback(remove_address, root)
             self._stack = stack.pop_all()
@@ -170,7 +172,7 @@ class Coordinator(Closing):
 
     @property
     def endpoints(self) -> tuple[str, ...]:
-        """Where workers connect."""
+        """Endpoints for workers."""
         return self._router.endpoints
 
     @property
@@ -179,12 +181,12 @@ class Coordinator(Closing):
         return self._terms.plan.run
 
     def progress(self) -> Progress:
-        """Returns where the run stands."""
+        """Returns the progress of the run."""
         with self._reading() as connection:
             return read_progress(connection, self._clock())
 
     def is_finished(self) -> bool:
-        """Whether no job can change any more without an operator."""
+        """Returns whether no job can change any more without an admin request."""
         with self._reading() as connection:
             return not claims.has_open_jobs(connection)
 
@@ -192,11 +194,11 @@ class Coordinator(Closing):
         """Waits until the run is finished.
 
         Args:
-            timeout_s: how long at most; `None` waits for ever.
-            stop: ends the wait early when set.
+            timeout_s: timeout, seconds; `None` waits without a limit.
+            stop: event that ends the wait early.
 
         Returns:
-            Whether it is finished.
+            Whether the run is finished.
         """
         stop = stop or threading.Event()
         left = timeout_s
@@ -209,10 +211,10 @@ class Coordinator(Closing):
         return True
 
     def wait_for_departures(self, stop: threading.Event | None = None) -> None:
-        """Stays until the workers of a finished run have heard that it is, and have left; a lease long at most.
+        """Waits until the workers of a finished run were notified and disconnected, at most about one lease duration.
 
         Args:
-            stop: ends the wait early when set.
+            stop: event that ends the wait early.
         """
         stop = stop or threading.Event()
         begun = time.monotonic()
@@ -223,16 +225,16 @@ class Coordinator(Closing):
                 return
 
     def drain(self) -> None:
-        """Gives out no more jobs and lets workers leave when theirs are done."""
+        """Stops leasing jobs; workers stop after their current jobs."""
         self._draining.set()
 
     def close(self) -> None:
-        """Stops listening, finishes what is queued, writes the tables and releases the directory."""
+        """Stops listening, completes the queued work, writes the tables and releases the directory."""
         self._stack.close()
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:
-        """Yields a reading connection; a ledger that was damaged or removed meanwhile is a `WorldError`."""
+        """Yields a connection for reading; raises `WorldError` if the ledger is damaged or was removed."""
         if self._writer.damage:
             raise WorldError(f"the ledger of run {self.run} is damaged: {self._writer.damage}; {_AGAIN}")
         with translate_damage(self._url), self._reader.connect() as connection:
@@ -318,11 +320,11 @@ class Coordinator(Closing):
     def _limit_leases(self) -> None:
         self._check_clock()
         if not self._has_room:
-            self._lease_limit.restart()  # no worker is to blame that its bundle waits
+            self._lease_limit.restart()  # the full disk delays the bundles, not the workers
         self._meters.add(Meter.EXPIRED, self._lease_limit.enforce())
 
     def _note_sandbox(self) -> None:
-        """Records for `factory status` what confines the validating processes, once the first one has been started."""
+        """Records the sandbox layers of the validating processes for `factory status`, after the first has started."""
         layers = sandbox_of(self._checker)
         if layers != self._noted_sandbox:
             self._writer.submit(lambda connection: note_sandbox(connection, layers))
@@ -339,14 +341,14 @@ class Coordinator(Closing):
         self._barred = frozenset(barred)
 
     def _check_clock(self) -> None:
-        """Starts all leases anew when the clock was set, for they end at times of the former one."""
+        """Restarts all leases after the wall clock was set, because they end at times of the previous clock."""
         jump_s = self._watch.jump_s()
         if jump_s:
             ttl_s = self._settings.lease_ttl_s
             held = self._writer.call(lambda connection: claims.grant_grace(connection, self._clock(), ttl_s))
             self._watch.accept()
             self._lease_limit.restart()
-            log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases begin anew")
+            log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases are restarted")
 
     def _admit(self) -> None:
         if self._router.admit():
@@ -372,20 +374,21 @@ class Coordinator(Closing):
             try:
                 with self._reading() as connection:
                     terms, is_over = self._terms, not claims.has_open_jobs(connection)
-                    # the first and the last time from the ledger alone, whatever became of the file meanwhile
+                    # the first and the last checkpoint use the ledger only, independently of the existing file
                     anew = is_over or not self._has_written
                     write_checkpoint(
                         self._archive, connection, terms.plan, terms.catalog, self._clock(), self._gate, anew=anew
                     )
                 self._has_written = True
             except Exception:
-                self._changed.set()  # they are still owed
+                self._changed.set()  # written by the next call
                 raise
 
     def _write_split_tables(self) -> None:
-        """Runs once, at the end, as it reads a frame of each new episode; a run that is stopped limits its time."""
+        """Writes the split tables once, at the end, because it reads a frame per new episode; an unfinished run limits the
+        time."""
         if self._terms.errands is not None or self._changed.is_set():
-            return  # the tables that they are made from are not up to date
+            return  # their source tables are not up to date
         try:
             limit_s = None if self.is_finished() else _THUMBNAILS_S
         except WorldError as error:

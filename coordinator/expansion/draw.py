@@ -1,6 +1,6 @@
-"""From a plan to jobs: exact cells of scene x tier x split, then category, target and template for each episode.
+"""Expands a plan into jobs: exact quotas of scene x tier x split, then category, target and template per episode.
 
-Pure: the same plan and the same compiled scenes give the same jobs, on any machine and in any order of work.
+The result depends on the plan and the compiled scenes only, not on the machine or the order of the work.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ __all__ = ["PlannedJob", "cells", "expand", "find_impossible", "pool", "redraw",
 Option = TypeVar("Option")
 
 _EXPAND_STREAM, _REDRAW_STREAM = 1, 2
-_LOYAL_DRAWS = 4
-"""Draws that keep the category before the whole pool is opened."""
+_SAME_CATEGORY_DRAWS = 4
+"""Number of redraws that keep the category; later redraws use all targets of the cell."""
 
 
 @dataclass(frozen=True)
 class PlannedJob:
-    """What one draw of one episode asks for."""
+    """One draw of one episode of the plan."""
 
     index: int
     draw: int
@@ -49,13 +49,13 @@ class PlannedJob:
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
-    """Returns draw 0 of every episode, in the order of the plan's indices (from 1).
+    """Returns draw 0 of every episode, ordered by episode number (from 1).
 
-    Cells of scene x tier x split have their exact Webster quota. Within a scene, targets (or categories first, when
-    `plan.balance` says so) and templates are drawn evenly.
+    Cells of scene x tier x split have their exact Webster quota. Within a scene, targets and templates are sampled
+    evenly; with `plan.balance == "categories"` the category is sampled first.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+        InvalidPlan: A cell has no target that its tier can reach; the error lists every such cell.
     """
     require_possible(plan, catalog)
     jobs: list[PlannedJob] = []
@@ -67,10 +67,10 @@ def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
 
 
 def require_possible(plan: Plan, catalog: Catalog) -> None:
-    """Makes sure that every cell of a plan has a target; `expand` does so too.
+    """Checks that every cell of a plan has a target; `expand` checks it too.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+        InvalidPlan: A cell has no target that its tier can reach; the error lists every such cell.
     """
     mistakes = find_impossible(plan, catalog)
     if mistakes:
@@ -78,7 +78,7 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
 
 
 def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Tier) -> tuple[Target, ...]:
-    """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
+    """Returns the targets of a cell: those with the split's categories and side that the expert can start for."""
     categories = _categories_of(scene, split)
     sides = {} if split is Split.TEST_OOD_OBJ else sides_of(plan, scene, entry)
     return tuple(
@@ -91,7 +91,7 @@ def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Ti
 
 
 def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
-    """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
+    """Returns one message per scene that lacks categories and per other cell without a target."""
     return [line for number, scene in enumerate(plan.scenes) for line in _impossible_in(plan, catalog, number, scene)]
 
 
@@ -138,7 +138,7 @@ def _expand_scene(
     first_index: int,
     templates: Counter[str],
 ) -> Iterator[PlannedJob]:
-    """Yields draw 0 of a scene's episodes, the cells in random order; `templates` counts over all scenes."""
+    """Yields draw 0 of a scene's episodes, with the cells in random order; `templates` counts over all scenes."""
     quota = cells(plan, scene)
     slots = [cell for cell, count in quota.items() for _ in range(count)]
     pools = {cell: pool(plan, scene, entry, *cell) for cell in quota}
@@ -158,17 +158,19 @@ def _expand_scene(
 
 
 def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
-    """Returns the next draw of the same cell, after the former target proved hopeless.
+    """Returns the next draw of the same cell, after the attempts at the previous target failed.
 
-    The first few draws keep the category; later ones open the whole pool. Depends on plan, scene, index and draw
-    only, so that the redrawn dataset is the same whoever failed when.
+    The first redraws keep the category; later redraws use all targets of the cell. The result depends on plan, scene,
+    index and draw only, so that it does not depend on which worker failed or when.
     """
     draw = planned.draw + 1
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
     scene = next(scene for scene in plan.scenes if scene.name == planned.scene)
     options = pool(plan, scene, catalog[scene.name], planned.split, planned.tier)
-    loyal = [target for target in options if target.category == planned.category] if draw <= _LOYAL_DRAWS else []
-    fresh = [target for target in loyal or options if target.target_id != planned.target_id]
+    same_category = (
+        [target for target in options if target.category == planned.category] if draw <= _SAME_CATEGORY_DRAWS else []
+    )
+    fresh = [target for target in same_category or options if target.target_id != planned.target_id]
     target = _draw(fresh or options, rng)
     colour = _said_colour(plan, target)
     keeps = colour != "unknown" or not needs_colour(planned.template_id)

@@ -1,6 +1,6 @@
-"""Jobs that a list names one by one, in the place of a plan's draws; each with a text for whoever carries it out.
+"""Defines the jobs of an evaluation, which replace the draws of a plan, with a payload per job.
 
-Holds them; what the texts say is read by those who wrote them and by the simulations that they are for.
+The module does not interpret the payloads; the evaluation writes them and the simulations read them.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ __all__ = ["Errands", "EvalPayload"]
 
 
 class EvalPayload(NamedTuple):
-    """What the simulation of a job is told and given beside the job."""
+    """Payload for the simulation of a job."""
 
     text: str
+    """Text for the simulation."""
     attachment: Attachment | None = None
+    """File that the worker fetches; `None` for none."""
 
 
 @dataclass(frozen=True)
 class Errands:
-    """What a run of errands gives out; its plan names the scenes and the settings only."""
+    """Jobs of an evaluation run; its plan defines the scenes and the settings only."""
 
     planned: tuple[PlannedJob, ...]
-    """The jobs that a new ledger is begun with."""
+    """Jobs of a new ledger."""
     find: Callable[[int], EvalPayload]
-    """Returns what goes with a job, by its index."""
+    """Function that returns the payload of a job by its index."""
     files: Mapping[str, Path] = field(default_factory=dict)
-    """What is attached, by SHA-256."""
+    """Attached files by SHA-256."""

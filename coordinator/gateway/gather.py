@@ -1,6 +1,7 @@
-"""Brings the episodes that gateways keep into the core's own dataset: copied, compared with the ledger, taken home.
+"""Copies the episodes that gateways store into the dataset of the core and records them there.
 
-Runs without a coordinator and deletes nothing: what a gateway has stays there. Cut off, it is simply run again.
+The module compares each copy with the ledger. It runs without a coordinator, does not delete files of a gateway, and
+can be repeated after an interruption.
 """
 
 from __future__ import annotations
@@ -38,32 +39,38 @@ ProgressCallback = Callable[[int, int], None]
 
 
 class Missing(Model):
-    """An episode that was not found whole in any of the directories."""
+    """Episode without an intact file in any of the directories."""
 
     episode: str
+    """Episode id."""
     gateway: str
-    """That keeps it, as the ledger says."""
+    """Gateway that stores the episode according to the ledger."""
     why: str
+    """Reason, per directory."""
 
 
 class GatherReport(Model):
-    """What came of a gathering."""
+    """Result of `gather`."""
 
     dataset: str
+    """Root of the dataset."""
     run: str
+    """Name of the run."""
     gathered: int
-    """Episodes taken home now."""
+    """Number of episodes copied by this call."""
     missing: tuple[Missing, ...]
+    """Episodes that were not found."""
     requeued: bool
-    """Whether the missing ones were put back into the queue, to be made anew."""
+    """Whether the missing episodes were returned to the queue, to be collected again."""
     episodes: int
-    """That lie in the dataset now."""
+    """Number of episodes in the dataset."""
     planned: int
+    """Number of episodes of the plan."""
 
 
 @dataclass(frozen=True)
 class _Wanted:
-    """An episode as the ledger owns it."""
+    """Ledger record of an episode at a gateway."""
 
     index: int
     gateway: str
@@ -79,18 +86,18 @@ def gather(
     requeue_missing: bool = False,
     tell: ProgressCallback = lambda _done, _all: None,
 ) -> GatherReport:
-    """Takes home what lies at gateways, as far as it is found.
+    """Copies episodes from gateways into the dataset, as far as their files are found.
 
     Args:
-        dataset: the core's dataset, and what is known of it.
-        sources: directories of gateways, or copies of them.
-        now: of the gathering.
-        requeue_missing: whether what is found nowhere is given up for lost and made anew.
-        tell: told how many episodes of how many are done.
+        dataset: dataset of the core.
+        sources: directories of gateways, or copies of such directories.
+        now: current time.
+        requeue_missing: whether to return missing episodes to the queue as lost.
+        tell: progress callback with the number of processed episodes and the total.
 
     Raises:
-        UsageError: a source is no directory of a gateway.
-        WorldError: a coordinator works on the dataset, its ledger is lost or damaged, or the disk refuses.
+        UsageError: a source is not a directory of a gateway.
+        WorldError: a coordinator holds the dataset, its ledger is lost or damaged, or the disk cannot be written.
     """
     for source in sources:
         if not (source / EPISODES).is_dir():
@@ -142,11 +149,11 @@ def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_mi
 
 
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
-    """Copies an episode into the dataset; returns why not, or nothing when it lies there, durable and as recorded."""
+    """Copies an episode durably into the dataset; returns the reason if that fails, else an empty string."""
     home = archive.path_of(one.index)
     if home.exists():
         if digest_of(home) == one.sha256:
-            return ""  # cut off the last time between file and ledger
+            return ""  # a previous call ended between file and ledger
         archive.quarantine(home, f"its SHA-256 is not {one.sha256}, as the ledger says")
     found = []
     for source in sources:
@@ -165,7 +172,7 @@ def _copy(archive: Archive, one: _Wanted, path: Path) -> str:
             with path.open("rb") as file:
                 while staged.size <= one.size and (block := file.read(_COPY_BYTES)):
                     staged.write(block)
-        except OSError as error:  # of the source: what the archive cannot take is a WorldError
+        except OSError as error:  # an error of the source: an error of the archive is a WorldError
             return f"{path} cannot be read: {error.strerror}"
         if staged.sha256 != one.sha256:
             return f"{path} has SHA-256 {staged.sha256}, the ledger says {one.sha256}"

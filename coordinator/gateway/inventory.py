@@ -1,6 +1,7 @@
-"""What lies in a gateway's directory, told to its core at start: kept, offered for adoption, or set aside.
+"""Reconciles a gateway's directory with the ledger at start: files are kept, offered for adoption or quarantined.
 
-Like `reconcile` in the core, with the ledger far away. Deletes nothing that could be an episode.
+This is the counterpart of `reconcile` in the core, with requests instead of ledger access. The module does not delete
+files that could be episodes.
 """
 
 from __future__ import annotations
@@ -32,32 +33,33 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class DirectoryInventory:
-    """What was found, by episode number."""
+    """Result of the reconciliation, by episode number."""
 
     kept: int = 0
-    """Files that the ledger owns here."""
+    """Number of files that the ledger records at this gateway."""
     adopted: list[int] = field(default_factory=list)
-    """Published, but the core had not been told."""
+    """Episodes that were published and not yet recorded."""
     quarantined: list[int] = field(default_factory=list)
+    """Episodes whose files were moved to the quarantine folder."""
     lost: list[int] = field(default_factory=list)
-    """The ledger owned them here, and their files are gone; they are made anew."""
+    """Episodes that the ledger recorded at this gateway and whose files are missing; they are collected again."""
 
 
 def reconcile_directory(
     archive: DirectoryArchive, core: CoreLink, checker: Checker, stop: threading.Event, *, is_new: bool
 ) -> DirectoryInventory:
-    """Brings a gateway's directory and the ledger to agree.
+    """Reconciles a gateway's directory with the ledger.
 
     Args:
-        archive: of the gateway, held exclusively.
-        core: to ask.
-        checker: judges files that are to be adopted.
-        stop: ends waiting for the core.
-        is_new: whether the directory was just made.
+        archive: archive of the gateway, held exclusively.
+        core: request client of the core.
+        checker: validator of the files to adopt.
+        stop: event that ends waiting for the core.
+        is_new: whether the directory was just created.
 
     Raises:
-        TransientError: told to stop before the core has answered, or nothing can be judged on this machine now.
-        WorldError: the core says that episodes lie in another directory of this gateway.
+        TransientError: `stop` was set before the core replied, or no bundle can be validated on this machine now.
+        WorldError: the ledger records episodes in another directory of this gateway.
     """
     inventory = DirectoryInventory()
     for path in archive.foreign():
@@ -71,7 +73,7 @@ def reconcile_directory(
         for stray in reply.strays:
             _settle(stray, present[stray.index], archive, core, checker, stop, inventory)
     log.info(
-        "stock_taken",
+        "inventory_reconciled",
         kept=inventory.kept,
         adopted=len(inventory.adopted),
         quarantined=len(inventory.quarantined),
@@ -81,7 +83,7 @@ def reconcile_directory(
 
 
 def _inventories(sizes: dict[int, int], *, is_new: bool) -> Iterator[Inventory]:
-    """Yields inventories that cover every number there can be, each within the bounds of one message."""
+    """Yields inventories that cover all episode numbers, each within the size limits of one message."""
     first, rest = 1, iter(sorted(sizes.items()))
     while files := tuple(islice(rest, MAX_FILES)):
         last = files[-1][0]
@@ -108,7 +110,7 @@ def _settle(
 
 
 def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: threading.Event) -> str:
-    """Offers a file to the core if it is what its job asks for; returns why not, or nothing when it is adopted."""
+    """Validates a file and offers it to the core; returns the reason if it is not adopted, else an empty string."""
     if stray.job is None:
         return stray.why
     try:
@@ -120,7 +122,7 @@ def _offer(stray: Stray, path: Path, core: CoreLink, checker: Checker, stop: thr
 
 
 def _job_of(path: Path, job: Job) -> Job:
-    """Returns the job at the attempt that a file says it is of, where that is a later one of the same draw."""
+    """Returns the job at the attempt recorded in the file, if that is a later attempt of the same draw."""
     with path.open("rb") as file, BundleReader(file) as bundle:
         said = bundle.meta.job
     is_later = said.draw == job.draw and said.attempt > job.attempt

@@ -1,4 +1,7 @@
-"""Whose a gateway's directory is: a small file names run and gateway, so that neither takes up another's episodes."""
+"""Reads and writes `gateway.json`, which records the run and the gateway that own a directory.
+
+The file prevents a gateway from using the episodes of another run or gateway.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +14,19 @@ from schemas.storage.disk import sync_directory, sync_file, translated
 __all__ = ["OWNER_FILE", "has_owner", "require_owner", "write_owner"]
 
 OWNER_FILE = "gateway.json"
+"""Name of the file in the directory of a gateway."""
 
 
 def has_owner(root: Path) -> bool:
-    """Returns whether a gateway has worked in the directory before."""
+    """Returns whether the directory has an owner file."""
     return (root / OWNER_FILE).exists()
 
 
 def require_owner(root: Path, run: str, gateway: str) -> None:
-    """Makes sure that a directory which has a title has this one.
+    """Checks that a directory with an owner file belongs to this run and gateway.
 
     Raises:
-        UsageError: it belongs to another run or gateway, or cannot be read.
+        UsageError: the directory belongs to another run or gateway, or the file cannot be read.
     """
     if not has_owner(root):
         return
@@ -39,10 +43,10 @@ def require_owner(root: Path, run: str, gateway: str) -> None:
 
 
 def write_owner(root: Path, run: str, gateway: str) -> None:
-    """Writes the title, durably; does nothing when it stands there.
+    """Writes the owner file durably. Does nothing if the file exists.
 
     Raises:
-        WorldError: the disk refuses.
+        WorldError: the file cannot be written.
     """
     if has_owner(root):
         return

@@ -1,4 +1,4 @@
-"""The ledger as a gateway's pullers need it: every entry is a question to the core. Keeps nothing."""
+"""Implements the ledger operations of a gateway's pullers as requests to the core. Stores no state."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["RemoteLedgerClient"]
 
 
 class RemoteLedgerClient:
-    """A `LedgerClient` that lies with the core.
+    """`LedgerClient` that accesses the ledger of the core.
 
     Args:
-        core: to ask.
-        archive: of the gateway.
-        stop: ends waiting for an answer.
+        core: request client of the core.
+        archive: archive of the gateway.
+        stop: event that ends waiting for a reply.
     """
 
     def __init__(self, core: CoreLink, archive: Archive, stop: threading.Event) -> None:
@@ -41,7 +41,7 @@ class RemoteLedgerClient:
         return all(stray.index != index for stray in strays)
 
     def own(self, pull: Pull, receipt: BundleReceipt) -> bool:
-        """See `LedgerClient`; insists, for the file is durable and nobody else may decide what becomes of it."""
+        """See `LedgerClient`. Repeats the request until the core replies, because the file is already durable."""
         told = Archived.model_validate({"summary": receipt, "lease": pull.lease})
         return self._core.insist(Verb.ARCHIVED, told, Ack, self._stop).accepted
 

@@ -1,6 +1,6 @@
-"""Which archived episodes a gateway keeps; the others lie in the core's own directory. Moves no job.
+"""Records which archived episodes a gateway stores; the core stores the others. Does not change jobs.
 
-Ledgers of format 1 know no gateways and have no such table until they are opened for writing.
+Ledgers of format 1 do not have the table `keepers` until they are opened for writing.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ _KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == e
 
 
 def record_at_gateway(connection: Connection, index: int, gateway: str) -> None:
-    """Records that an episode archived just now lies at a gateway."""
+    """Records that a gateway stores a newly archived episode."""
     connection.execute(insert(keepers), {"idx": index, "gateway": gateway})
 
 
 def record_at_core(connection: Connection, index: int) -> None:
-    """Records that an episode lies in the core's own directory now."""
+    """Records that the core stores an episode."""
     connection.execute(delete(keepers).where(keepers.c.idx == index))
 
 
 def is_recorded_at_gateway(connection: Connection, index: int, gateway: str, sha256: str) -> bool:
-    """Returns whether a gateway keeps this very file for the ledger."""
+    """Returns whether the ledger records a file with this digest at the gateway."""
     same = (episodes.c.idx == index, episodes.c.sha256 == sha256, keepers.c.gateway == gateway)
     return connection.execute(_KEPT.where(*same)).first() is not None
 
 
 def records_of_gateway(connection: Connection, gateway: str, first: int, last: int) -> Iterator[tuple[int, int]]:
-    """Yields number and bytes of each episode that a gateway keeps, between two numbers, both included; ascending."""
+    """Yields number and size (bytes) of each episode of a gateway from `first` to `last`, ascending."""
     query = _KEPT.where(keepers.c.gateway == gateway, keepers.c.idx.between(first, last)).order_by(keepers.c.idx)
     with connection.execute(query.execution_options(yield_per=_ROWS)) as rows:
         for row in rows:
@@ -50,14 +50,14 @@ def records_of_gateway(connection: Connection, gateway: str, first: int, last: i
 
 
 def gateways_by_episode(connection: Connection) -> Mapping[int, str]:
-    """Returns the gateway of every episode that lies at one, in the order of the plan."""
+    """Returns the gateway of every episode that a gateway stores, ordered by episode number."""
     if not inspect(connection).has_table(keepers.name):
         return {}
     return {row.idx: row.gateway for row in connection.execute(select(keepers).order_by(keepers.c.idx))}
 
 
 def count_by_gateway(connection: Connection) -> Mapping[str, int]:
-    """Returns how many episodes lie at which gateway."""
+    """Returns the number of episodes per gateway."""
     if not inspect(connection).has_table(keepers.name):
         return {}
     query = select(keepers.c.gateway, func.count()).group_by(keepers.c.gateway).order_by(keepers.c.gateway)

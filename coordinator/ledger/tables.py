@@ -1,6 +1,6 @@
-"""The tables of the ledger, for any database SQLAlchemy speaks to. Describes rows; runs no statement.
+"""Defines the SQLAlchemy tables of the ledger. Executes no statement.
 
-Times are seconds since 1970 in UTC. `LEDGER_FORMAT` rises with every change that an older coordinator cannot read.
+Times are seconds since 1970 in UTC. Every change that an older coordinator cannot read increases `LEDGER_FORMAT`.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ __all__ = [
 ]
 
 LEDGER_FORMAT = 2
-"""2: episodes may lie at gateways, which an older coordinator would take for lost."""
+"""Format version. Since 2 gateways may store episodes, which an older coordinator would regard as lost."""
 
 ADDED_LATER = frozenset({"hosts", "keepers"})
-"""Tables that a whole ledger of an older format lacks; opening it for writing adds them."""
+"""Tables that an intact ledger of an older format lacks; opening it for writing adds them."""
 
 PLANNED = "planned"
-"""Key of `info` with the digest of the jobs that the run began with; older ledgers lack it until they are opened."""
+"""Key of `info` with the digest of the initial jobs. Opening a ledger of an older format for writing adds it."""
 
 METADATA = MetaData()
 
-# SQLite numbers rows by itself only when the key is spelt INTEGER.
+# SQLite autoincrements only keys of type INTEGER.
 _RowId = BigInteger().with_variant(Integer, "sqlite")
 
 info = Table(

@@ -1,6 +1,7 @@
-"""What the core answers its gateways: each question turned into fenced work on the ledger. Knows no zenoh.
+"""Implements the requests of gateways as fenced operations on the ledger. Does not use zenoh.
 
-Like `protocol` for workers; a gateway can do to the ledger what the core's own pullers do, and say what lies with it.
+This is the counterpart of `protocol` for gateways. A gateway may record what the core's own pullers record, and reports
+the files that it stores.
 """
 
 from __future__ import annotations
@@ -48,20 +49,20 @@ _OF_THE_JOB = (
     *("split", "scene", "instruction", "target_id", "template_id", "colour", "expert"),
     *("scene_sha256", "plan_digest", "run"),
 )
-"""What an episode's row repeats of its job under the same name."""
+"""Fields that an episode's row copies from its job under the same name."""
 _MOST_AHEAD = 10_000
-"""Attempts that a file may be ahead of a rebuilt ledger."""
+"""Maximum number of attempts that a file may be ahead of a rebuilt ledger."""
 _DRAW = select(jobs).where(jobs.c.idx == bindparam("index"), jobs.c.draw == bindparam("of_draw"))
 _CURRENT = select(jobs).where(jobs.c.idx.in_(bindparam("indices", expanding=True)), jobs.c.superseded.is_(False))
 
 
 def serve_gateway(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:
-    """Does what a gateway asks, within the caller's transaction."""
+    """Executes a request of a gateway within the caller's transaction."""
     return ProtocolAnswer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
 
 
 def orders_for(pulls: tuple[Pull, ...]) -> Orders:
-    """Returns orders as they are sent."""
+    """Returns the message with the orders of a gateway."""
     return Orders(
         orders=tuple(
             RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target)
@@ -94,7 +95,7 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
     if wrong:
         return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
     if gateway_episodes.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
-        return Ack(accepted=True)  # said before, and the answer was lost
+        return Ack(accepted=True)  # a repeated request whose reply was lost
     if told.lease is not None:
         accepted = outcomes.archive(connection, told.lease, summary, now)
     else:
@@ -105,7 +106,7 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
 
 
 def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[str]:
-    """Returns the fields in which a told episode is not what its job asks for."""
+    """Returns the fields in which a reported episode differs from its job."""
     job = to_job(terms.plan, terms.catalog, planned_of(row), summary.attempt)
     wanted = {
         "episode_id": job.episode_id,
@@ -118,9 +119,9 @@ def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[
 
 
 def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: datetime) -> bool:
-    """Records a file that was published when its gateway or the core died, as long as the job is open.
+    """Records a file that was published before a crash of its gateway or of the core, if the job is open.
 
-    A ledger that was rebuilt may stand at an earlier attempt than the file.
+    A rebuilt ledger may be at an earlier attempt than the file.
     """
     row = current_job(connection, summary.index)
     if row is None or row.state not in OPEN_STATES or row.draw != summary.draw or row.attempt > summary.attempt:
@@ -189,7 +190,7 @@ RELAY_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
         Verb.INVENTORY: Inventory,
     }
 )
-"""What each verb of a gateway carries; `orders` is answered without the ledger."""
+"""Message type by verb of a gateway; the reply to `orders` does not need the ledger."""
 
 _HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
     {Join: _join, Hold: _hold, Archived: _archived, Refused: _refused, Inventory: _inventory}

@@ -1,7 +1,7 @@
-"""Makes ledger and disk agree at start: adopts, quarantines or re-queues whatever the last stop left in between.
+"""Reconciles the ledger with the archive at start: adopts, quarantines or requeues episodes after an interruption.
 
-Runs before anything else writes. A ledger that was lost, or restored from an older copy, knows less than the disk:
-every whole episode of the plan is adopted. Deletes nothing that could be an episode.
+The reconciliation runs before any other writer. If the ledger was lost or restored from an older copy, every intact
+episode of the plan is adopted. The module does not delete files that could be episodes.
 """
 
 from __future__ import annotations
@@ -36,36 +36,36 @@ __all__ = ["Reconciled", "reconcile"]
 log = structlog.get_logger(__name__)
 
 _Verdict = tuple[BundleReceipt, tuple[int, int]] | str
-"""What the ledger keeps of a whole file with its draw and attempt, or why it is none."""
+"""Receipt of an intact file with its draw and attempt, or the reason why the file is rejected."""
 
 
 @dataclass
 class Reconciled:
-    """What had to be put right, by episode number."""
+    """Result of the reconciliation."""
 
     adopted: list[int] = field(default_factory=list)
-    """On disk and whole, and unknown to the ledger."""
+    """Numbers of intact episodes that the ledger did not record."""
     quarantined: list[Place] = field(default_factory=list)
-    """Damaged, or no episodes of the plan."""
+    """New paths of files that are damaged or not episodes of the plan."""
     requeued: list[int] = field(default_factory=list)
-    """Archived, but the file is gone or damaged."""
+    """Numbers of archived episodes whose file is missing or damaged."""
     held: int = 0
-    """Leases that have got their grace."""
+    """Number of restarted leases."""
 
 
 def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, now: datetime) -> Reconciled:
-    """Brings ledger and archive to agree; the staging directory was emptied when the archive was opened.
+    """Reconciles ledger and archive; opening the archive has already emptied the staging directory.
 
     Args:
-        archive: of the run, held exclusively.
-        engine: writes the ledger, which is sound and may lag behind the archive.
-        terms: of the run.
-        checker: judges bundles that are to be adopted.
-        now: leases are granted from here on.
+        archive: archive of the run, held exclusively.
+        engine: writer engine of the ledger, which is intact and may lag behind the archive.
+        terms: terms of the run.
+        checker: validator of bundles to adopt.
+        now: start time of the restarted leases.
 
     Raises:
-        TransientError: nothing can be judged on this machine now; what was not judged is where it was.
-        UsageError: the episodes are those of another plan.
+        TransientError: no bundle can be validated on this machine now; the remaining files are unchanged.
+        UsageError: the episodes belong to another plan.
     """
     result = Reconciled()
     present = archive.present()
@@ -80,7 +80,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
         for index in sorted(owned.keys() - present.keys() - away.keys()):
             _requeue(connection, index, now, "its file is gone", result)
         for index in sorted((owned.keys() & present.keys() & away.keys()) - unsure.keys()):
-            record_at_core(connection, index)  # `factory gather` was cut off between file and ledger
+            record_at_core(connection, index)  # `factory gather` ended between file and ledger
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
     _settle(archive, engine, terms, now, unsure, verdicts, {i: owned[i] for i in owned if i not in away}, result)
     log.info(
@@ -117,7 +117,7 @@ def _judge_all(
 
 
 def _judge_errand(ledger: Connection, index: int, path: Place, terms: Terms, checker: Judge) -> _Verdict:
-    """Judges a result of an evaluation, which does not say which attempt it is of: the one in force."""
+    """Validates a result of an evaluation against the current attempt, since the file does not name its attempt."""
     row = current_job(ledger, index)
     if row is None:
         return "nothing of that number was asked for"
@@ -131,10 +131,10 @@ def _judge_errand(ledger: Connection, index: int, path: Place, terms: Terms, che
 
 
 def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Verdict], owned: int) -> None:
-    """Stops before anything is moved when all that is there is of another run: the plan given is wrong, not the files.
+    """Raises before files are moved if all files belong to another run: the given plan is wrong, not the files.
 
     Raises:
-        UsageError: says which run it is.
+        UsageError: all files belong to another run, which the message names.
     """
     strange = [found for found in verdicts.values() if isinstance(found, ForeignEpisode)]
     if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):

@@ -1,6 +1,7 @@
-"""Puts a dataset directory right that no coordinator works on: adopts, quarantines, re-queues, rebuilds.
+"""Repairs a dataset without a running coordinator: adopts, quarantines and requeues episodes, rebuilds the ledger.
 
-Deletes nothing that could be an episode or a ledger: what it takes away lies in `quarantine/`, the reason beside it.
+The module does not delete files that could be episodes or ledgers: it moves them to `quarantine/` and writes the reason
+beside them.
 """
 
 from __future__ import annotations
@@ -49,21 +50,22 @@ _LISTED_CHARS = 500
 
 @dataclass(frozen=True)
 class RepairInput:
-    """A dataset directory and what is known of it beforehand."""
+    """Dataset to repair, with its plan and scenes."""
 
     root: Place
-    """Where the dataset lies."""
+    """Root of the dataset."""
     home: Path
-    """Its directory, or for a dataset in object storage that of its ledger, part files and lock."""
+    """Directory of the dataset; for object storage the directory of its ledger, part files and lock."""
     url: str
-    """Of the ledger."""
+    """URL of the ledger."""
     plan: Plan
+    """Plan of the run."""
     catalog: Catalog
-    """Of the plan's scenes; those that `scenes` names lie elsewhere than in the directory."""
+    """Compiled scenes of the plan; the packages of scenes in `scenes` are stored outside the dataset."""
     scenes: Mapping[str, str]
-    """Scene name -> why its package in the directory cannot be used."""
+    """Mapping of scene name to the reason why its package in the dataset is unusable."""
     stranger: str = ""
-    """Why the ledger, whole or not, is not this dataset's; empty when it is, or is lost."""
+    """Reason why the ledger belongs to another dataset; empty if it belongs to this dataset or is lost."""
 
 
 def repair(
@@ -75,18 +77,18 @@ def repair(
     take_over: bool = False,
     tell: ProgressCallback = lambda _done, _all: None,
 ) -> RepairReport:
-    """Finds what is wrong and, unless it is a dry run, puts it right.
+    """Finds faults of a dataset and, with `apply`, repairs them.
 
     Args:
-        dataset: the directory.
-        checker: validates what might be adopted.
-        now: of the repair.
-        apply: whether to carry out what is found; else nothing is changed.
-        take_over: whether to take a dataset in object storage from a home whose coordinator is gone for good.
-        tell: told how many episodes of how many are looked at.
+        dataset: dataset to repair.
+        checker: validator of files to adopt.
+        now: time of the repair.
+        apply: whether to apply the actions; otherwise the dataset is not changed.
+        take_over: whether to take over a dataset in object storage from a home whose coordinator has ended for good.
+        tell: progress callback with the number of examined episodes and the total.
 
     Raises:
-        WorldError: a coordinator works on the directory, or the disk refuses.
+        WorldError: a coordinator holds the dataset, or the disk cannot be written.
         UsageError: the ledger belongs to another plan.
     """
     with ExitStack() as stack:
@@ -97,7 +99,7 @@ def repair(
             actions = [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
             actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:
-            _carry_out(dataset, archive, survey, trouble, now)
+            _apply_actions(dataset, archive, survey, trouble, now)
         return RepairReport(
             dataset=str(dataset.root),
             run=dataset.plan.run,
@@ -152,7 +154,7 @@ def _of(root: Place, survey: Survey) -> Iterator[Action]:
 
 
 def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
-    """Says which tables do not say what the ledger says, or will say once the other actions are done."""
+    """Yields the tables that differ from the ledger, or will differ after the other actions."""
     for name, why in _table_findings(dataset.root, ledger).items():
         yield Action(kind=RepairKind.REWRITE, what=name, why=why)
     if changes and ledger is not None:
@@ -181,13 +183,13 @@ def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
         found[META_FILE] = str(error)
     if not (root / CARD_FILE).is_file():
         found[CARD_FILE] = "is not there"
-    with suppress(ArchiveCorrupt):  # named above
+    with suppress(ArchiveCorrupt):  # reported above
         found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
     return found
 
 
-def _carry_out(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
-    """Every step may be cut off and done again: files first, then the ledger, the tables last."""
+def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
+    """Applies the actions: files first, then the ledger, then the tables. An interrupted repair can be repeated."""
     for name, why in dataset.scenes.items():
         path = archive.scene_path(name, dataset.catalog[name].sha256)
         if path.exists():
@@ -230,6 +232,6 @@ def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: Epis
 
 
 def _lease_ttl_of(engine: Engine) -> float:
-    """Returns the lease time the ledger was last run with, so that opening it changes nothing."""
+    """Returns the lease duration in the ledger, so that opening it does not change the duration."""
     with engine.connect() as connection:
         return read_info(connection).lease_ttl_s if holds_run(connection) else _LEASE_TTL_S

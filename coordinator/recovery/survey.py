@@ -1,4 +1,4 @@
-"""What is wrong between archive, ledger and plan, and what would put it right. Reads and hashes; changes nothing."""
+"""Compares archive, ledger and plan, and determines the repair actions. Reads and hashes files, and changes nothing."""
 
 from __future__ import annotations
 
@@ -29,30 +29,32 @@ ProgressCallback = Callable[[int, int], None]
 
 @dataclass
 class Survey:
-    """Findings by what is to be done about them; `why` is in words."""
+    """Findings by repair action."""
 
     whole: int = 0
-    """Episodes on disk that the ledger owns, bit for bit."""
+    """Number of episode files that equal their ledger record."""
     adopt: list[EpisodeSummary] = field(default_factory=list)
-    """Whole episodes of the plan that the ledger does not own as they are."""
+    """Intact episodes of the plan without an equal ledger record."""
     restore: list[tuple[Place, EpisodeSummary]] = field(default_factory=list)
-    """Whole episodes of the plan that are in quarantine and nowhere else."""
+    """Intact episodes of the plan that exist in the quarantine folder only, with their paths."""
     quarantine: list[tuple[Place, str]] = field(default_factory=list)
+    """Files to quarantine, with the reason."""
     requeue: list[tuple[int, str]] = field(default_factory=list)
+    """Episodes to collect again, with the reason."""
 
 
 def survey_archive(
     root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: ProgressCallback
 ) -> Survey:
-    """Compares every file of a dataset with the ledger, and what the ledger does not own with the plan.
+    """Compares every file of a dataset with the ledger, and files without a record with the plan.
 
     Args:
-        root: of the dataset.
-        plan: of the run.
-        catalog: of its scenes.
-        ledger: open for reading; `None` when it is lost.
-        checker: validates what might be adopted.
-        tell: told how many files of how many are done.
+        root: root of the dataset.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        ledger: connection for reading; `None` if the ledger is lost.
+        checker: validator of files to adopt.
+        tell: progress callback with the number of processed files and the total.
     """
     result = Survey()
     owned = _owned(ledger)
@@ -114,12 +116,12 @@ def _judge(
         result.adopt.append(verdict)
         return
     result.quarantine.append((path, f"{reason}; {verdict}" if is_owned else verdict))
-    if is_owned and not is_kept:  # else a gateway has it still
+    if is_owned and not is_kept:  # else a gateway stores it
         result.requeue.append((index, reason))
 
 
 def _restorable(root: Place, judge: StrayClassifier, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
-    """Yields what was put aside although it is a whole episode of the plan, where the dataset has none."""
+    """Yields quarantined files that are intact episodes of the plan and missing in the dataset."""
     had = set(found)
     for path in children(root / QUARANTINE):
         name, _, mark = path.name.rpartition(".")

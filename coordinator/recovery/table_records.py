@@ -1,4 +1,4 @@
-"""What a dataset's tables remember of a run whose ledger was lost or is an older copy. Writes to the ledger only."""
+"""Restores records of a lost or outdated ledger from the dataset's tables. Writes to the ledger only."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ __all__ = ["restore_failures", "validated_files"]
 
 
 def validated_files(root: Place, plan: Plan) -> Mapping[int, str]:
-    """Returns episode -> SHA-256 of the file that was validated, as `metadata.parquet` lists them.
+    """Returns the SHA-256 of the validated file by episode number, from `metadata.parquet`.
 
     Args:
-        root: of the dataset.
-        plan: of the run; a table of another one says nothing.
+        root: root of the dataset.
+        plan: plan of the run; rows of other plans are ignored.
     """
     columns = [read_column(root / METADATA_FILE, name) for name in ("index", "file_sha256", "plan_digest")]
     if any(isinstance(column, str) for column in columns):
@@ -47,17 +47,18 @@ def restore_failures(
     now: datetime,
     whole: Mapping[int, EpisodeSummary],
 ) -> None:
-    """Records the failed attempts that `attempts.parquet` lists and the ledger does not know.
+    """Records the failed attempts that `attempts.parquet` lists and the ledger lacks.
 
-    Does nothing while the table is not ahead of the ledger, which is the rule: it is written from the ledger.
+    Does nothing if the table is not ahead of the ledger, which is the normal case: the table is written from the
+    ledger.
 
     Args:
-        engine: writes the ledger.
-        root: of the dataset.
+        engine: engine of the ledger writer.
+        root: root of the dataset.
         plan: of the run.
-        catalog: of its scenes.
-        now: of the repair.
-        whole: files that are about to be adopted.
+        catalog: compiled scenes of the plan.
+        now: time of the repair.
+        whole: rows of the files to adopt, by episode number.
     """
     with engine.begin() as connection:
         if not whole and _failed_attempts(root) <= count_failures(connection):
@@ -76,7 +77,7 @@ def _failed_attempts(root: Place) -> int:
 
 
 def _of_plan(failures: list[FailedAttempt], draws: PlannedDraws) -> Iterator[FailedAttempt]:
-    """Yields the rows that are of the plan's draws: a table of another run must not move an episode."""
+    """Yields the rows that match the plan's draws; a table of another run must not change jobs."""
     for one in failures:
         number = one.episode_id.removeprefix("ep_")
         planned = draws.planned(int(number), one.draw) if number.isdecimal() else None

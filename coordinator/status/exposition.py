@@ -1,4 +1,4 @@
-"""The door to prometheus-client: a snapshot of a coordinator as Prometheus reads it. Computes nothing of its own."""
+"""Exports the metrics of a coordinator in Prometheus' text format. All other modules avoid prometheus-client."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _COUNTERS = (
 
 
 class Exposition:
-    """Renders figures when asked.
+    """Prometheus collector of one process.
 
     Args:
-        snapshot: takes the figures.
+        snapshot: function that returns the metrics.
 
     Raises:
         UsageError: prometheus-client is not installed.
@@ -46,21 +46,21 @@ class Exposition:
         self._core: Any = core
         self._generate = prometheus_client.generate_latest
         self.content_type: str = prometheus_client.CONTENT_TYPE_LATEST
-        """Of `page`."""
+        """Content type of `page`."""
         self._registry = prometheus_client.CollectorRegistry()
         prometheus_client.ProcessCollector(registry=self._registry)
         self._registry.register(self)
 
     def page(self) -> bytes:
-        """Returns the figures of now in Prometheus' text format."""
+        """Returns the current metrics in Prometheus' text format."""
         return bytes(self._generate(self._registry))
 
     def describe(self) -> list[Metric]:
-        """Tells the registry no names beforehand, so that registering takes no figures."""
+        """Returns no metric descriptions, so that registration does not read the metrics."""
         return []
 
     def collect(self) -> Iterator[Metric]:
-        """Yields every metric; called by the registry."""
+        """Yields all metrics; called by the registry."""
         snapshot = self._snapshot()
         if snapshot.progress is not None:
             yield from self._of_ledger(snapshot, snapshot.progress)

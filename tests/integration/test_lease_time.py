@@ -22,7 +22,7 @@ LATE_S = 1.0
 
 
 class SweptClock:
-    """Time that passes by one pause of the housekeeper's with each look at the ledger, and not otherwise."""
+    """Clock that advances by one pause of the periodic tasks with each read, and not otherwise."""
 
     def __init__(self, pause_s: float) -> None:
         self._now, self._pause = datetime(2026, 1, 2, tzinfo=UTC), timedelta(seconds=pause_s)

@@ -1,4 +1,4 @@
-"""A read-only look at a ledger, for those who report. Opens and closes; writes nothing, needs no coordinator."""
+"""Opens a ledger read-only and converts database errors. Does not write and needs no coordinator."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _REMEDY = "`factory repair` rebuilds it from the episodes"
 
 @contextmanager
 def open_ledger(url: str) -> Iterator[Connection]:
-    """Opens the ledger at a URL for reading.
+    """Opens a ledger read-only; a context manager that yields the connection.
 
     Raises:
-        WorldError: there is no ledger, or what is read in the block cannot be read or understood.
+        WorldError: the ledger does not exist, or data read in the block are damaged.
     """
     engine = open_reader(url)
     try:
@@ -34,9 +34,9 @@ def open_ledger(url: str) -> Iterator[Connection]:
 
 @contextmanager
 def translate_damage(url: str) -> Iterator[None]:
-    """Turns what goes wrong in the block into a `WorldError` when the ledger is damaged; else lets it pass.
+    """Converts exceptions of the block to `WorldError` if the ledger is damaged; other exceptions are re-raised.
 
-    A value that cannot be understood is our mistake as long as the ledger is sound, so that is looked at first.
+    An exception with an intact ledger is an error in the software, so the function audits the ledger first.
     """
     try:
         yield
@@ -50,11 +50,11 @@ def translate_damage(url: str) -> Iterator[None]:
 
 
 def require_sound(url: str, cause: Exception | None = None) -> None:
-    """Makes sure that a ledger can be used.
+    """Checks that a ledger is intact.
 
     Raises:
-        WorldError: it is damaged; says how.
-        UsageError: it is of a newer format.
+        WorldError: the ledger is damaged; the message describes the damage.
+        UsageError: the ledger has a newer format.
     """
     trouble = ledger_trouble(url)
     if trouble:
