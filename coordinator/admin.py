@@ -35,16 +35,16 @@ def administer(
     """Executes an admin request. The request is idempotent.
 
     Args:
-        root: Dataset directory.
-        request: The request.
-        now: Time of the request.
+        root: dataset directory.
+        request: the request.
+        now: time of the request.
         ledger_url: URL of the ledger; by default the ledger in the directory.
-        name: Name of the requester; with TLS the common name of its certificate.
+        name: name of the requester; with TLS the common name of its certificate.
         tls: TLS files for the connection to a running coordinator; `None` connects without TLS.
 
     Raises:
-        WorldError: The ledger does not exist, or a coordinator holds the directory and cannot be reached.
-        UsageError: The ledger has a newer format, or a drain is requested and no coordinator runs.
+        WorldError: the ledger does not exist, or a coordinator holds the directory and cannot be reached.
+        UsageError: the ledger has a newer format, or a drain is requested and no coordinator runs.
     """
     url = ledger_url_of(root, ledger_url)
     with open_ledger(url) as connection:

@@ -21,8 +21,8 @@ class ClockWatch:
     """Detector of changes of the wall clock.
 
     Args:
-        clock: Wall clock.
-        elapsed: Monotonic clock, seconds.
+        clock: wall clock.
+        elapsed: monotonic clock, seconds.
     """
 
     def __init__(self, clock: Callable[[], datetime], elapsed: Callable[[], float]) -> None:

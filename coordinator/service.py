@@ -385,8 +385,7 @@ class Coordinator(Closing):
                 raise
 
     def _write_split_tables(self) -> None:
-        """Writes the split tables once, at the end, because it reads a frame per new episode; an unfinished run limits the
-        time."""
+        """Writes the split tables once, at the end: each new episode costs a frame. An unfinished run limits the time."""
         if self._terms.errands is not None or self._changed.is_set():
             return  # their source tables are not up to date
         try:

@@ -52,15 +52,15 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Opens a new part file for an episode. An episode may have several open part files.
 
         Raises:
-            WorldError: The disk is full or unavailable.
+            WorldError: the disk is full or unavailable.
         """
 
     def publish(self, staged: Staged, index: int) -> Place:
         """Publishes a part file durably under its final name. The ledger commits afterwards.
 
         Raises:
-            ArchiveCorrupt: A different file has that name; it is not changed, and the part file is removed.
-            WorldError: The file cannot be stored; no incomplete file is published.
+            ArchiveCorrupt: a different file has that name; it is not changed, and the part file is removed.
+            WorldError: the file cannot be stored; no incomplete file is published.
         """
 
     def path_of(self, index: int) -> Place:
@@ -82,7 +82,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Moves a file durably from the quarantine folder to the path of an episode, and returns that path.
 
         Raises:
-            ArchiveCorrupt: Another file has that path.
+            ArchiveCorrupt: another file has that path.
         """
 
     def free_bytes(self) -> int:
@@ -92,7 +92,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Stores a compiled scene with the dataset. Does nothing if the scene is already stored.
 
         Raises:
-            ArchiveCorrupt: The digest of the package differs from `sha256`.
+            ArchiveCorrupt: the digest of the package differs from `sha256`.
         """
 
     def scene_path(self, name: str, sha256: str) -> Place:
@@ -102,7 +102,7 @@ class Archive(AbstractContextManager["Archive", None], Protocol):
         """Yields a part file, which replaces a table of the dataset if the block exits without an error.
 
         Raises:
-            WorldError: The file cannot be written; the previous file is unchanged.
+            WorldError: the file cannot be written; the previous file is unchanged.
         """
 
     def close(self) -> None:

@@ -30,7 +30,7 @@ class DirectoryArchive(Listing[Path], Closing):
     """Exclusively opened dataset directory: no other coordinator can open it until it is closed.
 
     Raises:
-        WorldError: The directory cannot be written, or another coordinator holds it.
+        WorldError: the directory cannot be written, or another coordinator holds it.
     """
 
     def __init__(self, root: Path) -> None:
@@ -54,8 +54,8 @@ class DirectoryArchive(Listing[Path], Closing):
         """Publishes a part file: fsync, rename, fsync of the directory. The ledger commits afterwards.
 
         Raises:
-            ArchiveCorrupt: A file of that name exists; it is not changed, and the part file is removed.
-            WorldError: The disk is full or unavailable; no incomplete file remains.
+            ArchiveCorrupt: a file of that name exists; it is not changed, and the part file is removed.
+            WorldError: the disk is full or unavailable; no incomplete file remains.
         """
         final = self.path_of(index)
         staged.flush()
@@ -112,12 +112,12 @@ class DirectoryArchive(Listing[Path], Closing):
         """Stores a compiled scene with the dataset. Does nothing if the scene is already stored.
 
         Args:
-            source: Compiled package.
-            name: Name of the scene.
-            sha256: Expected SHA-256 of the package.
+            source: compiled package.
+            name: name of the scene.
+            sha256: expected SHA-256 of the package.
 
         Raises:
-            ArchiveCorrupt: The digest of the package differs from `sha256`.
+            ArchiveCorrupt: the digest of the package differs from `sha256`.
         """
         final = self.scene_path(name, sha256)
         if final.exists():
@@ -143,10 +143,10 @@ class DirectoryArchive(Listing[Path], Closing):
         """Yields the path of a part file, which replaces a table of the dataset if the block exits without an error.
 
         Args:
-            name: Path relative to the dataset directory, e.g. `metadata.parquet` or `data/train_id-00000.parquet`.
+            name: path relative to the dataset directory, e.g. `metadata.parquet` or `data/train_id-00000.parquet`.
 
         Raises:
-            WorldError: The disk is full or unavailable; the previous file is unchanged.
+            WorldError: the disk is full or unavailable; the previous file is unchanged.
         """
         final = self.root / name
         part = self._staging.part(final.name)

@@ -43,12 +43,12 @@ class ObjectArchive(Listing[ObjectPath], Closing):
     """Exclusively opened dataset in object storage: no coordinator with another home can open it until it is closed.
 
     Args:
-        root: Root of the dataset.
-        home: Local directory for part files; created if it does not exist. A dataset always needs the same home.
-        take_over: Whether to delete the lock object of another home; its coordinator must have ended for good.
+        root: root of the dataset.
+        home: local directory for part files; created if it does not exist. A dataset always needs the same home.
+        take_over: whether to delete the lock object of another home; its coordinator must have ended for good.
 
     Raises:
-        WorldError: The home or the store cannot be written, another coordinator holds one of them, or the store
+        WorldError: the home or the store cannot be written, another coordinator holds one of them, or the store
             ignores conditional writes.
     """
 
@@ -77,8 +77,8 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         published.
 
         Raises:
-            ArchiveCorrupt: An object with other bytes has that key; it is not changed, and the part file is removed.
-            WorldError: The store rejects the object; no incomplete object is visible.
+            ArchiveCorrupt: an object with other bytes has that key; it is not changed, and the part file is removed.
+            WorldError: the store rejects the object; no incomplete object is visible.
         """
         final = self.path_of(index)
         with staged:

@@ -16,11 +16,11 @@ def open_archive(root: Path, store: ObjectPath | None = None, *, take_over: bool
     """Opens a dataset exclusively for writing; the archive is a context manager.
 
     Args:
-        root: Dataset directory, or with `store` the local home; created if it does not exist.
-        store: Root of the dataset in object storage; `None` for a dataset in a directory.
-        take_over: Whether to take a dataset in object storage over from the home that holds it.
+        root: dataset directory, or with `store` the local home; created if it does not exist.
+        store: root of the dataset in object storage; `None` for a dataset in a directory.
+        take_over: whether to take a dataset in object storage over from the home that holds it.
 
     Raises:
-        WorldError: The directory or the store cannot be written, or another coordinator holds the dataset.
+        WorldError: the directory or the store cannot be written, or another coordinator holds the dataset.
     """
     return DirectoryArchive(root) if store is None else ObjectArchive(store, root, take_over=take_over)

@@ -27,7 +27,7 @@ class Staged(Closing):
         """Appends bytes.
 
         Raises:
-            WorldError: The disk is full or unavailable; the part file has been removed.
+            WorldError: the disk is full or unavailable; the part file has been removed.
         """
         rest = memoryview(data)
         try:
@@ -45,12 +45,12 @@ class Staged(Closing):
         No process may write to the file afterwards.
 
         Args:
-            source: File on the same disk.
+            source: file on the same disk.
 
         Raises:
-            OSError: The file does not exist, is on another disk, or the file system has no hard links; nothing has
+            OSError: the file does not exist, is on another disk, or the file system has no hard links; nothing has
                 changed.
-            WorldError: The file cannot be read; the part file has been removed.
+            WorldError: the file cannot be read; the part file has been removed.
         """
         link = self.path.with_suffix(".link")
         os.link(source, link)
@@ -75,7 +75,7 @@ class Staged(Closing):
         """Flushes the bytes durably to the disk.
 
         Raises:
-            WorldError: The disk is full or unavailable; the part file has been removed.
+            WorldError: the disk is full or unavailable; the part file has been removed.
         """
         try:
             os.fsync(self._file.fileno())

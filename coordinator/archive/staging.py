@@ -29,11 +29,11 @@ class Staging:
     """Exclusively locked directory with a folder for part files.
 
     Args:
-        root: Directory; created if it does not exist.
-        dataset: Name of the dataset for the error message of a second process.
+        root: directory; created if it does not exist.
+        dataset: name of the dataset for the error message of a second process.
 
     Raises:
-        WorldError: The directory cannot be written, or another coordinator holds it.
+        WorldError: the directory cannot be written, or another coordinator holds it.
     """
 
     def __init__(self, root: Path, dataset: str) -> None:
@@ -53,7 +53,7 @@ class Staging:
         """Opens a new part file for an episode. An episode may have several open part files.
 
         Raises:
-            WorldError: The directory cannot be written.
+            WorldError: the directory cannot be written.
         """
         path = self.part(episode_id(index))
         try:

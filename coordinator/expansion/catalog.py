@@ -34,7 +34,7 @@ def read_entry(path: Path) -> SceneEntry:
     """Reads digest and metadata of a package.
 
     Raises:
-        InvalidBundle: The file is not a package of this format version.
+        InvalidBundle: the file is not a package of this format version.
     """
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()

@@ -55,7 +55,7 @@ def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
     evenly; with `plan.balance == "categories"` the category is sampled first.
 
     Raises:
-        InvalidPlan: A cell has no target that its tier can reach; the error lists every such cell.
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
     """
     require_possible(plan, catalog)
     jobs: list[PlannedJob] = []
@@ -70,7 +70,7 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
     """Checks that every cell of a plan has a target; `expand` checks it too.
 
     Raises:
-        InvalidPlan: A cell has no target that its tier can reach; the error lists every such cell.
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
     """
     mistakes = find_impossible(plan, catalog)
     if mistakes:

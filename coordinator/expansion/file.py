@@ -29,8 +29,8 @@ def load_plan(reference: str) -> Plan:
     """Returns a built-in plan by its name, or reads a TOML file.
 
     Raises:
-        UsageError: Neither a built-in plan nor a file has that name.
-        InvalidPlan: The file has mistakes; the error lists all of them.
+        UsageError: neither a built-in plan nor a file has that name.
+        InvalidPlan: the file has mistakes; the error lists all of them.
     """
     if reference in BUILTIN_PLANS:
         return BUILTIN_PLANS[reference]
@@ -68,12 +68,12 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
     """Validates a plan given as plain data.
 
     Args:
-        data: Data as parsed from TOML.
-        where: Name of the source for error messages.
-        base: Folder that relative paths are resolved against; `None` leaves the paths unchanged.
+        data: data as parsed from TOML.
+        where: name of the source for error messages.
+        base: folder that relative paths are resolved against; `None` leaves the paths unchanged.
 
     Raises:
-        InvalidPlan: The plan has mistakes; the error has one line per mistake, with its key.
+        InvalidPlan: the plan has mistakes; the error has one line per mistake, with its key.
     """
     try:
         plan = Plan.model_validate(data)
@@ -100,7 +100,7 @@ def scene_of(plan: Plan, name: str) -> ScenePlan:
     """Returns the section of the plan for a scene.
 
     Raises:
-        UsageError: The plan has no such scene.
+        UsageError: the plan has no such scene.
     """
     scenes = {part.name: part for part in plan.scenes}
     if name not in scenes:
@@ -120,7 +120,7 @@ def shrink(
     """Returns the plan with fewer scenes or episodes in the same proportions, or with another expert or seed.
 
     Raises:
-        UsageError: The plan has no such scene, or `episodes` is less than 1.
+        UsageError: the plan has no such scene, or `episodes` is less than 1.
     """
     wanted = {scene_of(plan, name).name for name in scenes}
     parts = tuple(part for part in plan.scenes if part.name in wanted) or plan.scenes

@@ -28,16 +28,16 @@ class Snapshot:
     """Progress of the run; `None` for a gateway."""
     frames: int
     """Number of frames in all archived episodes."""
-        sums: Mapping[Meter, float]
-        """Counters of the process."""
-        requests: Mapping[str, int]
-        """Number of requests by verb."""
-        free_bytes: int
-        """Free space of the archive's disk, bytes."""
-        reserve_bytes: int
-        """Free space below which no job is leased, bytes."""
-        backlog: int
-        """Number of requests that wait for the ledger's writer; at a gateway, of bundles that wait for a puller."""
+    sums: Mapping[Meter, float]
+    """Counters of the process."""
+    requests: Mapping[str, int]
+    """Number of requests by verb."""
+    free_bytes: int
+    """Free space of the archive's disk, bytes."""
+    reserve_bytes: int
+    """Free space below which no job is leased, bytes."""
+    backlog: int
+    """Number of requests that wait for the ledger's writer; at a gateway, of bundles that wait for a puller."""
     sandbox: tuple[str, ...]
     """Active sandbox layers of the validating processes; empty before the first bundle."""
 

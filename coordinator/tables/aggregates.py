@@ -1,4 +1,4 @@
-"""What the rows of a dataset's tables add up to while they are written, for its description and its card. Pure."""
+"""Aggregates the rows of a dataset's tables for its metadata and card. Reads and writes no file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class _Refused(Protocol):
 
 
 Failure = TypeVar("Failure", bound=_Refused)
-_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
+_TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 
 
 @dataclass
@@ -26,15 +26,20 @@ class EpisodeSums:
     """Sums over a set of episodes."""
 
     episodes: int = 0
+    """Number of episodes."""
     steps: int = 0
+    """Sum of steps."""
     spawn_dist_m: float = 0.0
+    """Sum of spawn distances, metres."""
     trajectory_length_m: float = 0.0
+    """Sum of trajectory lengths, metres."""
     final_ne_m: float = 0.0
+    """Sum of final navigation errors, metres."""
 
     def add(
         self, episodes: int, steps: int, spawn_dist_m: float, trajectory_length_m: float, final_ne_m: float
     ) -> None:
-        """Adds the sums over more episodes."""
+        """Adds sums over further episodes."""
         self.episodes += episodes
         self.steps += steps
         self.spawn_dist_m += spawn_dist_m
@@ -44,20 +49,22 @@ class EpisodeSums:
 
 @dataclass
 class TableAggregates:
-    """What the rows tell while they pass by; grows by some hundred bytes an episode."""
+    """Aggregates of the written rows; the memory use is a few hundred bytes per episode."""
 
     digests: list[tuple[str, str]] = field(default_factory=list)
+    """Episode id and content digest of each episode."""
     counts: Counter[tuple[str, str, str]] = field(default_factory=Counter)
-    """Episodes by (scene, split, tier)."""
+    """Number of episodes by (scene, split, tier)."""
     categories: Counter[str] = field(default_factory=Counter)
+    """Number of episodes by target category."""
     scenes: defaultdict[str, EpisodeSums] = field(default_factory=lambda: defaultdict(EpisodeSums))
     tiers: defaultdict[str, EpisodeSums] = field(default_factory=lambda: defaultdict(EpisodeSums))
     refused: Counter[str] = field(default_factory=Counter)
-    """Attempts that the world refused, by scene."""
+    """Number of task failures by scene."""
     renderers: set[str] = field(default_factory=set)
 
-    def watch_failures(self, rows: Iterable[Failure]) -> Iterator[Failure]:
-        """Yields the rows and counts those that the world refused."""
+    def count_failures(self, rows: Iterable[Failure]) -> Iterator[Failure]:
+        """Yields the rows unchanged and counts the task failures."""
         for row in rows:
-            self.refused[row.scene] += row.reason in _OF_THE_WORLD
+            self.refused[row.scene] += row.reason in _TASK_FAILURES
             yield row

@@ -1,4 +1,4 @@
-"""The dataset card (`README.md` of a dataset): what it holds, how to read it, in the form of the hubs. Text only."""
+"""Renders the dataset card, the `README.md` of a dataset, in the format of the Hugging Face Hub. Writes no file."""
 
 from __future__ import annotations
 
@@ -124,12 +124,12 @@ _PLANNED = "The expert knows the floor plan; what it does around corners cannot 
 
 
 def dataset_card(meta: DatasetMeta, aggregates: TableAggregates, with_tables: Collection[str] = ()) -> str:
-    """Returns the card.
+    """Returns the text of the card.
 
     Args:
-        meta: of the dataset.
-        aggregates: of all its rows.
-        with_tables: splits that have split tables.
+        meta: metadata of the dataset.
+        aggregates: aggregates of all rows of its tables.
+        with_tables: splits with split tables.
     """
     return _CARD.format(
         configs=configs_to_yaml(split_configs(with_tables, meta.episodes, meta.failed_attempts)),

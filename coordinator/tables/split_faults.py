@@ -1,4 +1,4 @@
-"""What is wrong with the split tables of a dataset. Reads only."""
+"""Finds faults in the split tables of a dataset. Reads files only."""
 
 from __future__ import annotations
 
@@ -29,30 +29,31 @@ _OTHER_ROWS = f"its rows are not those of {METADATA_FILE}"
 
 
 class FaultKind(StrEnum):
-    """What is wrong with a split table."""
+    """Kind of a split table fault."""
 
-    ABSENT = "absent"  # rows ask for it, and there is no such file
-    SURPLUS = "surplus"  # no row asks for it
-    DAMAGED = "damaged"  # it or one of its thumbnails cannot be read
-    OUTDATED = "outdated"  # other rows than `metadata.parquet`, or a thumbnail is missing that can be made
+    ABSENT = "absent"  # the file is missing and has rows
+    SURPLUS = "surplus"  # the file exists and has no rows
+    DAMAGED = "damaged"  # the file or one of its thumbnails is unreadable
+    OUTDATED = "outdated"  # rows differ from `metadata.parquet`, or a thumbnail is missing whose episode file exists
 
 
 class SplitFault(NamedTuple):
-    """One thing that is wrong."""
+    """Fault of a split table."""
 
     name: str
-    """Of the file, below the dataset's directory."""
+    """Path relative to the root of the dataset."""
     kind: FaultKind
+    """Kind of the fault."""
     text: str
-    """What was found."""
+    """Description of the fault."""
 
 
 def find_faults(root: Place, deep: bool = False) -> Iterator[SplitFault]:
-    """Yields what is wrong with the split tables.
+    """Yields the faults of the split tables.
 
     Args:
-        root: of the dataset.
-        deep: whether to read every row and decode every thumbnail, rather than what each file says of itself.
+        root: root of the dataset.
+        deep: whether to read every row and decode every thumbnail, instead of the metadata of each file only.
 
     Raises:
         ArchiveCorrupt: `metadata.parquet` cannot be read.
@@ -68,12 +69,12 @@ def find_faults(root: Place, deep: bool = False) -> Iterator[SplitFault]:
 
 
 def surplus_tables(root: Place, wanted: set[str]) -> list[Place]:
-    """Returns what is in the folder of split tables and has none of the wanted names."""
+    """Returns the paths in the folder of split tables with other names than the wanted ones."""
     return [place for place in children(root / SPLITS_FOLDER) if f"{SPLITS_FOLDER}/{place.name}" not in wanted]
 
 
 def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault | None:
-    """Returns what is wrong with one of them, if anything is; arguments as `find_faults`."""
+    """Returns the fault of a split table, or `None`; for the arguments see `find_faults`."""
     try:
         text = _see_rows(root, table) if deep else _see_footer(root, table)
         damage = _see_thumbnails(root, table) if deep and not text else ""
@@ -110,7 +111,7 @@ def _see_thumbnails(root: Place, table: SplitTable) -> str:
 
 
 def _say_missing(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
-    """A thumbnail may be missing as long as a gateway keeps the episode."""
+    """Returns a message on missing thumbnails whose episode files exist; a gateway may store the other files."""
     lacking = [row for row in table.sources() if row["content_digest"] not in pictures]
     names = [row["episode_id"] for row in lacking if (root / row["file_name"]).is_file()]
     return f"no thumbnail of {names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}" if names else ""

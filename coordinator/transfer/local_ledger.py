@@ -1,4 +1,7 @@
-"""The ledger as the coordinator's own pullers need it: each call is one commit of the writer's. Decides nothing."""
+"""Implements the ledger operations of the coordinator's pullers, with one commit of the writer per call.
+
+The state machine in `coordinator.ledger` decides which operations succeed.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ __all__ = ["LocalLedgerClient"]
 
 
 class LocalLedgerClient:
-    """A `LedgerClient` beside the ledger."""
+    """`LedgerClient` that accesses the ledger in the same process."""
 
     def __init__(self, writer: Writer, terms: Terms, clock: Callable[[], datetime]) -> None:
         self._writer = writer
