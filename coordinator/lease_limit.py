@@ -65,7 +65,7 @@ class LeaseLimit:
             return 0
         ended = self._commit(lambda connection: [row for row in found if self._end(connection, row, now)])
         if ended:
-            _tell(ended)
+            _log_ended(ended)
         return len(ended)
 
     def _end(self, connection: Connection, row: JobRow, now: datetime) -> bool:
@@ -74,9 +74,9 @@ class LeaseLimit:
         return fail_attempt(connection, report, self._terms, now)
 
 
-def _tell(ended: Sequence[JobRow]) -> None:
+def _log_ended(ended: Sequence[JobRow]) -> None:
     log.warning(
-        "leases_too_long",
+        "lease_limit_exceeded",
         jobs=len(ended),
         first=episode_id(ended[0].idx),
         hosts=sorted({host_of(row.sid) for row in ended})[:_SHOWN_HOSTS],

@@ -359,13 +359,13 @@ class Coordinator(Closing):
         has_room = free >= self._settings.reserve_bytes
         if has_room != self._has_room:
             self._has_room = has_room
-            event = "disk_has_room_again" if has_room else "disk_low_nothing_is_given_out"
+            event = "disk_space_recovered" if has_room else "disk_low_no_jobs_leased"
             log.warning(
                 event,
                 free_bytes=free,
                 reserve_bytes=self._settings.reserve_bytes,
                 directory=str(self._archive.root),
-                remedy="none" if has_room else "free some space; the run goes on by itself",
+                remedy="none" if has_room else "free some space; the run then continues automatically",
             )
 
     def _write_tables(self) -> None:
@@ -385,7 +385,7 @@ class Coordinator(Closing):
                 raise
 
     def _write_split_tables(self) -> None:
-        """Writes the split tables once, at the end: each new episode costs a frame. An unfinished run limits the time."""
+        """Writes the split tables once, at the end: it reads a frame per new episode. Stopped runs limit the time."""
         if self._terms.errands is not None or self._changed.is_set():
             return  # their source tables are not up to date
         try:

@@ -100,7 +100,7 @@ def _impossible_in(plan: Plan, catalog: Catalog, number: int, scene: ScenePlan) 
     present = {target.category for target in entry.info.targets}
     named = {split: set(_categories_of(scene, split)) for split, _ in quota}
     if any(categories - present for categories in named.values()):
-        yield f"scenes[{number}] {scene.name}: {_say_absent(scene, entry, present)}"
+        yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
     for (split, tier), count in quota.items():
         if named[split] & present and not pool(plan, scene, entry, split, tier):
             yield (
@@ -115,7 +115,7 @@ def _categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
     return held_out if split is Split.TEST_OOD_OBJ else seen
 
 
-def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
+def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
     absent = [[name for name in names if name not in present] for names in scene.categories]
     missing = [
         f"no reachable {', '.join(map(repr, names))} ({key})"

@@ -39,7 +39,7 @@ def load_plan(reference: str) -> Plan:
     if trouble:
         raise UsageError(f"no plan {reference[:80]!r}: {trouble}")
     if not path.is_file():
-        raise UsageError(_say_absent(reference, path))
+        raise UsageError(_absent_message(reference, path))
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise InvalidPlan(f"{path} is not a plan", [f"it is larger than {_MOST_BYTES >> 20} MiB"])
@@ -53,7 +53,7 @@ def load_plan(reference: str) -> Plan:
     return parse_plan(data, str(path), base=path.parent)
 
 
-def _say_absent(reference: str, path: Path) -> str:
+def _absent_message(reference: str, path: Path) -> str:
     """Returns the error message for a reference that is neither a file nor a built-in plan."""
     known = f"the built-in plans are {', '.join(BUILTIN_PLANS)}"
     if path.is_dir():
@@ -78,7 +78,7 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
     try:
         plan = Plan.model_validate(data)
     except ValidationError as error:
-        raise InvalidPlan(f"{where} is no valid plan", _say_all(error)) from error
+        raise InvalidPlan(f"{where} is no valid plan", _messages(error)) from error
     if base is None:
         return plan
     try:
@@ -137,18 +137,18 @@ def shrink(
     return plan.model_copy(update=changes)
 
 
-def _say_all(error: ValidationError) -> list[str]:
+def _messages(error: ValidationError) -> list[str]:
     items = error.errors()
     deeper = {item["loc"][:1] for item in items if len(item["loc"]) > 1}
     sentences = []
     for item in items:
         if item["type"] == "too_short" and item["loc"] in deeper:
             continue  # the list is too short only because its items are invalid
-        sentences += _say(item)
+        sentences += _messages_of(item)
     return sentences
 
 
-def _say(item: Any) -> list[str]:
+def _messages_of(item: Any) -> list[str]:
     key = ""
     for part in item["loc"]:
         if part != "[key]":

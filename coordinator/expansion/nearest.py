@@ -50,7 +50,7 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
         if part is not None:
             kept.append(part)
         if part != scene:
-            changes.append(_say(plan, scene, part, catalog[scene.name], lost))
+            changes.append(_change_message(plan, scene, part, catalog[scene.name], lost))
     return Nearest(plan.model_copy(update={"scenes": tuple(kept)}) if kept else None, tuple(changes), moved)
 
 
@@ -120,7 +120,7 @@ def _moved(wanted: Cells, found: Cells) -> int:
     return sum(max(0, count - found.get(cell, 0)) for cell, count in wanted.items())
 
 
-def _say(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
+def _change_message(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry, lost: int) -> str:
     present = {target.category for target in entry.info.targets}
     if part is None:
         is_there = any(name in present for names in scene.categories for name in names)
@@ -133,11 +133,13 @@ def _say(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry
             words.append(f"{key} without {', '.join(gone)}")
     tiers, splits = plan.tiers_of(part), plan.splits_of(part)
     if tiers != plan.tiers_of(scene):
-        words.append("tiers " + _say_shares({str(tier): tiers.get(tier, 0.0) for tier in plan.tiers_of(scene)}))
+        words.append("tiers " + _format_shares({str(tier): tiers.get(tier, 0.0) for tier in plan.tiers_of(scene)}))
     if splits != plan.splits_of(scene):
-        words.append("splits " + _say_shares({str(split): splits.get(split, 0.0) for split in plan.splits_of(scene)}))
+        words.append(
+            "splits " + _format_shares({str(split): splits.get(split, 0.0) for split in plan.splits_of(scene)})
+        )
     return f"{scene.name}: {'; '.join(words)} ({lost} of {scene.episodes} episodes in other cells)"
 
 
-def _say_shares(shares: Mapping[str, float]) -> str:
+def _format_shares(shares: Mapping[str, float]) -> str:
     return ", ".join(f"{key} {share:.4g}" for key, share in shares.items())

@@ -44,7 +44,7 @@ class CoreLink:
         """Run in the request keys; the wildcard `*` until the run is known."""
         self._heard = self._opened = time.monotonic()
         self._reconnecting = threading.Lock()
-        self._away = Repeated(log, "core_away")
+        self._away = Repeated(log, "core_unreachable")
 
     @property
     def silence_s(self) -> float:
@@ -88,7 +88,7 @@ class CoreLink:
         with self._reconnecting:
             if time.monotonic() - max(self._heard, self._opened) < _REOPEN_S:
                 return
-            self._away.fail(f"no answer for {self.silence_s:.0f} s", remedy="the router is opened anew; else none")
+            self._away.fail(f"no answer for {self.silence_s:.0f} s", remedy="none; the router is reopened")
             try:
                 self._node.reopen()
             except WorldError as error:

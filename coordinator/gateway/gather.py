@@ -84,7 +84,7 @@ def gather(
     now: datetime,
     *,
     requeue_missing: bool = False,
-    tell: ProgressCallback = lambda _done, _all: None,
+    on_progress: ProgressCallback = lambda _done, _all: None,
 ) -> GatherReport:
     """Copies episodes from gateways into the dataset, as far as their files are found.
 
@@ -93,7 +93,7 @@ def gather(
         sources: directories of gateways, or copies of such directories.
         now: current time.
         requeue_missing: whether to return missing episodes to the queue as lost.
-        tell: progress callback with the number of processed episodes and the total.
+        on_progress: progress callback with the number of processed episodes and the total.
 
     Raises:
         UsageError: a source is not a directory of a gateway.
@@ -118,7 +118,7 @@ def gather(
             if why:
                 missing.append(Missing(episode=episode_id(one.index), gateway=one.gateway, why=why))
             _settle(engine, one, why, now, requeue_missing=requeue_missing)
-            tell(done, len(wanted))
+            on_progress(done, len(wanted))
         with engine.connect() as connection:
             write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
         write_split_tables(archive)

@@ -52,7 +52,7 @@ class Writer(Closing):
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self._failing = Repeated(log.bind(remedy="look after the ledger's disk"), "commit_failed", (SQLAlchemyError,))
+        self._failing = Repeated(log.bind(remedy="check the ledger's disk"), "commit_failed", (SQLAlchemyError,))
         self._queue: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
         self._closed = False
         self._closing = threading.Lock()
@@ -186,7 +186,7 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
         raise  # a full disk or a lost server has ended the whole transaction with all savepoints
     except SQLAlchemyError as error:
         savepoint.rollback()
-        _say("request_failed", error)
+        _log_error("request_failed", error)
         return _transient(error)
     except Exception as error:  # noqa: BLE001 - passed to the caller of the request
         savepoint.rollback()
@@ -195,7 +195,7 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
     return result
 
 
-def _say(event: str, error: SQLAlchemyError | WorldError, **fields: Any) -> None:
+def _log_error(event: str, error: SQLAlchemyError | WorldError, **fields: Any) -> None:
     """Logs a database error without the parameters of the statement, which contain tokens."""
     _LIMIT.write(log.error, event, error=describe_error(getattr(error, "orig", None) or error), **fields)
 

@@ -19,6 +19,7 @@ from schemas.wire import Ack, AdminReply, AdminRequest, Ping, Progress, Refusal
 __all__ = ["OPERATOR", "ask_admin", "ask_presence", "ask_progress"]
 
 OPERATOR = "operator"
+"""Default name of a requester."""
 _TIMEOUT_S = 10.0
 R = TypeVar("R", bound=Model)
 

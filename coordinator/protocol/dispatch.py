@@ -67,11 +67,11 @@ class Dispatch:
             busy: hosts of which the gateway has enough bundles.
         """
         with self._guard:
-            self._note(gateway, router)
+            self._record_request(gateway, router)
             orders = self._orders.setdefault(gateway, {})
             return tuple(orders.pop(index) for index in _choose(orders, most, busy))
 
-    def _note(self, gateway: str, router: str) -> None:
+    def _record_request(self, gateway: str, router: str) -> None:
         """Records a request of a gateway, and its router unless the router belongs to another active gateway."""
         now = self._clock()
         self._heard.pop(gateway, None)

@@ -60,7 +60,7 @@ class ZenohNode(Closing):
         os.environ.setdefault("ZENOH_RUNTIME", _THREADS)
         _raise_file_limit()
         self._configure = configure
-        self._look_admitted = admitted
+        self._read_admitted = admitted
         self._declare = declare
         self._admitted = admitted()
         self._opening = threading.Lock()
@@ -117,7 +117,7 @@ class ZenohNode(Closing):
             UsageError: the list is invalid; the previous list stays in force.
             WorldError: the endpoints cannot be listened on now; retry later.
         """
-        admitted = self._look_admitted()
+        admitted = self._read_admitted()
         if admitted == self._admitted and self.is_open:
             return False
         self._admitted = admitted

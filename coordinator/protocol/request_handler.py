@@ -141,7 +141,7 @@ class RequestHandler(Closing):
 
     def _answer(self, inquiry: Inquiry, request: ParsedRequest, answer: ProtocolAnswer) -> None:
         if isinstance(request.message, AdminRequest):
-            self._note_operator(request.message)
+            self._handle_admin(request.message)
         if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
             self._dispatch.take(request.host, request.message.router, 0)
         if _changes_tables(request, answer):
@@ -159,7 +159,7 @@ class RequestHandler(Closing):
     def _log(self, write: Callable[..., None], event: str, inquiry: Inquiry, **fields: object) -> None:
         self._limit.write(write, event, inquiry.host, host=inquiry.host, verb=inquiry.verb, **fields)
 
-    def _note_operator(self, request: AdminRequest) -> None:
+    def _handle_admin(self, request: AdminRequest) -> None:
         log.info("operator", action=request.action, episodes=len(request.indices) or "all")
         if request.action is AdminAction.DRAIN:
             self._on_drain()

@@ -148,13 +148,13 @@ class Router(Closing):
         self._present.clear()  # workers that reconnect to a new session declare their liveliness token again
         session.declare_queryable(verb_pattern(self._run), self._take)
         session.declare_queryable(scene_pattern(self._run), self._serve_scene)
-        session.liveliness().declare_subscriber(alive_pattern(self._run), self._note_token)
+        session.liveliness().declare_subscriber(alive_pattern(self._run), self._on_token)
 
     def _take(self, query: zenoh.Query) -> None:
         if self._is_key_short(query):
             self._on_inquiry(Inquiry(self._run, query))
 
-    def _note_token(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         if len(key) > MAX_KEY_CHARS:
             return

@@ -96,7 +96,12 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
 
 def _requeue(connection: Connection, index: int, now: datetime, reason: str, result: Reconciled) -> None:
     if lose(connection, index, now, reason):
-        log.warning("episode_lost", index=index, reason=reason, remedy="it is made anew, with the same content")
+        log.warning(
+            "episode_lost",
+            index=index,
+            reason=reason,
+            remedy="none; the episode is collected again with the same content",
+        )
         result.requeued.append(index)
 
 

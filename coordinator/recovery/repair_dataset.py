@@ -75,7 +75,7 @@ def repair(
     *,
     apply: bool,
     take_over: bool = False,
-    tell: ProgressCallback = lambda _done, _all: None,
+    on_progress: ProgressCallback = lambda _done, _all: None,
 ) -> RepairReport:
     """Finds faults of a dataset and, with `apply`, repairs them.
 
@@ -85,7 +85,7 @@ def repair(
         now: time of the repair.
         apply: whether to apply the actions; otherwise the dataset is not changed.
         take_over: whether to take over a dataset in object storage from a home whose coordinator has ended for good.
-        tell: progress callback with the number of examined episodes and the total.
+        on_progress: progress callback with the number of examined episodes and the total.
 
     Raises:
         WorldError: a coordinator holds the dataset, or the disk cannot be written.
@@ -95,7 +95,7 @@ def repair(
         archive = stack.enter_context(_open(dataset, take_over)) if apply else None
         trouble = dataset.stranger or ledger_trouble(dataset.url, dataset.catalog)
         with _reading(dataset.url, trouble) as ledger:
-            survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, tell)
+            survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, on_progress)
             actions = [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
             actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
         if archive is not None and actions:

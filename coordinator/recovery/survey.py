@@ -44,7 +44,12 @@ class Survey:
 
 
 def survey_archive(
-    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: ProgressCallback
+    root: Place,
+    plan: Plan,
+    catalog: Catalog,
+    ledger: Connection | None,
+    checker: Checker,
+    on_progress: ProgressCallback,
 ) -> Survey:
     """Compares every file of a dataset with the ledger, and files without a record with the plan.
 
@@ -54,7 +59,7 @@ def survey_archive(
         catalog: compiled scenes of the plan.
         ledger: connection for reading; `None` if the ledger is lost.
         checker: validator of files to adopt.
-        tell: progress callback with the number of processed files and the total.
+        on_progress: progress callback with the number of processed files and the total.
     """
     result = Survey()
     owned = _owned(ledger)
@@ -68,7 +73,7 @@ def survey_archive(
             result.whole += 1
         else:
             _judge(path, index, reason, judge, result, is_owned=index in owned, is_kept=index in away)
-        tell(done, len(files))
+        on_progress(done, len(files))
     gone = owned.keys() - files.keys() - away.keys()
     found = {summary.index for summary in result.adopt} | (owned.keys() - gone)
     result.restore += _restorable(root, judge, found)

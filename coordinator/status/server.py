@@ -79,7 +79,7 @@ class StatusServer(Closing):
         threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="http-page")
         settings = {"pages": pages, "threads": threads, "address": address}
         server = _Server(
-            Application([(".*", _Handler, settings)], log_function=_note),
+            Application([(".*", _Handler, settings)], log_function=_log_request),
             no_keep_alive=True,
             idle_connection_timeout=_REQUEST_S,
             body_timeout=_REQUEST_S,
@@ -148,6 +148,6 @@ class _Handler(RequestHandler):
         """Returns no entity tag, because the metrics change with every response."""
 
 
-def _note(handler: RequestHandler) -> None:
+def _log_request(handler: RequestHandler) -> None:
     request = handler.request
     log.debug("http", status=handler.get_status(), method=request.method, uri=request.uri, client=request.remote_ip)

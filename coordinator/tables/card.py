@@ -181,10 +181,10 @@ def _split_part(meta: DatasetMeta, aggregates: TableAggregates) -> str:
         numbers = [count[scene, str(split)] for scene in scenes]
         if sum(numbers):
             rows.append((str(split), meaning, *map(str, [*numbers, sum(numbers)])))
-    return "## Splits\n" + _table(("split", "what", *scenes, "all"), rows) + "\n\n" + _say_sides(meta)
+    return "## Splits\n" + _table(("split", "what", *scenes, "all"), rows) + "\n\n" + _side_paragraph(meta)
 
 
-def _say_sides(meta: DatasetMeta) -> str:
+def _side_paragraph(meta: DatasetMeta) -> str:
     if meta.shared_instances is None:
         return "Training and evaluation may name the same instances; `factory stats` counts how many they share."
     kept = "No instance that `train_id` names is named by `val_id`, `test_id` or `test_paraphrase_ood`"

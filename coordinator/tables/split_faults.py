@@ -76,8 +76,8 @@ def surplus_tables(root: Place, wanted: set[str]) -> list[Place]:
 def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault | None:
     """Returns the fault of a split table, or `None`; for the arguments see `find_faults`."""
     try:
-        text = _see_rows(root, table) if deep else _see_footer(root, table)
-        damage = _see_thumbnails(root, table) if deep and not text else ""
+        text = _check_rows(root, table) if deep else _check_footer(root, table)
+        damage = _check_thumbnails(root, table) if deep and not text else ""
     except FileNotFoundError:
         return SplitFault(table.name, FaultKind.ABSENT, "is not there")
     except UNREADABLE as error:
@@ -87,30 +87,30 @@ def fault_of(root: Place, table: SplitTable, deep: bool = False) -> SplitFault |
     return SplitFault(table.name, FaultKind.OUTDATED, text) if text else None
 
 
-def _see_footer(root: Place, table: SplitTable) -> str:
+def _check_footer(root: Place, table: SplitTable) -> str:
     said = pq.read_metadata(table_of(root / table.name)).metadata or {}
     if said.get(DIGEST_KEY, b"").decode() != table.digest:
         return _OTHER_ROWS
     if int(said.get(PICTURES_KEY, b"0")) == table.rows.num_rows:
         return ""
-    return _say_missing(root, table, read_pictures(root / table.name))
+    return _missing_thumbnails(root, table, read_pictures(root / table.name))
 
 
-def _see_rows(root: Place, table: SplitTable) -> str:
+def _check_rows(root: Place, table: SplitTable) -> str:
     found = pq.read_table(table_of(root / table.name), page_checksum_verification=True)
     if not found.drop_columns([THUMBNAIL]).replace_schema_metadata().equals(table.rows.replace_schema_metadata()):
         return _OTHER_ROWS
-    return _say_missing(root, table, read_pictures(root / table.name))
+    return _missing_thumbnails(root, table, read_pictures(root / table.name))
 
 
-def _see_thumbnails(root: Place, table: SplitTable) -> str:
+def _check_thumbnails(root: Place, table: SplitTable) -> str:
     pictures = read_pictures(root / table.name)
     names = {row["content_digest"]: row["episode_id"] for row in table.sources()}
     broken = [names[digest] for digest, picture in pictures.items() if not _is_image(picture)]
     return f"the thumbnail of {broken[0]} is not an image" if broken else ""
 
 
-def _say_missing(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
+def _missing_thumbnails(root: Place, table: SplitTable, pictures: Mapping[str, bytes]) -> str:
     """Returns a message on missing thumbnails whose episode files exist; a gateway may store the other files."""
     lacking = [row for row in table.sources() if row["content_digest"] not in pictures]
     names = [row["episode_id"] for row in lacking if (root / row["file_name"]).is_file()]

@@ -281,7 +281,7 @@ class Pullers(Closing):
             try:
                 data = self._fetch(pull.sid, pull.lease, Chunk(staged.size, length))
             except TransientError:
-                self._note_failure(pull, staged.size)
+                self._record_failure(pull, staged.size)
                 raise
             self._meters.add(Meter.PULLED_BYTES, len(data))
             staged.write(data)
@@ -295,7 +295,7 @@ class Pullers(Closing):
                 return False
         return True
 
-    def _note_failure(self, pull: Pull, size: int) -> None:
+    def _record_failure(self, pull: Pull, size: int) -> None:
         """Records a failed transfer; refuses the bundle if repeated transfers fall below the least rate."""
         now = time.monotonic()
         with self._guard:

@@ -138,7 +138,7 @@ class Validator(Closing):
             verdict = child.ask(task, bundle)
         if child.layers and not self._layers:
             self._layers = child.layers
-            _tell_sandbox(child.layers)
+            _log_sandbox(child.layers)
         return verdict
 
     @property
@@ -284,7 +284,7 @@ def sandbox_of(judge: object) -> tuple[str, ...]:
     return judge.layers if isinstance(judge, Validator) else ()
 
 
-def _tell_sandbox(layers: Sequence[str]) -> None:
+def _log_sandbox(layers: Sequence[str]) -> None:
     active = ", ".join(layers)
     if SECCOMP in layers:
         log.info("validator_sandbox", active=active)

@@ -59,7 +59,7 @@ def command(
             datetime.now(UTC),
             apply=not dry_run,
             take_over=take_over,
-            tell=lambda done, total: bar.update(task, completed=done, total=total),
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     if as_json:
         print_json(report.model_dump(mode="json"))
