@@ -2,8 +2,8 @@
 
 Design: docs/design/protocol.md#security.
 
-A child (`coordinator.validation.validator_child`) gets each bundle as an open file and answers with a line of JSON. One
-that dies, hangs or says too much is replaced.
+A child (`coordinator.validation.validator_child`) receives each bundle as an open file and replies with a line of JSON.
+The pool replaces a child that terminates, hangs or replies with too much data.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _STARTUP_S = 60.0
 _MOST_ANSWER_CHARS = 4 << 20
 _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP})
 HEADER = struct.Struct("!I")
-"""Before a task: its length in bytes. The open bundle is sent with it."""
+"""Header of a task: its length, bytes. The descriptor of the open bundle is sent with the header."""
 
 
 class ValidatorLimits(Model):
@@ -73,21 +73,21 @@ class ValidatorLimits(Model):
 
 
 class ValidationTask(Model):
-    """What a child is asked about the open bundle that comes with it."""
+    """Task of a child for the bundle whose descriptor is sent with it."""
 
     job: Job
     target: Target | None = None
 
 
 class Verdict(Model):
-    """What a child answers: one line of JSON; exactly one of the two says something."""
+    """Reply of a child: one line of JSON with either a summary or findings."""
 
     summary: EpisodeSummary | None = None
     findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
 
 
 class Validator(Closing):
-    """A pool of validating children; `check` may be called from many threads and waits for a free child.
+    """Thread-safe pool of validating child processes; `check` waits for a free child.
 
     Args:
         children: number of children.
@@ -161,7 +161,7 @@ class Validator(Closing):
 
 
 class _Child:
-    """One process, started when first needed and again after every death."""
+    """Child process, started on first use and again after each termination."""
 
     def __init__(self, limits: ValidatorLimits) -> None:
         self._limits = limits
@@ -170,10 +170,10 @@ class _Child:
         self._ended = False
         self.last_words = ""
         self.layers: tuple[str, ...] = ()
-        """What confines it, once it has been started."""
+        """Active sandbox layers; empty before the start."""
 
     def ask(self, task: ValidationTask, bundle: int) -> Verdict | None:
-        """Returns the verdict, or `None` when the child died or had to be killed."""
+        """Returns the verdict, or `None` if the child terminated or was killed."""
         process = self._started()
         line = self._exchange(process, self._limits.wall_s, (task.model_dump_json().encode(), bundle))
         try:
@@ -196,7 +196,7 @@ class _Child:
         return self._process
 
     def _exchange(self, process: subprocess.Popen[str], limit_s: float, order: tuple[bytes, int] | None = None) -> str:
-        """Sends a task with its bundle, if any, and returns the answer; empty when the child dies or is too slow."""
+        """Sends a task with its bundle, if any, and returns the reply; empty if the child terminates or times out."""
         assert self._orders is not None
         assert process.stdout is not None
         timer = threading.Timer(limit_s, process.kill)
@@ -234,7 +234,7 @@ class _Child:
 
 
 def _spawn(limits: ValidatorLimits) -> tuple[subprocess.Popen[str], socket.socket]:
-    """Starts a child; its standard input is the other end of the returned socket."""
+    """Starts a child process whose standard input is the peer of the returned socket."""
     arguments = python_module("coordinator.validation.validator_child", limits.model_dump_json())
     environment = {"PYTHONPATH": import_path(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     ours, theirs = socket.socketpair()
@@ -247,7 +247,7 @@ def _spawn(limits: ValidatorLimits) -> tuple[subprocess.Popen[str], socket.socke
             env=environment,
             text=True,
             encoding="utf-8",
-            start_new_session=True,  # an interrupt at the terminal is the coordinator's to handle
+            start_new_session=True,  # the coordinator handles an interrupt at the terminal
         )
     except OSError as error:
         ours.close()
