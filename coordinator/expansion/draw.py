@@ -37,15 +37,25 @@ class PlannedJob:
     """One draw of one episode of the plan."""
 
     index: int
+    """Episode number, from 1."""
     draw: int
+    """Number of the draw, from 0."""
     scene: str
+    """Name of the scene."""
     tier: Tier
+    """Spawn tier."""
     split: Split
+    """Split."""
     category: str
+    """Category of the target."""
     target_id: str
+    """Id of the target in the compiled scene."""
     colour: str
+    """Colour of the target; `unknown` if the instruction must not name it."""
     template_id: str
+    """Id of the instruction template."""
     instruction: str
+    """Instruction in English."""
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:

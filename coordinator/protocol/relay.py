@@ -69,11 +69,17 @@ class RelayOrder(Model):
     """Bundle to pull, with the data that its validation needs."""
 
     lease: Lease
+    """Lease of the job."""
     sid: SessionId
+    """Session id of the worker."""
     sha256: Sha256
+    """Announced SHA-256."""
     size: Annotated[Bytes, Field(ge=1)]
+    """Announced size, bytes."""
     job: Job
+    """Job of the bundle."""
     target: Target
+    """Target in the compiled scene."""
 
 
 class Orders(Model):

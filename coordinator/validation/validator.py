@@ -76,14 +76,18 @@ class ValidationTask(Model):
     """Task of a child for the bundle whose descriptor is sent with it."""
 
     job: Job
+    """Leased job."""
     target: Target | None = None
+    """Target in the compiled scene; `None` skips the comparison."""
 
 
 class Verdict(Model):
     """Reply of a child: one line of JSON with either a summary or findings."""
 
     summary: EpisodeSummary | None = None
+    """Row of the episode; `None` if the bundle is invalid."""
     findings: Annotated[tuple[Line, ...], Field(max_length=MAX_FINDINGS)] = ()
+    """Violations."""
 
 
 class Validator(Closing):

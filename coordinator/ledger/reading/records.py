@@ -56,15 +56,25 @@ class JobRecord:
     """Current state of one draw of one episode."""
 
     index: int
+    """Episode number."""
     draw: int
+    """Number of the draw."""
     state: JobState
+    """Current state."""
     superseded: bool
+    """Whether a later draw of the episode exists."""
     scene: str
+    """Name of the scene."""
     tier: Tier
+    """Spawn tier."""
     split: Split
+    """Split."""
     category: str
+    """Category of the target."""
     target_id: str
+    """Id of the target in the compiled scene."""
     instruction: str
+    """Instruction in English."""
     attempt: int
     """Number of the running or next attempt."""
     misses: int
@@ -86,14 +96,23 @@ class AttemptRecord:
     """Attempt and its outcome."""
 
     index: int
+    """Episode number."""
     draw: int
+    """Number of the draw."""
     attempt: int
+    """Number of the attempt."""
     outcome: str
+    """Outcome: success, a fail reason, expired, cancelled or lost."""
     detail: str
+    """Description with measured values."""
     steps: int
+    """Number of simulated steps."""
     seconds: float
+    """Wall time, seconds."""
     worker: str
+    """Session id of the worker."""
     at: datetime
+    """Time of the outcome, UTC."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +120,19 @@ class EventRecord:
     """Event of a job."""
 
     draw: int
+    """Number of the draw."""
     attempt: int
+    """Number of the attempt."""
     event: str
+    """Name of the event."""
     state: JobState
+    """State after the event."""
     worker: str
+    """Session id of the worker that caused the event; empty for the coordinator."""
     detail: str
+    """Description of the event."""
     at: datetime
+    """Time of the event, UTC."""
 
 
 def list_jobs(connection: Connection, wanted: JobFilter, limit: int = 100, offset: int = 0) -> list[JobRecord]:
