@@ -34,11 +34,11 @@ def require_owner(root: Path, run: str, gateway: str) -> None:
         found = json.loads((root / OWNER_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(
-            f"{root / OWNER_FILE} cannot be read: {error}; give the directory of a gateway, or a new one"
+            f"{root / OWNER_FILE} cannot be read: {error}; give the --out of a gateway, or a new directory"
         ) from error
     if found != {"run": run, "gateway": gateway}:
         raise UsageError(
-            f"{root} belongs to {found}, asked for gateway {gateway!r} of run {run!r}: choose another --out or --name"
+            f"{root} belongs to {found}, not to gateway {gateway!r} of run {run!r}: choose another --out or --name"
         )
 
 

@@ -32,7 +32,7 @@ def replace_unusable_ledger(archive: Archive, url: str, catalog: Catalog) -> Non
         return
     if is_server(url) and "lacks the tables" not in trouble:
         raise WorldError(
-            f"the ledger {shown_url(url)} {trouble}: bring the database back from a backup, or give an empty one with "
+            f"the ledger {shown_url(url)} {trouble}: restore the database from a backup, or give an empty one with "
             f"--ledger; `factory repair {archive.root}` then rebuilds it from the episodes"
         )
     quarantine_ledger(archive, url, trouble)

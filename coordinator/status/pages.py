@@ -49,7 +49,7 @@ class Pages:
         if page is None:
             return plain_page(HTTPStatus.NOT_FOUND, _INDEX)
         if path == "/metrics" and not self._is_authorised(authorization):
-            return plain_page(HTTPStatus.UNAUTHORIZED, "a bearer token is wanted")
+            return plain_page(HTTPStatus.UNAUTHORIZED, "a bearer token is required")
         return page()
 
     def _is_authorised(self, authorization: str) -> bool:
