@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
@@ -48,7 +48,7 @@ def running(folder: Path, clock: SetClock, lease_ttl_s: float) -> Iterator[Coord
 
 
 def expiries(folder: Path) -> int:
-    with look_into(f"sqlite:///{folder / 'out' / 'ledger.db'}") as ledger:
+    with open_ledger(f"sqlite:///{folder / 'out' / 'ledger.db'}") as ledger:
         return len(ledger.execute(select(events.c.at).where(events.c.event == Event.EXPIRED)).all())
 
 

@@ -18,7 +18,7 @@ from coordinator.gateway.gather import gather
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import METADATA
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import repair
+from coordinator.recovery.repair_dataset import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator

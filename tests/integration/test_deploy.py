@@ -169,7 +169,7 @@ def test_every_watched_metric_is_served(tmp_path):
             room_catalog(tmp_path),
             CoordinatorOptions(listen=endpoint, settings=settings),
         ) as running,
-        StatusServer(HttpAddress("127.0.0.1", 0), running.vitals) as server,
+        StatusServer(HttpAddress("127.0.0.1", 0), running.health) as server,
     ):
         page = ask(server, "/metrics")[1]
     served = set(re.findall(r"^# TYPE (\w+) ", page, re.MULTILINE))

@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import select
 
 from coordinator.expansion.draw import to_job
-from coordinator.ledger.keepers import count_by_gateway
+from coordinator.ledger.gateway_episodes import count_by_gateway
 from coordinator.ledger.opening import ledger_url_of, planned_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import jobs
@@ -29,7 +29,7 @@ from coordinator.protocol.relay import (
     JoinReply,
     Refused,
 )
-from coordinator.protocol.relay_desk import serve_gateway
+from coordinator.protocol.relay_handlers import serve_gateway
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.base import MAX_COUNT

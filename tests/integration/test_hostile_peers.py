@@ -214,7 +214,7 @@ def test_hosts_are_released_without_a_running_coordinator(tmp_path):
 
 
 def test_a_finished_run_is_told_with_a_beat_and_stays_until_its_workers_have_left(hub):
-    farewell = threading.Thread(target=hub.see_off)
+    farewell = threading.Thread(target=hub.wait_for_departures)
     with WireWorker(hub.endpoints, hub.run) as peer:
         assert not peer.beat().finished
         peer.ask(Verb.ADMIN, AdminRequest(action=AdminAction.CANCEL), AdminReply)

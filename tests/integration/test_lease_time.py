@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
@@ -23,7 +23,7 @@ LATE_S = 1.0
 
 
 class SweptClock:
-    """Time that passes by one pause of the housekeeper's with each look at the ledger, and not otherwise."""
+    """Clock that advances by one pause of the periodic tasks with each read, and not otherwise."""
 
     def __init__(self, pause_s: float) -> None:
         self._now, self._pause = datetime(2026, 1, 2, tzinfo=UTC), timedelta(seconds=pause_s)
@@ -35,7 +35,7 @@ class SweptClock:
 
 
 def times_of(url: str, event: Event) -> list[float]:
-    with look_into(url) as ledger:
+    with open_ledger(url) as ledger:
         return [row.at for row in ledger.execute(select(events.c.at).where(events.c.event == event))]
 
 

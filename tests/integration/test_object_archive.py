@@ -16,7 +16,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import RepairInput, repair
+from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.tables.card_configs import names_split_tables

@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import func, select
 
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
 from coordinator.options import CoordinatorOptions
@@ -169,7 +169,7 @@ def test_a_coordinator_killed_between_put_and_commit_loses_and_repeats_no_episod
         assert list((home / ".staging").iterdir()) == []
         assert running.progress().jobs["archived"] == len(kept)
         finish(running, worker)
-        with look_into(f"sqlite:///{home / 'ledger.db'}") as ledger:
+        with open_ledger(f"sqlite:///{home / 'ledger.db'}") as ledger:
             ends = events.c.event.in_((Event.ARCHIVED, Event.ADOPTED))
             counts = select(func.count()).where(ends).group_by(events.c.job_id)
             assert ledger.execute(counts).scalars().all() == [1] * EPISODES

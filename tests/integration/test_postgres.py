@@ -14,7 +14,7 @@ from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
 from coordinator.options import CoordinatorOptions
-from coordinator.recovery.mend import RepairInput, repair
+from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator

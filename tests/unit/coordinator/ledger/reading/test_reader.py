@@ -8,7 +8,7 @@ import pytest
 
 from coordinator.ledger.engine import sqlite_url
 from coordinator.ledger.opening import read_info
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, list_jobs
 from schemas.errors import UsageError, WorldError
 
@@ -19,12 +19,12 @@ def test_a_file_that_is_no_ledger_is_named_with_the_verb_that_rebuilds_it(tmp_pa
     file.write_bytes(content)
     with (
         pytest.raises(WorldError, match=r"ledger\.db cannot be read: .*factory repair"),
-        look_into(sqlite_url(file)) as connection,
+        open_ledger(sqlite_url(file)) as connection,
     ):
         list_jobs(connection, JobFilter())
 
 
 def test_an_empty_database_holds_no_ledger_yet(tmp_path: Path) -> None:
     (tmp_path / "ledger.db").touch()
-    with pytest.raises(UsageError, match="factory run"), look_into(sqlite_url(tmp_path / "ledger.db")) as connection:
+    with pytest.raises(UsageError, match="factory run"), open_ledger(sqlite_url(tmp_path / "ledger.db")) as connection:
         read_info(connection)
