@@ -39,7 +39,7 @@ def test_an_unknown_scene_option_names_the_scenes_of_the_plan(factory, tmp_path)
     assert "office" in err
 
 
-def test_a_misspelt_scene_of_the_jobs_is_no_empty_list(factory, calm):
+def test_an_unknown_scene_filter_of_jobs_is_an_error(factory, calm):
     err = factory("jobs", "list", calm, "--scene", "hospitl", expect=2).stderr
     assert "did you mean 'hospital'" in err
 
@@ -51,7 +51,7 @@ def test_an_output_that_is_a_file_is_refused(factory, plan, tmp_path):
     assert (tmp_path / "x").read_text() == "mine"
 
 
-def test_a_directory_of_another_plan_is_left_alone(factory, calm, tmp_path):
+def test_a_directory_of_another_plan_is_not_changed(factory, calm, tmp_path):
     before = episodes_in(calm)
     err = factory("run", "demo", "--scene", "hospital", "--out", calm, expect=2).stderr
     assert "choose another --out" in err
@@ -65,7 +65,7 @@ def test_a_directory_within_a_dataset_is_refused(factory, plan, calm):
     assert not (calm / "episodes" / "x").exists()
 
 
-def test_what_is_no_part_of_a_dataset_is_said_before_one_is_made_beside_it(factory, tmp_path):
+def test_an_unknown_part_of_a_dataset_is_refused_before_a_dataset_is_written(factory, tmp_path):
     plan, out = tmp_path / "impossible.toml", tmp_path / "x"
     plan.write_text('[[scenes]]\nname = "hospital"\nepisodes = 1\nseen = ["sofa"]\n')
     out.mkdir()
@@ -74,7 +74,7 @@ def test_what_is_no_part_of_a_dataset_is_said_before_one_is_made_beside_it(facto
     assert "no part of a dataset, as `factory verify` will say: thesis.tex" in err
 
 
-def test_a_worker_without_a_coordinator_says_how_to_start_one(factory):
+def test_a_worker_without_a_coordinator_prints_the_start_command(factory):
     err = factory("worker", "--connect", free_endpoint(), "--wait", 2, expect=1).stderr
     assert "no coordinator" in err
     assert "factory coordinator start" in err
@@ -110,7 +110,7 @@ def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, calm, tmp_path)
     assert "newer" in err or "upgrade" in err
 
 
-def test_truncated_and_foreign_files_among_the_episodes_are_found_and_mended(factory, calm, tmp_path):
+def test_truncated_and_foreign_files_among_the_episodes_are_found_and_repaired(factory, calm, tmp_path):
     root = tmp_path / "hurt"
     shutil.copytree(calm, root)
     episode = root / "episodes" / "ep_000002.zip"
@@ -124,7 +124,7 @@ def test_truncated_and_foreign_files_among_the_episodes_are_found_and_mended(fac
     assert len(list((root / "quarantine").glob("ep_*"))) >= 2
 
 
-def test_an_episode_that_is_not_there_says_what_is(factory, calm):
+def test_a_missing_episode_is_answered_with_the_existing_ones(factory, calm):
     assert "holds 5 episodes" in factory("replay", calm, 77, expect=2).stderr
     assert "no dataset" in factory("replay", calm.parent, 1, expect=2).stderr
 
@@ -135,7 +135,7 @@ def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, calm):
     assert "archived" in reply["refused"]["1"]
 
 
-def test_a_scene_without_the_targets_of_the_plan_is_refused_before_anything_is_made(factory, tmp_path):
+def test_a_scene_without_the_targets_of_the_plan_is_refused_before_simulation(factory, tmp_path):
     plan = tmp_path / "ask.toml"
     plan.write_text('[[scenes]]\nname = "hospital"\nepisodes = 5\nseen = ["sofa", "chair"]\n')
     err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
@@ -144,7 +144,7 @@ def test_a_scene_without_the_targets_of_the_plan_is_refused_before_anything_is_m
     assert not (tmp_path / "x").exists()
 
 
-def test_an_expert_that_nobody_knows_is_refused_with_the_known_ones(factory, tmp_path):
+def test_an_unknown_expert_is_refused_with_the_known_ones(factory, tmp_path):
     err = factory("run", "demo", "--expert", "wizard", "--out", tmp_path / "x", expect=2).stderr
     assert "planner" in err
     assert not (tmp_path / "x").exists()

@@ -49,7 +49,7 @@ def by_name(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
     return found
 
 
-def test_killed_workers_and_coordinators_lose_no_episode_and_double_none(
+def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:
     words: tuple[object, ...] = ("eval", "--data", drives, "--specs", specs, "--videos", 0)
@@ -78,7 +78,7 @@ def test_killed_workers_and_coordinators_lose_no_episode_and_double_none(
     assert [path.name for path in sorted(out.iterdir())] == [path.name for path in sorted(calm.iterdir())]
 
 
-def test_a_policy_that_no_worker_can_make_ends_the_evaluation_with_the_reason(
+def test_a_policy_that_no_worker_can_construct_ends_the_evaluation_with_the_reason(
     factory: FactoryCli, drives: Path, specs: Path, endpoint: str, tmp_path: Path
 ) -> None:
     words = ("eval", "--data", drives, "--specs", specs, "--episodes", 1, "--policy", "nowhere.to_be:Found")

@@ -8,7 +8,7 @@ from tests.acceptance.factory_cli import FactoryCli, wait_for
 from tests.builders.ports import free_endpoint
 
 
-def test_what_two_gateways_keep_is_gathered_into_the_dataset_that_one_worker_makes(
+def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
     factory: FactoryCli, plan: Path, calm: Path, tmp_path: Path
 ):
     out, core, doors = tmp_path / "out", free_endpoint(), [free_endpoint(), free_endpoint()]
@@ -39,7 +39,7 @@ def test_what_two_gateways_keep_is_gathered_into_the_dataset_that_one_worker_mak
     assert factory.json("status", out)["by_gateway"] == {}
 
 
-def test_a_gateway_without_a_core_waits_for_it_until_it_is_told_to_stop(factory: FactoryCli, tmp_path: Path):
+def test_a_gateway_without_a_coordinator_waits_until_it_is_stopped(factory: FactoryCli, tmp_path: Path):
     words = ("--connect", free_endpoint(), "--out", tmp_path / "gw", "--listen", free_endpoint(), "--name", "gw1")
     waiting = factory.start("gateway", "start", *words)
     wait_for(lambda: (tmp_path / "gw" / "episodes").exists())

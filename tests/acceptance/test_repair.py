@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 
-def test_a_dataset_that_lost_ledger_scene_and_tables_is_whole_again(factory, calm, tmp_path):
+def test_repair_restores_a_dataset_without_ledger_scene_and_tables(factory, calm, tmp_path):
     root = tmp_path / "dataset"
     shutil.copytree(calm, root)
     digest = factory.json("verify", calm)["digest"]
@@ -18,7 +18,7 @@ def test_a_dataset_that_lost_ledger_scene_and_tables_is_whole_again(factory, cal
     assert factory.json("status", root)["finished"]
 
 
-def test_without_ledger_and_description_the_plan_is_asked_for(factory, calm, plan, tmp_path):
+def test_repair_without_ledger_and_description_requires_the_plan(factory, calm, plan, tmp_path):
     root = tmp_path / "dataset"
     shutil.copytree(calm, root)
     for name in ("ledger.db", "dataset_meta.json"):
@@ -30,6 +30,6 @@ def test_without_ledger_and_description_the_plan_is_asked_for(factory, calm, pla
     assert (done["episodes"], done["planned"]) == (1, 5)
 
 
-def test_a_directory_that_is_not_there_is_said_so(factory, tmp_path):
+def test_a_missing_directory_is_reported(factory, tmp_path):
     assert "no directory" in factory("repair", tmp_path / "nowhere", expect=2).stderr
     assert not (tmp_path / "nowhere").exists()

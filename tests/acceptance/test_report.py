@@ -10,7 +10,7 @@ import sys
 from schemas.support.extras import install_command
 
 
-def test_a_report_is_written_and_read_again(factory, calm, tmp_path):
+def test_a_report_is_written_and_rewritten(factory, calm, tmp_path):
     found = factory.json("report", calm, "-o", tmp_path / "out")
     assert (found["episodes"], found["complete"], found["remarks"]) == (5, True, [])
     assert all((tmp_path / "out" / name).stat().st_size > 0 for name in found["files"])
@@ -23,7 +23,7 @@ def test_a_report_is_written_and_read_again(factory, calm, tmp_path):
     assert said["TL mean, all"]["reason"]
 
 
-def test_damage_is_told_by_the_exit_code_and_a_full_folder_is_refused(factory, calm, tmp_path):
+def test_damage_sets_the_exit_code_and_a_nonempty_folder_is_refused(factory, calm, tmp_path):
     damaged = tmp_path / "damaged"
     shutil.copytree(calm, damaged)
     bundle = damaged / "episodes" / "ep_000001.zip"

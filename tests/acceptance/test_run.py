@@ -29,14 +29,14 @@ def test_a_finished_run_has_a_table_with_thumbnails_for_each_split_that_has_epis
     assert "path: data/train_id-*.parquet" in (calm / "README.md").read_text()
 
 
-def test_two_workers_make_the_same_dataset_as_one(factory, plan, calm, tmp_path):
+def test_two_workers_produce_the_same_dataset_as_one(factory, plan, calm, tmp_path):
     root = tmp_path / "two"
     summary = factory.json("run", plan, "--out", root, "--workers", 2)
     assert summary["episodes"] == summary["planned"] == 5
     assert digest_of(factory, root) == digest_of(factory, calm)
 
 
-def test_killed_coordinator_and_worker_lose_and_change_nothing(factory, plan, calm, tmp_path):
+def test_kills_of_coordinator_and_worker_neither_lose_nor_change_data(factory, plan, calm, tmp_path):
     root, endpoint = tmp_path / "chaos", free_endpoint()
 
     def start_coordinator():
@@ -58,7 +58,7 @@ def test_killed_coordinator_and_worker_lose_and_change_nothing(factory, plan, ca
     assert digest_of(factory, root) == digest_of(factory, calm)
 
 
-def test_an_interrupted_run_goes_on_where_it_was_and_makes_nothing_twice(factory, plan, calm, tmp_path):
+def test_an_interrupted_run_resumes_and_repeats_no_episode(factory, plan, calm, tmp_path):
     root = tmp_path / "interrupted"
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
@@ -72,7 +72,7 @@ def test_an_interrupted_run_goes_on_where_it_was_and_makes_nothing_twice(factory
     assert digest_of(factory, root) == digest_of(factory, calm)
 
 
-def test_a_killed_run_takes_its_workers_with_it_and_can_be_resumed(factory, plan, calm, tmp_path):
+def test_a_killed_run_ends_its_workers_and_can_be_resumed(factory, plan, calm, tmp_path):
     root = tmp_path / "killed"
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
@@ -83,7 +83,7 @@ def test_a_killed_run_takes_its_workers_with_it_and_can_be_resumed(factory, plan
     assert digest_of(factory, root) == digest_of(factory, calm)
 
 
-def test_every_byte_of_a_calm_dataset_is_sound(factory, calm):
+def test_deep_verification_of_an_undisturbed_dataset_finds_nothing(factory, calm):
     report = factory.json("verify", calm, "--deep")
     assert report["ok"], report["findings"]
     assert report["episodes"] == 5
@@ -95,7 +95,7 @@ def test_an_episode_can_be_simulated_again_bit_for_bit(factory, calm):
     assert replay["archived_digest"] == replay["replayed_digest"]
 
 
-def test_status_agrees_with_what_lies_on_disk(factory, calm):
+def test_status_agrees_with_the_files_on_disk(factory, calm):
     status = factory.json("status", calm)
     assert status["jobs"]["archived"] == len(episodes_in(calm)) == status["planned"] == 5
     assert {name: counts["archived"] for name, counts in status["by_scene"].items()} == {
@@ -109,7 +109,7 @@ def test_status_agrees_with_what_lies_on_disk(factory, calm):
     assert len(status["workers"]) == 1
 
 
-def test_status_can_be_asked_of_a_running_coordinator(factory, own_calm):
+def test_status_can_be_requested_from_a_running_coordinator(factory, own_calm):
     endpoint = free_endpoint()
     coordinator = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
     wait_for(lambda: factory.start("status", "--connect", endpoint).wait(60) == 0, 60)

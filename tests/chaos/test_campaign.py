@@ -32,7 +32,7 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ChaosCluster]:
 
 
 @pytest.mark.slow
-def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_path):
+def test_dataset_of_a_run_with_faults_equals_that_of_an_undisturbed_run(calm, tmp_path):
     storm = Storm(workers=2, faults=FAULTS, pause_s=(0.05, 0.3))
     tally = play_round(fake_commands(EPISODES, 3.0), tmp_path / "wild", storm, 7, calm[0])
     assert tally.violations == []
@@ -41,7 +41,7 @@ def test_dataset_of_a_run_full_of_mishaps_equals_that_of_a_calm_one(calm, tmp_pa
 
 
 @pytest.mark.slow
-def test_one_hostile_peer_and_one_faulty_host_change_no_episode_and_lose_none(tmp_path):
+def test_a_hostile_peer_and_a_faulty_host_neither_change_nor_lose_episodes(tmp_path):
     cast = fake_commands(EPISODES, 1.0, crashes=Budget().crashes)  # of a default plan
     calm = calm_digest(cast, tmp_path / "calm")
     storm = Storm(workers=2, faults=0, peers=Peers(pause_s=(0.02, 0.1), damages=(1.0,)))
@@ -52,7 +52,7 @@ def test_one_hostile_peer_and_one_faulty_host_change_no_episode_and_lose_none(tm
     assert tally.outcomes["invalid"] + tally.outcomes["crash"] > 0
 
 
-def test_workers_change_over_when_a_gateway_is_killed_and_the_gathered_dataset_equals_a_calm_ones(calm, tmp_path):
+def test_workers_switch_gateways_after_a_kill_and_the_gathered_dataset_is_equal(calm, tmp_path):
     with ChaosCluster(tmp_path, fake_commands(EPISODES, 3.0, gateways=2), 2) as party:
         deadline = time.monotonic() + 240
         is_killed = False
@@ -72,7 +72,7 @@ def test_workers_change_over_when_a_gateway_is_killed_and_the_gathered_dataset_e
         assert digest_of(party) == calm[0]
 
 
-def test_a_campaign_would_notice_what_is_torn_missing_too_many_or_forgotten(calm):
+def test_the_verdict_detects_torn_missing_surplus_and_stale_data(calm):
     party = calm[1]
     assert list(violations_of(party)) == []
     first: Path = party.out / "episodes" / "ep_000001.zip"

@@ -32,7 +32,7 @@ def _write(disk: Disk) -> str:
 
 
 @pytest.mark.parametrize("fault", ["full disk", "slow disk"])
-def test_a_disk_is_felt_by_who_writes_meanwhile_and_by_nobody_else(fault: str, tmp_path: Path):
+def test_a_disk_fault_has_an_effect_only_on_processes_that_write(fault: str, tmp_path: Path):
     with Disk(tmp_path, 4) as disk:
         if fault in disk.missing:
             pytest.skip(disk.missing[fault])
@@ -75,7 +75,7 @@ class _Echo:
         self.server.close()
 
 
-def test_a_wire_is_cut_only_while_somebody_is_connected():
+def test_a_wire_is_cut_only_while_a_peer_is_connected():
     with _Echo() as echo:
         assert echo.wires.cut(0, 0.0) is None
         near, far = echo.connect()
@@ -88,7 +88,7 @@ def test_a_wire_is_cut_only_while_somebody_is_connected():
 
 
 @pytest.mark.parametrize(("answer", "felt"), [(b"x" * 100, 1), (b"\x01\x00\x04", 0)])
-def test_answers_count_as_lost_and_signs_of_life_do_not(answer: bytes, felt: int):
+def test_lost_answers_count_and_lost_keep_alives_do_not(answer: bytes, felt: int):
     with _Echo() as echo:
         near, far = echo.connect()
         with near, far:
@@ -101,7 +101,7 @@ def test_answers_count_as_lost_and_signs_of_life_do_not(answer: bytes, felt: int
             assert spell.felt == felt
 
 
-def test_tallies_add_up_and_come_back_from_their_file(tmp_path: Path):
+def test_tallies_are_added_and_read_back_from_their_file(tmp_path: Path):
     one, path = Tally(episodes=2, violations=["torn"], seconds=3.0), tmp_path / "tally.json"
     one.faults["link reset"] += 2
     both = Tally.load(path)

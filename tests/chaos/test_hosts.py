@@ -68,7 +68,7 @@ class Site:
             process.wait()
 
 
-def test_a_host_that_is_cut_off_loses_its_jobs_to_the_others_and_comes_back(tmp_path):
+def test_a_disconnected_host_loses_its_jobs_and_reconnects(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(3))
         site = Site(tmp_path, hosts, stack)
@@ -83,7 +83,7 @@ def test_a_host_that_is_cut_off_loses_its_jobs_to_the_others_and_comes_back(tmp_
         assert all(process.poll() in {None, 0} for process in site.processes)
 
 
-def test_a_host_behind_a_narrow_lossy_link_brings_its_episodes_too(tmp_path):
+def test_a_host_behind_a_slow_lossy_link_delivers_its_episodes(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(2))
         trouble = hosts.worsen(1, "16mbit", "30ms")
@@ -94,7 +94,7 @@ def test_a_host_behind_a_narrow_lossy_link_brings_its_episodes_too(tmp_path):
         assert site.ask("select count(*) from attempts where outcome = 'success'") == EPISODES
 
 
-def test_workers_leave_a_gateway_that_is_cut_off_for_another_and_it_comes_back_with_what_it_keeps(tmp_path):
+def test_workers_leave_a_disconnected_gateway_which_returns_with_its_episodes(tmp_path):
     with ExitStack() as stack:
         hosts = stack.enter_context(Hosts(4))
         site = Site(tmp_path, hosts, stack, gateways=2)

@@ -8,7 +8,7 @@ import time
 from tests.chaos.cluster import ChaosCluster, fake_commands
 
 
-def test_worker_beside_a_frozen_coordinator_still_heeds_sigterm_within_five_seconds(tmp_path):
+def test_worker_obeys_sigterm_within_five_seconds_while_the_coordinator_is_frozen(tmp_path):
     with ChaosCluster(tmp_path, fake_commands(30, 600.0), 1) as party:
         deadline = time.monotonic() + 60
         while party.leased() < 2:

@@ -13,7 +13,7 @@ EPISODES = 8
 
 
 @pytest.mark.slow
-def test_no_episode_is_made_twice_when_the_ledger_is_lost_restored_truncated_and_damaged(tmp_path):
+def test_no_episode_is_simulated_twice_after_damage_to_the_ledger(tmp_path):
     cast = fake_commands(EPISODES, 0.5, checkpoint_s=1.0)
     calm = calm_digest(cast, tmp_path / "calm")
     tally = play_accidents(cast, tmp_path / "run", list(ACCIDENTS), 3, calm)

@@ -57,7 +57,7 @@ def contents(root: Path) -> dict[str, bytes]:
 
 
 @every_format
-def test_export_says_what_it_is_and_leaves_no_traces_of_its_making(calm: dict[str, Path], name: str) -> None:
+def test_an_export_describes_itself_and_leaves_no_temporary_files(calm: dict[str, Path], name: str) -> None:
     manifest = read_manifest(calm[name])
     assert manifest is not None
     assert (manifest.format, manifest.complete, manifest.episodes) == (name, True, EPISODES)
@@ -72,7 +72,7 @@ def test_equal_exports_have_equal_bytes(dataset: Path, calm: dict[str, Path], tm
 
 
 @every_format
-def test_complete_export_is_not_done_again(dataset: Path, calm: dict[str, Path], name: str) -> None:
+def test_a_complete_export_is_not_repeated(dataset: Path, calm: dict[str, Path], name: str) -> None:
     before = {path: path.stat().st_mtime_ns for path in calm[name].rglob("*")}
     report = run_export(order(dataset, calm[name], name))
     assert (report.complete, report.episodes, report.resumed) == (True, EPISODES, EPISODES)
@@ -80,7 +80,7 @@ def test_complete_export_is_not_done_again(dataset: Path, calm: dict[str, Path],
 
 
 @every_format
-def test_interrupted_export_goes_on(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+def test_an_interrupted_export_resumes(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
     stop = threading.Event()
 
     def stop_after_one(progress: ExportProgress) -> None:
@@ -200,7 +200,7 @@ def test_damaged_and_missing_episodes_are_skipped_and_named(
 
 
 @every_format
-def test_nothing_is_written_where_nothing_can_be_read(dataset: Path, tmp_path: Path, name: str) -> None:
+def test_nothing_is_written_when_no_episode_is_readable(dataset: Path, tmp_path: Path, name: str) -> None:
     shutil.copytree(dataset, tmp_path / "data")
     for path in (tmp_path / "data/episodes").iterdir():
         path.write_bytes(b"PK rubbish")
@@ -236,7 +236,9 @@ def test_another_format_is_refused(dataset: Path, calm: dict[str, Path], name: s
 
 
 @every_format
-def test_dry_run_tells_size_and_writes_nothing(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
+def test_a_dry_run_reports_sizes_and_writes_nothing(
+    dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str
+) -> None:
     estimate = estimate_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
     size = sum(map(len, contents(calm[name]).values()))
@@ -269,7 +271,7 @@ def test_export_into_the_dataset_is_refused(dataset: Path, name: str) -> None:
 
 
 @every_format
-def test_folder_with_other_things_is_refused(dataset: Path, tmp_path: Path, name: str) -> None:
+def test_a_folder_with_other_files_is_refused(dataset: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(WorldError, match="holds no export"):
         run_export(order(dataset, tmp_path, name))

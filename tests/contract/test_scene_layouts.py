@@ -66,7 +66,7 @@ def reached_categories(plan: FloorPlan, grid: Grid) -> dict[str, int]:
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("name", BUILTIN_SCENES)
-def test_every_seed_has_one_floor_with_each_category_beside_it(name: str, seed: int) -> None:
+def test_every_seed_has_one_connected_floor_that_reaches_each_category(name: str, seed: int) -> None:
     plan = lay_out_scene(BUILTIN_SCENES[name], seed)
     grid = floor_of(plan)
     wide = (grid.clearance >= CONNECT_CLEARANCE_M).sum()

@@ -54,7 +54,7 @@ def job_in(room: Path, **changes: object) -> Job:
 
 
 @pytest.mark.gl
-def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
+def test_rollout_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
     watch, told = ProcessWatch(), []
     with SceneRenderer("gl", watch) as stage:
         found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))
@@ -75,7 +75,7 @@ def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -
 
 
 @pytest.mark.gl
-def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
+def test_a_scene_without_a_successful_rollout_is_reported(room: Path) -> None:
     hasty = job_in(room, task=TaskConfig(max_steps=3))
     watch = ProcessWatch()
     with (
@@ -86,7 +86,7 @@ def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
 
 
 @pytest.mark.gl
-def test_rendering_is_timed_apart_from_reading_back() -> None:
+def test_rendering_and_readback_are_timed_separately() -> None:
     watch = ProcessWatch()
     with open_renderer("gl", lap=watch) as renderer:
         found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
@@ -102,7 +102,7 @@ COMMAND = (sys.executable, "-c", WITHOUT_GC, "--renderer", "gl")
 
 
 @pytest.mark.gl
-def test_memory_is_watched_over_episodes_cut_short_and_whole_ones(room: Path) -> None:
+def test_memory_is_measured_over_aborted_and_complete_episodes(room: Path) -> None:
     told: list[int] = []
     found = bench_memory([job_in(room)], {"box_room": read_entry(room)}, COMMAND, 20, lambda: told.append(1))
     assert len(told) == found.episodes == 20
@@ -113,7 +113,7 @@ def test_memory_is_watched_over_episodes_cut_short_and_whole_ones(room: Path) ->
 
 
 @pytest.mark.gl
-def test_memory_of_a_simulation_that_breaks_is_no_figure(room: Path) -> None:
+def test_no_memory_figure_is_reported_for_a_failed_simulation(room: Path) -> None:
     nowhere = replace(read_entry(room), path=room / "no folder")
     with pytest.raises(WorldError, match=r"could not do .*Not a directory"):
         bench_memory([job_in(room)], {"box_room": nowhere}, COMMAND, 20, lambda: None)

@@ -80,7 +80,7 @@ def flip(path: Path, seed: int, bits: int) -> None:
 
 @pytest.mark.parametrize("bits", [1, 200])
 @pytest.mark.parametrize("seed", range(6))
-def test_flipped_bits_end_in_words_whatever_verb_meets_them(harmed, monkeypatch, capsys, seed, bits):
+def test_every_command_reports_flipped_bits_without_a_traceback(harmed, monkeypatch, capsys, seed, bits):
     flip(harmed / "ledger.db", seed, bits)
     damaged = (harmed / "ledger.db").read_bytes()
     for words in (*READING, *WRITING, *(OPENING if (seed, bits) == (0, 200) else ())):
@@ -89,7 +89,7 @@ def test_flipped_bits_end_in_words_whatever_verb_meets_them(harmed, monkeypatch,
 
 
 @pytest.mark.parametrize("table", sorted(METADATA.tables))
-def test_a_wrong_value_in_any_column_ends_in_words(harmed, monkeypatch, capsys, table):
+def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(harmed, monkeypatch, capsys, table):
     ledger, verbs = harmed / "ledger.db", itertools.cycle((*READING, *WRITING))
     sound = ledger.read_bytes()
     for column in METADATA.tables[table].columns:
@@ -126,7 +126,7 @@ def _patient(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
         ("info", "value", "'?'"),
     ],
 )
-def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, whole, table, column, value):
+def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(harmed, whole, table, column, value):
     ledger = harmed / "ledger.db"
     with closing(sqlite3.connect(ledger)) as raw:
         raw.execute(f'UPDATE {table} SET "{column}" = {value}')
@@ -148,7 +148,7 @@ def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, w
     assert sorted(path.name for path in (harmed / "episodes").iterdir()) == files
 
 
-def test_a_ledger_that_is_removed_under_a_running_coordinator_ends_it_in_words(harmed, whole):
+def test_a_running_coordinator_reports_a_removed_ledger_and_exits(harmed, whole):
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
     with Coordinator(harmed, whole.plan, whole.catalog, ("tcp/127.0.0.1:0",), settings=settings) as coordinator:
         for path in harmed.glob("ledger.db*"):

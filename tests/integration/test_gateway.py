@@ -120,7 +120,7 @@ def bring_home(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
     return jobs
 
 
-def test_what_workers_bring_through_a_gateway_is_archived_there_and_nothing_of_it_at_the_core(site):
+def test_bundles_delivered_through_a_gateway_are_archived_only_there(site):
     gateway = site.open_gateway("gw1")
     worker = site.open_worker(gateway.endpoints)
     bring_home(worker, site, EPISODES)
@@ -134,7 +134,7 @@ def test_what_workers_bring_through_a_gateway_is_archived_there_and_nothing_of_i
     assert gateway.troubles() == ()
 
 
-def test_who_is_connected_to_the_core_brings_to_the_core(site):
+def test_workers_connected_to_the_coordinator_deliver_to_it(site):
     site.open_gateway("gw1")
     bring_home(site.open_worker((site.endpoint,)), site)
     assert site.files("gw1") == []
@@ -142,7 +142,7 @@ def test_who_is_connected_to_the_core_brings_to_the_core(site):
     assert site.core.progress().by_gateway == {}
 
 
-def test_a_gateway_refuses_a_bundle_that_is_not_what_was_asked_for(site):
+def test_a_gateway_refuses_a_bundle_of_another_job(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     job, lease = worker.job()
     worker.deliver(lease, bundle_for(job.model_copy(update={"index": 9})))
@@ -167,7 +167,7 @@ def test_a_gathered_dataset_is_whole_and_can_be_gathered_again(site):
     assert site.open_core().progress().jobs["archived"] == EPISODES  # nothing is taken for lost
 
 
-def test_gathering_refuses_what_the_ledger_does_not_know_and_makes_it_anew_when_told(site):
+def test_gather_refuses_unknown_files_and_requeues_missing_ones_on_request(site):
     gateway = site.open_gateway("gw1")
     (job,) = bring_home(site.open_worker(gateway.endpoints), site)
     gateway.close()
@@ -183,7 +183,7 @@ def test_gathering_refuses_what_the_ledger_does_not_know_and_makes_it_anew_when_
     assert (again.progress().jobs["archived"], again.progress().jobs["pending"]) == (0, EPISODES)
 
 
-def test_a_gathering_cut_off_between_file_and_ledger_is_finished_by_the_next_start(site):
+def test_a_gather_interrupted_before_the_ledger_commit_is_completed_at_the_next_start(site):
     gateway = site.open_gateway("gw1")
     (job,) = bring_home(site.open_worker(gateway.endpoints), site)
     site.core.close()
@@ -193,14 +193,14 @@ def test_a_gathering_cut_off_between_file_and_ledger_is_finished_by_the_next_sta
     assert site.files("out") == [name_of(job)]
 
 
-def test_a_core_that_starts_again_takes_nothing_at_gateways_for_lost(site):
+def test_a_restarted_coordinator_does_not_requeue_episodes_of_gateways(site):
     bring_home(site.open_worker(site.open_gateway("gw1").endpoints), site)
     site.core.close()
     progress = site.open_core().progress()
     assert (progress.jobs["archived"], progress.by_gateway) == (1, {"gw1": 1})
 
 
-def test_a_gateway_that_starts_again_keeps_what_it_has_and_gives_up_what_is_gone(site):
+def test_a_restarted_gateway_reports_its_files_and_releases_missing_ones(site):
     gateway = site.open_gateway("gw1")
     worker = site.open_worker(gateway.endpoints)
     kept, gone = bring_home(worker, site, 2)
@@ -216,7 +216,7 @@ def test_a_gateway_that_starts_again_keeps_what_it_has_and_gives_up_what_is_gone
 
 
 @pytest.mark.parametrize("lease", ["in force", "lost"])
-def test_what_a_gateway_published_before_it_died_is_adopted_as_long_as_the_job_is_open(site, lease):
+def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_open(site, lease):
     site.open_gateway("gw1").close()
     worker = site.open_worker((site.endpoint,))
     worker.is_frozen = True  # the core, which is to pull here, gets nothing
@@ -233,7 +233,7 @@ def test_what_a_gateway_published_before_it_died_is_adopted_as_long_as_the_job_i
     assert site.files("gw1") == [name_of(job)]
 
 
-def test_what_somebody_else_brought_meanwhile_is_set_aside_at_the_gateway(site):
+def test_a_gateway_quarantines_an_episode_that_another_process_archived(site):
     gateway = site.open_gateway("gw1")
     gateway.close()
     (job,) = bring_home(site.open_worker((site.endpoint,)), site)
@@ -244,7 +244,7 @@ def test_what_somebody_else_brought_meanwhile_is_set_aside_at_the_gateway(site):
     assert site.core.progress().by_gateway == {}
 
 
-def test_a_gateway_under_the_name_of_one_with_episodes_elsewhere_is_refused_and_nothing_given_up(site):
+def test_a_second_directory_under_the_name_of_a_gateway_is_refused(site):
     gateway = site.open_gateway("gw1")
     bring_home(site.open_worker(gateway.endpoints), site)
     gateway.close()
@@ -259,7 +259,7 @@ def test_a_directory_of_another_gateway_is_refused(site):
         site.open_gateway("gw2", "gw1")
 
 
-def test_two_who_pull_one_bundle_end_with_one_owner(site):
+def test_two_concurrent_pulls_of_one_bundle_end_with_one_owner(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     for number in range(1, EPISODES + 1):
         bring(worker)  # that is the gateway's

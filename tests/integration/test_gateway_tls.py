@@ -62,7 +62,7 @@ def asks(hub: Coordinator, pki: Path, name: str, verb: Verb, message: Model, und
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
 
-def test_a_worker_behind_a_gateway_goes_the_whole_way(hub, gateway, pki, tmp_path):
+def test_a_worker_behind_a_gateway_completes_a_job(hub, gateway, pki, tmp_path):
     with WireWorker(gateway.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
         assert isinstance(worker.hello(VERSION), HelloReply)
         for _ in range(2):
@@ -75,7 +75,7 @@ def test_a_worker_behind_a_gateway_goes_the_whole_way(hub, gateway, pki, tmp_pat
     assert list((tmp_path / "out" / "episodes").iterdir()) == []
 
 
-def test_a_gateway_lets_workers_in_and_nobody_else(hub, gateway, pki):
+def test_a_gateway_admits_only_workers(hub, gateway, pki):
     for name in ("boss", "gw2"):
         with WireWorker(gateway.endpoints, hub.run, name, files_of(pki, name)) as stranger:
             assert stranger.hello(VERSION) is None
@@ -87,7 +87,7 @@ def test_a_gateway_lets_workers_in_and_nobody_else(hub, gateway, pki):
     assert hub.progress().workers == ()
 
 
-def test_who_is_no_gateway_cannot_ask_what_gateways_ask(hub, pki):
+def test_only_gateways_can_send_gateway_requests(hub, pki):
     join = Join(version=VERSION, router="a")
     assert asks(hub, pki, "gw1", Verb.JOIN, join)
     for name in ("node", "boss", "gw2"):
@@ -95,14 +95,14 @@ def test_who_is_no_gateway_cannot_ask_what_gateways_ask(hub, pki):
     assert asks(hub, pki, "node", Verb.JOIN, join) == []
 
 
-def test_a_gateway_cannot_do_what_operators_do(hub, pki):
+def test_a_gateway_cannot_send_operator_requests(hub, pki):
     request = AdminRequest(action=AdminAction.CANCEL)
     assert asks(hub, pki, "gw1", Verb.ADMIN, request) == []
     assert asks(hub, pki, "gw1", Verb.ADMIN, request, under="boss") == []
     assert hub.progress().jobs["cancelled"] == 0
 
 
-def test_a_gateway_cannot_answer_for_the_core_or_serve_bundles(hub, gateway, pki):
+def test_a_gateway_can_neither_answer_as_coordinator_nor_serve_bundles(hub, gateway, pki):
     lies: list[str] = []
 
     def lie(query: zenoh.Query) -> None:
@@ -123,7 +123,7 @@ def test_a_gateway_cannot_answer_for_the_core_or_serve_bundles(hub, gateway, pki
     assert lies == []
 
 
-def test_a_revoked_gateway_is_out(pki, tmp_path):
+def test_a_revoked_gateway_loses_its_access(pki, tmp_path):
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with Coordinator(
@@ -149,7 +149,7 @@ def hub_is_up(hub: Coordinator, pki: Path) -> bool:
         return False
 
 
-def test_only_a_gateways_list_may_name_a_coordinator(pki):
+def test_only_the_host_list_of_a_gateway_may_name_a_coordinator(pki):
     assert Guard(pki / "gw1", of_gateway=True).admitted() == {
         "hub": Role.COORDINATOR,
         "node": Role.WORKER,

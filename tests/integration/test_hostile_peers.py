@@ -99,7 +99,7 @@ def answer(peer: WireWorker, verb: str, message: dict[str, Any]) -> bytes | None
     return None
 
 
-def test_refusals_of_one_peer_fill_no_log(hub, peer):
+def test_refusals_of_one_peer_do_not_fill_the_log(hub, peer):
     with structlog.testing.capture_logs() as lines:
         for _ in range(200):
             assert isinstance(peer.ask("done", b'{"job_id": 9223372036854775808}', Ack), Refusal)
@@ -159,7 +159,7 @@ def test_a_restarted_worker_of_the_same_host_goes_on_with_its_lease(hub, peer):
         until(lambda: hub.progress().jobs["archived"] == 1)
 
 
-def test_a_host_that_announces_rubbish_ends_no_run_and_is_released_by_an_operator(hub, peer, tmp_path):
+def test_a_host_that_announces_invalid_bundles_is_barred_and_can_be_released(hub, peer, tmp_path):
     stop = threading.Event()
 
     def spoil() -> None:
@@ -207,7 +207,7 @@ def test_hosts_are_released_without_a_running_coordinator(tmp_path):
     assert administer(out, request, datetime.now(UTC)).hosts == ()
 
 
-def test_a_finished_run_is_told_with_a_beat_and_stays_until_its_workers_have_left(hub):
+def test_a_finished_run_is_announced_in_the_heartbeat_reply_and_waits_for_its_workers(hub):
     farewell = threading.Thread(target=hub.see_off)
     with WireWorker(hub.endpoints, hub.run) as peer:
         assert not peer.beat().finished

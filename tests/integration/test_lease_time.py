@@ -40,7 +40,9 @@ def times_of(url: str, event: Event) -> list[float]:
 
 @pytest.mark.parametrize("goes", ["silent", "gone"])
 @pytest.mark.parametrize("lease_ttl_s", [2.0, CoordinatorSettings().lease_ttl_s])
-def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path, lease_ttl_s: float, goes: str):
+def test_the_job_of_a_dead_worker_is_pending_within_its_lease_plus_one_second(
+    tmp_path: Path, lease_ttl_s: float, goes: str
+):
     clock = SweptClock(CoordinatorSettings().sweep_s)
     settings = CoordinatorSettings(reserve_bytes=0, lease_ttl_s=lease_ttl_s, sweep_s=0.005)  # looks come faster here
     url = f"sqlite:///{tmp_path / 'out' / 'ledger.db'}"

@@ -44,13 +44,13 @@ def ledger_files(root: Path) -> list[str]:
     return sorted(path.name for path in root.iterdir() if path.name.startswith("ledger.db"))
 
 
-def test_a_look_at_a_ledger_leaves_no_files_beside_it(data: Path) -> None:
+def test_reading_a_ledger_leaves_no_files_beside_it(data: Path) -> None:
     assert progress_of(site_of(str(data))).planned == 2
     assert plan_of(site_of(str(data))) == room_plan(2)
     assert ledger_files(data) == ["ledger.db"]
 
 
-def test_a_look_beside_a_running_coordinator_sees_what_it_has_committed(data: Path, tmp_path: Path) -> None:
+def test_a_reader_sees_what_a_running_coordinator_has_committed(data: Path, tmp_path: Path) -> None:
     engine = begun(data, tmp_path)
     try:
         before = ledger_files(data)

@@ -55,7 +55,7 @@ def test_simulated_drive_keeps_the_laws_of_motion(driver: Driver, start: tuple[f
     assert motion_findings(arrays, ROBOT, HZ, contacts) == []
 
 
-def test_hidden_contact_is_found() -> None:
+def test_unreported_contact_is_found() -> None:
     """A robot held by a wall, in an episode that denies any contact."""
     arrays, contacts = record(*DRIVES["into the wall"])
     assert contacts > 0

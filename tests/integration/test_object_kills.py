@@ -140,7 +140,7 @@ def episodes(root: Place) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("step", STEPS, ids=str)
-def test_a_coordinator_killed_between_put_and_commit_loses_and_repeats_no_episode(
+def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_an_episode(
     step: Step, store: ObjectPath, relay: StoreRelay, object_store: ObjectServer, calm: Path, tmp_path: Path
 ) -> None:
     endpoint = free_endpoint()

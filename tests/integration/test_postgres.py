@@ -57,7 +57,7 @@ def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finishe
         assert again.progress().jobs["archived"] == 2
 
 
-def test_a_second_coordinator_is_refused_even_from_another_directory(finished, tmp_path):
+def test_a_second_coordinator_is_refused_also_from_another_directory(finished, tmp_path):
     with (
         Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS),
         pytest.raises(WorldError, match="another coordinator writes"),
@@ -96,7 +96,7 @@ def test_an_emptied_database_is_rebuilt_from_plan_and_archive(finished, postgres
         assert repair(moved, validator, datetime.now(UTC), apply=False).is_sound
 
 
-def test_a_writer_gets_through_a_lost_connection(url, postgres_server):
+def test_a_writer_survives_a_lost_connection(url, postgres_server):
     engine = open_writer(url)
     with engine.connect() as connection:
         (own,) = connection.execute(text("select pg_backend_pid()")).one()
@@ -110,7 +110,7 @@ def test_a_writer_gets_through_a_lost_connection(url, postgres_server):
     assert now != own
 
 
-def test_a_server_that_is_not_there_is_named_without_the_password():
+def test_an_unreachable_server_is_named_without_the_password():
     endpoint = free_endpoint().removeprefix("tcp/")
     pytest.importorskip("psycopg")
     for opening in (open_writer, open_reader):

@@ -61,12 +61,12 @@ def test_the_warehouse_survives_a_round_trip(warehouse: CompiledScene) -> None:
     assert encode_scene(decode_scene(io.BytesIO(data))) == data
 
 
-def test_authored_collision_shapes_stand_for_the_render_meshes(warehouse: CompiledScene) -> None:
+def test_authored_collision_shapes_replace_the_render_meshes(warehouse: CompiledScene) -> None:
     assert 1000 < len(warehouse.collider_triangles) < 2000
     assert len(warehouse.positions) / 3 > 20000
 
 
-def test_the_floor_is_where_the_robot_drives(warehouse: CompiledScene) -> None:
+def test_the_floor_is_at_the_height_where_the_robot_drives(warehouse: CompiledScene) -> None:
     assert warehouse.info.floor_height_m == pytest.approx(0.034, abs=0.005)
     assert warehouse.info.free_area_m2 > 150
     assert len(warehouse.spawns) >= 40

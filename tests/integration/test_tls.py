@@ -80,7 +80,7 @@ def answers(session: zenoh.Session, selector: str, payload: str = "") -> list[by
     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
 
-def test_an_admitted_worker_goes_the_whole_way(hub, pki):
+def test_an_admitted_worker_completes_a_job(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
         assert isinstance(worker.hello(version("minivla-factory")), HelloReply)
         for _ in range(2):
@@ -91,7 +91,7 @@ def test_an_admitted_worker_goes_the_whole_way(hub, pki):
         assert len(worker.beat().drop) == 2
 
 
-def test_the_real_worker_finds_its_run_and_brings_every_episode(hub, pki, tmp_path):
+def test_the_real_worker_finds_its_run_and_delivers_every_episode(hub, pki, tmp_path):
     settings = settings_for(
         hub.endpoints[0],
         tmp_path / "host",
@@ -105,7 +105,7 @@ def test_the_real_worker_finds_its_run_and_brings_every_episode(hub, pki, tmp_pa
     assert hub.progress().workers[0].host == "node"
 
 
-def test_nobody_connects_without_a_certificate_of_the_authority(hub, pki, foreign):
+def test_a_client_without_a_certificate_of_the_authority_cannot_connect(hub, pki, foreign):
     assert can_connect(hub.endpoints, files_of(pki, "node"))
     plain = tuple(endpoint.replace("tls/", "tcp/") for endpoint in hub.endpoints)
     stolen_name = files_of(foreign, "node")
@@ -132,7 +132,7 @@ def test_a_certificate_whose_host_is_not_admitted_has_no_effect(hub, pki, tmp_pa
     assert hub.progress().workers == ()
 
 
-def test_a_host_cannot_ask_under_another_name(hub, pki):
+def test_a_host_cannot_send_requests_under_another_name(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "node")) as liar:
         assert liar.hello(version("minivla-factory")) is None
         assert liar.ask(Verb.CLAIM, Claim(sid=liar.sid, token=secrets.token_hex(16)), ClaimReply) is None
@@ -140,7 +140,7 @@ def test_a_host_cannot_ask_under_another_name(hub, pki):
     assert hub.progress().jobs["pending"] == 2
 
 
-def test_a_host_cannot_ask_what_operators_ask(hub, pki):
+def test_a_host_cannot_send_operator_requests(hub, pki):
     request = AdminRequest(action=AdminAction.CANCEL)
     with WireWorker(hub.endpoints, hub.run, "node", files_of(pki, "node")) as worker:
         assert worker.ask(Verb.ADMIN, request, AdminReply) is None
@@ -148,7 +148,7 @@ def test_a_host_cannot_ask_what_operators_ask(hub, pki):
 
 
 @pytest.mark.parametrize("victim", ["node-1", "other"])
-def test_a_host_cannot_serve_bundles_or_be_alive_as_another(hub, pki, victim):
+def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_as_another(hub, pki, victim):
     with WireWorker(hub.endpoints, hub.run, victim, files_of(pki, victim)) as honest:
         honest.hello(version("minivla-factory"))
         job, lease = honest.job()
@@ -172,7 +172,7 @@ def test_a_host_cannot_serve_bundles_or_be_alive_as_another(hub, pki, victim):
         assert asked == []
 
 
-def test_a_host_cannot_read_anothers_bundles(hub, pki):
+def test_a_host_cannot_read_bundles_of_another(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
         honest.hello(version("minivla-factory"))
         _, lease = honest.job()
@@ -184,7 +184,7 @@ def test_a_host_cannot_read_anothers_bundles(hub, pki):
             assert answers(curious, bundle_key(hub.run, honest.sid) + where) == []
 
 
-def test_nobody_but_the_coordinator_answers_for_it(hub, pki):
+def test_only_the_coordinator_can_answer_coordinator_requests(hub, pki):
     lies: list[str] = []
 
     def lie(query: zenoh.Query) -> None:
@@ -203,7 +203,7 @@ def test_nobody_but_the_coordinator_answers_for_it(hub, pki):
     assert lies == []
 
 
-def test_a_workers_certificate_cannot_pass_for_a_coordinators(pki):
+def test_a_worker_certificate_is_not_accepted_as_a_coordinator_certificate(pki):
     endpoint = free_endpoint().replace("tcp/", "tls/")
     with zenoh.open(router_config([endpoint], 2.0, files_of(pki, "node"), {"other": Role.WORKER})):
         assert not can_connect((endpoint,), files_of(pki, "other"))
@@ -211,7 +211,7 @@ def test_a_workers_certificate_cannot_pass_for_a_coordinators(pki):
         assert can_connect((endpoint,), files_of(pki, "other"))
 
 
-def test_an_operator_sees_and_steers_and_claims_nothing(hub, pki, tmp_path):
+def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_path):
     files = files_of(pki, "boss")
     assert ask_progress(hub.endpoints, "boss", files).planned == 2
     request = AdminRequest(action=AdminAction.CANCEL, indices=(1,))
@@ -224,7 +224,7 @@ def test_an_operator_sees_and_steers_and_claims_nothing(hub, pki, tmp_path):
         administer(tmp_path / "out", request, datetime.now(UTC))
 
 
-def test_a_revoked_host_is_out_while_the_others_work_on(pki, tmp_path):
+def test_a_revoked_host_loses_access_while_others_continue(pki, tmp_path):
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with (
@@ -253,7 +253,7 @@ def ask_hello(hub: Coordinator, pki: Path, name: str) -> bool:
         return False
 
 
-def test_the_job_of_a_host_revoked_at_work_goes_to_another_and_what_it_brings_is_not_taken(pki, tmp_path):
+def test_the_job_of_a_revoked_host_is_reassigned_and_its_bundle_is_refused(pki, tmp_path):
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with (

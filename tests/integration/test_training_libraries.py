@@ -68,7 +68,7 @@ def make(drives: Dataset, **changes: Any) -> gymnasium.Env[Any, Any]:
 
 
 @pytest.mark.parametrize("instruction", ["tokens", "none"])
-def test_stable_baselines_checks_the_environment_and_is_content(drives: Dataset, instruction: str) -> None:
+def test_the_environment_passes_the_checker_of_stable_baselines(drives: Dataset, instruction: str) -> None:
     from stable_baselines3.common.env_checker import check_env
 
     opened = make(drives, instruction=instruction, with_pose=True)

@@ -20,7 +20,7 @@ class Babbler(FakeCoordinator):
             query.reply(verb_key(RUN, host, Verb(name)), b"\x00\xff rubbish")
 
 
-def test_replies_that_cannot_be_read_count_as_none_and_fill_no_log() -> None:
+def test_unreadable_replies_are_ignored_and_do_not_fill_the_log() -> None:
     babbler = Babbler(())
     babbler.open()
     link = Link((babbler.endpoint,), "host")

@@ -76,7 +76,7 @@ def held(request: pytest.FixtureRequest) -> Iterator[Held]:
 
 
 @pytest.mark.parametrize("announced", [False, True], ids=["simulating", "announced"])
-def test_job_of_a_worker_that_beats_and_brings_nothing_goes_to_another_host(held, announced):
+def test_the_job_of_a_worker_that_only_sends_heartbeats_is_reassigned(held, announced):
     lease = held.claim("bad.1")
     if announced:
         assert held.desk.done(lease)
@@ -96,7 +96,7 @@ def test_job_of_a_worker_that_beats_and_brings_nothing_goes_to_another_host(held
         assert find_damage(connection, held.desk.catalog) == ""
 
 
-def test_only_leases_that_are_too_old_end(held):
+def test_only_leases_over_the_age_limit_end(held):
     old = held.claim("a.1")
     held.pass_time(LIMIT_S / 2)
     young = held.claim("b.1")
@@ -105,7 +105,7 @@ def test_only_leases_that_are_too_old_end(held):
     assert held.row(young).state == "leased"
 
 
-def test_a_job_that_no_host_ends_within_the_limit_is_given_up(held):
+def test_a_job_that_no_host_completes_within_the_limit_is_abandoned(held):
     for host in ("a.1", "b.1"):
         leases = [held.claim(host) for _ in range(EPISODES)]
         assert held.pass_time(LIMIT_S + TTL_S) == EPISODES
@@ -116,7 +116,7 @@ def test_a_job_that_no_host_ends_within_the_limit_is_given_up(held):
         assert "no episode after 200 s under one lease" in row.reason
 
 
-def test_leases_have_the_whole_limit_after_a_restart_of_the_coordinator(held):
+def test_leases_have_the_full_limit_after_a_restart_of_the_coordinator(held):
     lease = held.claim("a.1")
     held.pass_time(LIMIT_S - TTL_S)
     held.limit.restart()

@@ -86,7 +86,7 @@ def spooled(root: Path, data: bytes) -> Path:
     return path
 
 
-def test_a_bundle_comes_over_the_network_in_parts(tmp_path: Path) -> None:
+def test_a_bundle_is_fetched_over_the_network_in_parts(tmp_path: Path) -> None:
     with brought(tmp_path, nothing_nearby) as (house, place):
         assert place.read_bytes() == BUNDLE
         assert [chunk.offset for chunk in house.fetched] == [0, 4096, 8192]
@@ -102,7 +102,7 @@ def test_a_bundle_on_the_archives_disk_is_neither_fetched_nor_copied(tmp_path: P
         assert place.read_bytes() == BUNDLE
 
 
-def test_a_bundle_that_cannot_be_taken_is_fetched(tmp_path: Path) -> None:
+def test_a_bundle_that_cannot_be_linked_is_fetched(tmp_path: Path) -> None:
     for source in (tmp_path / "gone.zip", spooled(tmp_path, b"torn"), tmp_path / "gone" / "too.zip"):
         root = tmp_path / source.stem
         with brought(root, lambda _lease, source=source: source) as (house, place):  # type: ignore[misc]
@@ -118,7 +118,7 @@ def test_a_bundle_on_the_archives_disk_must_be_the_one_announced(tmp_path: Path)
         assert path.exists()
 
 
-def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: Path) -> None:
+def test_a_bundle_in_an_unreadable_spool_is_fetched_over_the_network(tmp_path: Path) -> None:
     def vanished(_lease: Lease) -> Path:
         raise FileNotFoundError("dropped meanwhile")
 
@@ -127,7 +127,7 @@ def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: 
         assert len(house.fetched) == 3
 
 
-def test_refused_bundles_of_one_host_fill_no_log(tmp_path: Path) -> None:
+def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None:
     house, count = House(), 60
     settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
     target: Any = None
@@ -188,7 +188,7 @@ def test_slow_hosts_do_not_delay_the_bundle_of_another(tmp_path: Path, slow_host
     assert list((tmp_path / "data" / ".staging").iterdir()) == []
 
 
-def test_bundles_that_take_turns_arrive_whole(tmp_path: Path) -> None:
+def test_interleaved_transfers_arrive_intact(tmp_path: Path) -> None:
     crowd = Crowd(pause_s=0.1)
     settings = CoordinatorSettings(pullers=1, chunk_bytes=1024, reserve_bytes=0)
     with (
@@ -220,7 +220,7 @@ def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1])
-def test_a_bundle_that_is_announced_again_and_again_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
+def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_path: Path, size: int) -> None:
     house, asked = House(), threading.Event()
 
     def fetch(_sid: str, _lease: Lease, chunk: Chunk) -> bytes:
@@ -246,7 +246,7 @@ def test_a_bundle_that_is_announced_again_and_again_but_not_served_is_refused(tm
     assert f"not served: {size * 1024} of {len(BUNDLE)} bytes" in house.refused[0]
 
 
-def test_a_bundle_whose_transfers_fail_for_a_moment_is_brought(tmp_path: Path) -> None:
+def test_a_bundle_whose_transfers_fail_briefly_is_fetched(tmp_path: Path) -> None:
     house, failures = House(), iter(range(3))
 
     def fetch(sid: str, lease: Lease, chunk: Chunk) -> bytes:
@@ -268,7 +268,7 @@ def test_a_bundle_whose_transfers_fail_for_a_moment_is_brought(tmp_path: Path) -
     assert house.judged == [BUNDLE]
 
 
-def test_room_is_counted_for_bundles_that_are_under_way(tmp_path: Path) -> None:
+def test_space_is_reserved_for_bundles_in_transfer(tmp_path: Path) -> None:
     crowd = Crowd(pause_s=0.1)
     with open_archive(tmp_path / "data") as archive:
         free = archive.free_bytes()

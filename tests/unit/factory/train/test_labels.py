@@ -24,16 +24,16 @@ def test_stop_begins_with_the_braking() -> None:
     assert stop_frame(drive(), BRAKING, HZ) == 23 + 60
 
 
-def test_an_episode_that_never_stands_has_no_stop() -> None:
+def test_an_episode_that_never_stops_has_no_stop_label() -> None:
     assert stop_frame(drive()[:50], BRAKING, HZ) == 50
 
 
-def test_standing_on_the_way_is_no_stop() -> None:
+def test_a_halt_during_the_drive_is_not_labelled_as_a_stop() -> None:
     twice = np.concatenate([drive(), drive()])
     assert stop_frame(twice, BRAKING, HZ) == len(drive()) + 23 + 60
 
 
-def test_an_episode_of_standing_is_a_stop_throughout() -> None:
+def test_a_stationary_episode_is_labelled_as_a_stop_throughout() -> None:
     assert stop_frame(np.zeros((8, 2), np.float32), BRAKING, HZ) == 0
 
 
@@ -45,7 +45,7 @@ def test_frames_are_denser_at_the_end() -> None:
     assert frames.max() < 100
 
 
-def test_short_episodes_are_looked_at_whole() -> None:
+def test_short_episodes_use_every_frame() -> None:
     assert chosen_frames(5, 6).tolist() == [0, 2, 4]
 
 

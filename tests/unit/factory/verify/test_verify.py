@@ -111,7 +111,7 @@ def test_every_flipped_bit_is_found(data: Path, place: float, bit: int) -> None:
         path.write_bytes(good)
 
 
-def test_surplus_and_foreign_files_are_told_apart(data: Path) -> None:
+def test_surplus_and_foreign_files_are_distinguished(data: Path) -> None:
     shutil.copy(data / EPISODE, data / "episodes/ep_000099.zip")
     (data / "episodes/notes.txt").write_text("mine")
     (data / "scenes/old-0000000000000000.scene.zip").write_bytes(b"")
@@ -124,7 +124,7 @@ def test_surplus_and_foreign_files_are_told_apart(data: Path) -> None:
     ]
 
 
-def test_what_the_coordinator_keeps_there_is_not_foreign(data: Path) -> None:
+def test_files_of_the_coordinator_are_not_foreign(data: Path) -> None:
     for name in ("ledger.db", "ledger.db-wal", ".lock", ".coordinator.json"):
         (data / name).write_bytes(b"")
     assert verify(data).ok
@@ -201,7 +201,7 @@ def test_row_that_differs_from_its_episode_is_found(data: Path, changes: dict[st
     assert any(text in finding.text for finding in verify(data, deep=True).findings)
 
 
-def test_row_that_stands_twice_is_found(data: Path) -> None:
+def test_a_duplicate_row_is_found(data: Path) -> None:
     edit_row(data, 1, episode_id="ep_000001", index=1)
     assert (Kind.CONTRADICTION, "metadata.parquet") in kinds(verify(data))
 

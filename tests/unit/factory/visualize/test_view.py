@@ -25,7 +25,7 @@ def scene():
     return decode_scene(io.BytesIO(office_package()))
 
 
-def test_the_floor_picture_covers_the_grid_and_its_first_row_is_the_smallest_y(scene):
+def test_the_floor_image_covers_the_grid_and_its_first_row_has_the_smallest_y(scene):
     floor = floor_picture(scene)
     rows, columns = scene.occupancy.shape
     size = scene.info.grid_resolution_m
@@ -37,7 +37,7 @@ def test_the_floor_picture_covers_the_grid_and_its_first_row_is_the_smallest_y(s
     assert (floor.texture[0, 0] == floor.texture[scene.occupancy == scene.occupancy[0, 0]]).all()
 
 
-def test_ids_have_colours_of_their_own_and_the_target_is_red():
+def test_ids_have_distinct_colours_and_the_target_is_red():
     ids = np.arange(200, dtype=np.uint16)
     colours = show_ids(ids, target=7)
     assert tuple(colours[0]) == (0, 0, 0)

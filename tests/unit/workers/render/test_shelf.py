@@ -35,7 +35,7 @@ def test_equal_scenes_are_told_apart() -> None:
     assert shelf.take(other).scene is other
 
 
-def test_the_scene_not_taken_for_longest_makes_room() -> None:
+def test_the_least_recently_used_scene_is_evicted() -> None:
     shelf, (a, b, c) = SceneShelf(Prepared, capacity=2), scenes(3)
     prepared_a, prepared_b = shelf.take(a), shelf.take(b)
     shelf.take(a)

@@ -79,7 +79,7 @@ def test_an_honest_result_has_no_findings() -> None:
     assert findings() == []
 
 
-def test_a_process_that_was_ended_may_have_lost_its_poses() -> None:
+def test_the_result_of_a_killed_process_may_lack_poses() -> None:
     lost = {"end": EvalEnd.POLICY_DIED, "success": False, "any_instance": False, "spl": 0.0, "soft_spl": 0.0}
     assert findings(**lost, track=((0.0, 0.0, 0.0),)) == []
 
@@ -108,7 +108,7 @@ def test_a_process_that_was_ended_may_have_lost_its_poses() -> None:
         ({"track": ((0.0, 0.0, 0.0),) * 21}, "final_ne_m is 1.000 m, by the track 3.000 m"),
     ],
 )
-def test_whatever_cannot_be_is_named(changes: dict[str, Any], reason: str) -> None:
+def test_every_inconsistent_value_is_named(changes: dict[str, Any], reason: str) -> None:
     assert any(reason in finding for finding in findings(**changes)), findings(**changes)
 
 
@@ -124,7 +124,7 @@ def judged(tmp_path: Path, data: bytes) -> Any:
     return ResultJudge({1: ORDER}, SETTINGS).check(path, job_for(1), TARGET)
 
 
-def test_a_good_bundle_gets_a_receipt_that_clocks_do_not_change(tmp_path: Path) -> None:
+def test_a_valid_bundle_gets_a_receipt_independent_of_wall_clocks(tmp_path: Path) -> None:
     data = bundle_of(arrived())
     receipt = judged(tmp_path, data)
     assert (receipt.index, receipt.num_steps, receipt.file_bytes) == (1, STEPS, len(data))
@@ -134,7 +134,7 @@ def test_a_good_bundle_gets_a_receipt_that_clocks_do_not_change(tmp_path: Path) 
     assert read_driven(io.BytesIO(data)).result == arrived()
 
 
-def test_bundles_that_are_none_or_answer_something_else_are_refused(tmp_path: Path) -> None:
+def test_invalid_bundles_and_bundles_of_other_tasks_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidBundle, match="no readable zip"):
         judged(tmp_path, b"rubbish")
     with pytest.raises(InvalidBundle, match=r"spl is 0\.5"):

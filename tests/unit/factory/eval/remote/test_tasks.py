@@ -36,7 +36,7 @@ def plan_for(campaign: Campaign, drives: Dataset) -> Plan:
     return plan_of(campaign, drives.meta.plan, number_orders(campaign), attachments_of(campaign))
 
 
-def test_orders_of_all_policies_are_numbered_alike_every_time(campaign: Campaign) -> None:
+def test_task_numbers_of_all_policies_are_deterministic(campaign: Campaign) -> None:
     orders = number_orders(campaign)
     assert [(index, order.policy) for index, order in orders.items()] == [(1, "stop"), (2, "replay")]
     assert orders == number_orders(campaign)
@@ -50,7 +50,7 @@ def test_the_plan_has_the_scenes_and_settings_of_the_specs(campaign: Campaign, d
     assert plan.run.startswith("eval_")
 
 
-def test_whatever_changes_a_number_changes_the_name_of_the_run(
+def test_every_setting_that_affects_results_changes_the_run_name(
     campaign: Campaign, drives: Dataset, tmp_path: Path
 ) -> None:
     settings = campaign.specs.settings
@@ -70,7 +70,7 @@ def test_whatever_changes_a_number_changes_the_name_of_the_run(
     assert len(runs) == 7
 
 
-def test_a_worker_is_told_the_question_and_given_the_recorded_actions(campaign: Campaign, drives: Dataset) -> None:
+def test_a_task_contains_the_spec_and_the_recorded_actions(campaign: Campaign, drives: Dataset) -> None:
     orders = number_orders(campaign)
     stop, replay = (EvalTask.model_validate_json(text_of(campaign, order)) for order in orders.values())
     assert stop.actions is None
@@ -82,7 +82,7 @@ def test_a_worker_is_told_the_question_and_given_the_recorded_actions(campaign: 
     assert (planned.index, planned.target_id, planned.instruction) == (2, spec.target_id, spec.instruction)
 
 
-def test_specs_that_do_not_fit_their_scene_are_refused_before_anything_is_given_out(campaign: Campaign) -> None:
+def test_specs_that_do_not_fit_their_scene_are_refused_before_tasks_are_created(campaign: Campaign) -> None:
     def orders_with(**changes: object) -> Campaign:
         (spec,) = campaign.specs.specs
         specs = campaign.specs.model_copy(update={"specs": (spec.model_copy(update=changes),)})
