@@ -1,4 +1,4 @@
-"""One calm dataset for all acceptance tests, and the command line that made it."""
+"""One reference dataset for all acceptance tests, and the command line that made it."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ def plan(factory: FactoryCli, shared: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def calm(factory: FactoryCli, plan: Path, shared: Path) -> Path:
+def reference(factory: FactoryCli, plan: Path, shared: Path) -> Path:
     """A dataset made by one worker that nobody disturbed; shared by all processes, so that no test may change it."""
-    return build_once(shared / "calm", lambda root: factory("run", plan, "--out", root, "--workers", 1))
+    return build_once(shared / "reference", lambda root: factory("run", plan, "--out", root, "--workers", 1))
 
 
 @pytest.fixture
-def own_calm(calm: Path, tmp_path: Path) -> Path:
+def reference_copy(reference: Path, tmp_path: Path) -> Path:
     """A copy of it, for a test that starts a coordinator there."""
-    return Path(shutil.copytree(calm, tmp_path / "calm"))
+    return Path(shutil.copytree(reference, tmp_path / "reference"))
 
 
 @pytest.fixture(scope="session")

@@ -56,7 +56,7 @@ def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     words += tuple(word for policy in POLICIES for word in ("--policy", policy))
     worker: tuple[object, ...] = ("worker", "--cores", 1, "--connect", endpoint, "--spool", tmp_path / "spool")
     worker += ("--wait", 120, "--import-policies")
-    out, calm = tmp_path / "fleet", tmp_path / "calm"
+    out, reference = tmp_path / "fleet", tmp_path / "reference"
 
     run = factory.start(*words, "--listen", endpoint, "-o", out)
     first = factory.start(*worker)
@@ -71,11 +71,11 @@ def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     assert run.returncode == 0, log
     assert "All episodes" in said
     assert second.wait(60) == 0  # it was told that all is done
-    factory(*words, "--workers", 1, "-o", calm)
+    factory(*words, "--workers", 1, "-o", reference)
 
-    assert by_name(out) == by_name(calm)
+    assert by_name(out) == by_name(reference)
     assert len(by_name(out)) == 8
-    assert [path.name for path in sorted(out.iterdir())] == [path.name for path in sorted(calm.iterdir())]
+    assert [path.name for path in sorted(out.iterdir())] == [path.name for path in sorted(reference.iterdir())]
 
 
 def test_a_policy_that_no_worker_can_construct_ends_the_evaluation_with_the_reason(

@@ -9,7 +9,7 @@ from tests.builders.ports import free_endpoint
 
 
 def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
-    factory: FactoryCli, plan: Path, calm: Path, tmp_path: Path
+    factory: FactoryCli, plan: Path, reference: Path, tmp_path: Path
 ):
     out, core, doors = tmp_path / "out", free_endpoint(), [free_endpoint(), free_endpoint()]
     hub = factory.start("coordinator", "start", plan, "--out", out, "--listen", core)
@@ -35,7 +35,7 @@ def test_episodes_of_two_gateways_are_gathered_into_the_dataset_of_one_worker(
     whole = factory.json("gather", out, *kept)
     assert (whole["gathered"], whole["missing"], whole["episodes"]) == (5, [], 5)
     verdict = factory.json("verify", out, "--deep")
-    assert verdict["digest"] == factory.json("verify", calm)["digest"]
+    assert verdict["digest"] == factory.json("verify", reference)["digest"]
     assert factory.json("status", out)["by_gateway"] == {}
 
 

@@ -24,5 +24,5 @@ def test_missing_episodes_end_a_run_with_exit_code_1_and_the_reason(
         assert "5 of 5 episodes are missing" in factory(*words, expect=1).stderr
 
 
-def test_a_complete_run_ends_with_exit_code_0(factory: FactoryCli, own_calm: Path) -> None:
-    assert "missing" not in factory("coordinator", "start", "--out", own_calm, *ENDPOINT).stderr
+def test_a_complete_run_ends_with_exit_code_0(factory: FactoryCli, reference_copy: Path) -> None:
+    assert "missing" not in factory("coordinator", "start", "--out", reference_copy, *ENDPOINT).stderr

@@ -5,10 +5,10 @@ from __future__ import annotations
 import shutil
 
 
-def test_repair_restores_a_dataset_without_ledger_scene_and_tables(factory, calm, tmp_path):
+def test_repair_restores_a_dataset_without_ledger_scene_and_tables(factory, reference, tmp_path):
     root = tmp_path / "dataset"
-    shutil.copytree(calm, root)
-    digest = factory.json("verify", calm)["digest"]
+    shutil.copytree(reference, root)
+    digest = factory.json("verify", reference)["digest"]
     for path in (root / "ledger.db", root / "metadata.parquet", next((root / "scenes").glob("hospital-*.zip"))):
         path.unlink()
     done = factory.json("repair", root)
@@ -18,9 +18,9 @@ def test_repair_restores_a_dataset_without_ledger_scene_and_tables(factory, calm
     assert factory.json("status", root)["finished"]
 
 
-def test_repair_without_ledger_and_description_requires_the_plan(factory, calm, plan, tmp_path):
+def test_repair_without_ledger_and_description_requires_the_plan(factory, reference, plan, tmp_path):
     root = tmp_path / "dataset"
-    shutil.copytree(calm, root)
+    shutil.copytree(reference, root)
     for name in ("ledger.db", "dataset_meta.json"):
         (root / name).unlink()
     for path in sorted((root / "episodes").iterdir())[1:]:

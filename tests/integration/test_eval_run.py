@@ -175,8 +175,8 @@ def test_a_stopped_evaluation_resumes_and_gives_the_same_numbers(
     assert told[0] == len(done)
     assert told[-1] == 3
     assert [row for row in after if row.spec_id in done] == before  # clocks and all: not driven again
-    calm = drive(tmp_path / "calm", campaign)["random"]
-    assert without_clocks(calm) == without_clocks(after)
+    uninterrupted = drive(tmp_path / "uninterrupted", campaign)["random"]
+    assert without_clocks(uninterrupted) == without_clocks(after)
 
 
 @pytest.mark.parametrize(

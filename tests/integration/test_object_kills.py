@@ -97,9 +97,9 @@ def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.
 
 
 @pytest.fixture(scope="module")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same run in a directory, where nothing is killed."""
-    folder = tmp_path_factory.mktemp("calm")
+    folder = tmp_path_factory.mktemp("reference")
     with (
         Coordinator(folder / "out", RUN, room_catalog(folder), ("tcp/127.0.0.1:0",), settings=SETTINGS) as running,
         WireWorker(running.endpoints, running.run) as worker,
@@ -141,7 +141,7 @@ def episodes(root: Place) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("step", STEPS, ids=str)
 def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_an_episode(
-    step: Step, store: ObjectPath, relay: StoreRelay, object_store: ObjectServer, calm: Path, tmp_path: Path
+    step: Step, store: ObjectPath, relay: StoreRelay, object_store: ObjectServer, reference: Path, tmp_path: Path
 ) -> None:
     endpoint = free_endpoint()
     with coordinator(tmp_path, endpoint, store) as process, WireWorker((endpoint,), RUN.run) as worker:
@@ -150,7 +150,7 @@ def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_a
         assert worker.deliver(lease, bundle_for(job))
         process.wait(60)
     relay.watch = lambda _moment, _method, _path: False
-    wanted, kept = episodes(calm), episodes(store)
+    wanted, kept = episodes(reference), episodes(store)
     assert kept.items() <= wanted.items()
     assert len(kept) == step.is_kept
     home = tmp_path / "out"
@@ -166,7 +166,7 @@ def test_a_coordinator_killed_between_put_and_commit_neither_loses_nor_repeats_a
             counts = select(func.count()).where(ends).group_by(events.c.job_id)
             assert ledger.execute(counts).scalars().all() == [1] * EPISODES
     assert episodes(store) == wanted
-    assert Dataset(store).digest == Dataset(calm).digest
+    assert Dataset(store).digest == Dataset(reference).digest
     assert Dataset(store).meta.complete
     assert list(find_faults(store, deep=True)) == []
     assert list((store / "quarantine").walk()) == []
