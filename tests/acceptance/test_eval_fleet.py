@@ -12,7 +12,7 @@ import pytest
 from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
 from tests.builders.ports import free_endpoint
 
-SLOW = "tests.builders.policies:Dawdles"  # last, so that the kill of the coordinator comes before the end
+SLOW = "tests.builders.policies:Slow"  # last, so that the kill of the coordinator comes before the end
 POLICIES = ("expert", "replay", "random", SLOW)
 
 

@@ -1,4 +1,4 @@
-"""Every parser of foreign bytes on damaged files, briefly; `make fuzz` goes on for longer."""
+"""Runs every parser of external bytes on damaged files for a short time; `make fuzz` runs longer."""
 
 from __future__ import annotations
 

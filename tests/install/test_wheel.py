@@ -1,4 +1,4 @@
-"""The wheel in fresh environments of each supported Python: what the base install does, and what the extras add.
+"""Tests the wheel in new environments of each supported Python: the base install and the extras.
 
 Runs with `make test-install`; it installs packages, which takes minutes. The tests of one environment are a group: one
 process runs them in this order, since the last one installs a foreign package there.
@@ -38,7 +38,7 @@ def wheel(shared: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Installed]:
-    """Returns the environment of a version with the base install, made at its first use."""
+    """Returns the environment of a version with the base install, created at its first use."""
     made: dict[str, Installed] = {}
 
     def environment(version: str) -> Installed:
@@ -54,7 +54,7 @@ def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A user's directory that holds a dataset."""
+    """A directory with a dataset."""
     make_dataset(tmp_path / "dataset")
     return tmp_path
 

@@ -104,8 +104,8 @@ def test_a_wrong_value_in_any_column_is_reported_without_a_traceback(harmed, mon
             call(monkeypatch, capsys, harmed, next(verbs))
 
 
-def _patient(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
-    return dataclasses.replace(whole.patient(), root=harmed, home=harmed, url=f"sqlite:///{harmed / 'ledger.db'}")
+def _repair_input(whole: ArchivedRun, harmed: Path):  # type: ignore[no-untyped-def]
+    return dataclasses.replace(whole.repair_input(), root=harmed, home=harmed, url=f"sqlite:///{harmed / 'ledger.db'}")
 
 
 @pytest.mark.parametrize(
@@ -135,9 +135,9 @@ def test_coordinator_and_repair_rebuild_a_ledger_with_wrong_values(harmed, whole
     url = f"sqlite:///{ledger}"
     assert ledger_trouble(url, whole.catalog)
     with pytest.raises(FactoryError, match="factory repair"):
-        gather(_patient(whole, harmed), [], whole.desk.now)
+        gather(_repair_input(whole, harmed), [], whole.desk.now)
     with Validator() as validator:
-        report = repair(_patient(whole, harmed), validator, whole.desk.now, apply=True)
+        report = repair(_repair_input(whole, harmed), validator, whole.desk.now, apply=True)
     assert "rebuild" in {str(action.kind) for action in report.actions}
     assert ledger_trouble(url, whole.catalog) == ""
     ledger.write_bytes(damaged)

@@ -119,7 +119,7 @@ def test_a_policy_error_fails_only_its_own_episodes(drives: Dataset, specs: Spec
 @pytest.mark.gl
 def test_policies_run_in_a_process_without_a_graphics_driver(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
     """Also after a built-in policy, whose process renders by itself."""
-    names = ("expert", f"{MINE}:Guards", "stop")
+    names = ("expert", f"{MINE}:ChecksDriver", "stop")
     campaign = campaign_of(drives, short(specs, 12).only(None, 2), *names)
     setup = campaign.setup.model_copy(update={"renderer": "gl"})
     found = drive(tmp_path, dataclasses.replace(campaign, setup=setup))
@@ -129,7 +129,7 @@ def test_policies_run_in_a_process_without_a_graphics_driver(drives: Dataset, sp
 
 
 def test_invalid_actions_are_described_in_the_failure(drives: Dataset, specs: SpecSet, tmp_path: Path) -> None:
-    rows = drive(tmp_path, campaign_of(drives, short(specs), f"{MINE}:Truant"))[f"{MINE}:Truant"]
+    rows = drive(tmp_path, campaign_of(drives, short(specs), f"{MINE}:InvalidAnswers"))[f"{MINE}:InvalidAnswers"]
     assert [row.end for row in rows] == [EvalEnd.POLICY_INVALID] * 3
     details = [row.detail for row in rows]
     assert "nan" in details[0]
@@ -140,9 +140,9 @@ def test_invalid_actions_are_described_in_the_failure(drives: Dataset, specs: Sp
 def test_a_policy_receives_only_camera_and_instruction_also_under_ablation(
     drives: Dataset, specs: SpecSet, tmp_path: Path
 ) -> None:
-    campaign = campaign_of(drives, short(specs, 10), f"{MINE}:Listens", "stop", variants=tuple(Variant))
+    campaign = campaign_of(drives, short(specs, 10), f"{MINE}:ChecksInput", "stop", variants=tuple(Variant))
     found = drive(tmp_path, campaign)
-    rows = found[f"{MINE}:Listens"]
+    rows = found[f"{MINE}:ChecksInput"]
     assert len(rows) == 12
     assert {row.end for row in rows} == {EvalEnd.TIMEOUT}, rows[0].detail
     yaw_change = {row.variant: abs(row.track[-1][2] - row.track[0][2]) for row in rows}

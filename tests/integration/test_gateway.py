@@ -80,9 +80,9 @@ class Site:
     def gather(self, *names: str, requeue_missing: bool = False) -> GatherReport:
         """What `factory gather` does, with the core closed."""
         out = self.folder / "out"
-        patient = RepairInput(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
+        repair_input = RepairInput(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
         sources = [self.folder / name for name in names]
-        return gather(patient, sources, datetime.now(UTC), requeue_missing=requeue_missing)
+        return gather(repair_input, sources, datetime.now(UTC), requeue_missing=requeue_missing)
 
     def keepers(self) -> dict[int, str]:
         with look_into(self.url) as ledger:

@@ -197,8 +197,8 @@ def test_a_ledger_of_another_plan_is_named_at_the_start_and_set_aside_by_repair(
     files, site = run.digests(), site_of(str(run.root))
     with pytest.raises(WorldError, match=r"is of run room-\w+, and dataset_meta.json of .*`factory repair"):
         plan_of(site)
-    patient = dataclasses.replace(run.patient(), stranger="is of another run")
-    report = repair(patient, validator, run.desk.now, apply=True)
+    repair_input = dataclasses.replace(run.repair_input(), stranger="is of another run")
+    report = repair(repair_input, validator, run.desk.now, apply=True)
     assert report.episodes == 3
     assert run.digests() == files
     assert set(run.states().values()) == {"archived"}
@@ -211,9 +211,9 @@ def test_the_episodes_decide_between_the_plans_of_ledger_and_description(tmp_pat
     engine = open_writer(sqlite_url(tmp_path / "out" / "ledger.db"))
     open_run(engine, small_plan(9), {"office": read_entry(package)}, 15.0, NOW, planned=())
     engine.dispose()
-    patient = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
-    assert patient.plan == plan
-    assert "the episodes of run" in patient.stranger
+    repair_input = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
+    assert repair_input.plan == plan
+    assert "the episodes of run" in repair_input.stranger
     with pytest.raises(UsageError, match="the directory holds run"):
         inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 
@@ -240,9 +240,9 @@ def test_repair_restores_intact_episodes_from_quarantine(run, validator):
     (run.root / "quarantine" / "ep_000002.zip.00000000").write_bytes(bad)
     start(run)  # as a coordinator without this remedy left it: two episodes queued again
     assert run.states() == {1: "pending", 2: "archived", 3: "pending"}
-    report = repair(run.patient(), validator, run.desk.now, apply=True)
+    report = repair(run.repair_input(), validator, run.desk.now, apply=True)
     assert [str(action.kind) for action in report.actions if action.what.startswith("quarantine")] == ["restore"] * 2
     assert run.digests() == files
     assert set(run.states().values()) == {"archived"}
     assert [path.name for path in (run.root / "quarantine").iterdir()] == ["ep_000002.zip.00000000"]
-    assert repair(run.patient(), validator, run.desk.now, apply=False).is_sound
+    assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound

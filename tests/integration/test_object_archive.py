@@ -322,10 +322,10 @@ def test_repair_rebuilds_a_lost_ledger_from_the_bucket_and_quarantines_damaged_f
     store.objects.put("episodes/ep_000002.zip", b"torn")
     store.objects.put("episodes/sub/notes.txt", b"mine")
     home = tmp_path / "home"
-    patient = RepairInput(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
+    repair_input = RepairInput(store, home, f"sqlite:///{home}/ledger.db", run.plan, run.catalog, {})
     with Validator() as validator:
-        report = repair(patient, validator, run.desk.now, apply=True)
-        again = repair(patient, validator, run.desk.now, apply=False)
+        report = repair(repair_input, validator, run.desk.now, apply=True)
+        again = repair(repair_input, validator, run.desk.now, apply=False)
     assert sorted(str(action.kind) for action in report.actions) == [
         "adopt",
         "adopt",
@@ -347,9 +347,9 @@ def test_an_unreachable_store_is_not_reported_as_damage(store: ObjectPath, relay
     relay.is_denying = True
     assert "403" in said_by(lambda: verify(store))
     assert "403" in said_by(lambda: found[0].rgb(0))
-    patient = RepairInput(store, run.root, run.url, run.plan, run.catalog, {})
+    repair_input = RepairInput(store, run.root, run.url, run.plan, run.catalog, {})
     with Validator() as validator:
-        assert "403" in said_by(lambda: repair(patient, validator, run.desk.now, apply=False))
+        assert "403" in said_by(lambda: repair(repair_input, validator, run.desk.now, apply=False))
 
 
 @pytest.mark.parametrize("kind", ["directory", "bucket"])

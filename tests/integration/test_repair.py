@@ -51,9 +51,9 @@ def flip(path: Path) -> None:
 
 
 def mend(run: ArchivedRun, validator: Validator, **options: bool) -> RepairReport:
-    report = repair(run.patient(), validator, run.desk.now, apply=options.get("apply", True))
+    report = repair(run.repair_input(), validator, run.desk.now, apply=options.get("apply", True))
     if report.applied:  # once is enough, whatever was wrong
-        assert repair(run.patient(), validator, run.desk.now, apply=False).is_sound
+        assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound
     return report
 
 
