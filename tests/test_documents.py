@@ -1,4 +1,4 @@
-"""The documents: links, anchors, cited paths and commands are right, and nothing outside of the repository is cited."""
+"""Checks the documents: links, anchors, cited paths and commands are valid, and no external document is cited."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SOURCES = sorted(
 )
 CITING = [*PAGES, *SOURCES, ROOT / "Makefile", ROOT / "pyproject.toml", ROOT / ".github"]
 HISTORY = ROOT / "CHANGELOG.md"
-"""Names what was true at its time, paths included."""
+"""Keeps the names and paths of its time."""
 OTHERS = re.compile(r"\b(DESIGN|STYLE) \d|\b(DESIGN|STYLE)\.md|\bnotes/|\bnotes of the project")
-"""How documents outside of the repository used to be cited."""
+"""Former citations of documents outside the repository."""
 PATH = re.compile(rf"(?<![\w./:\-])((?:{'|'.join(PACKAGES)}|tests|docs|deploy)/[\w./\-]+)(#[\w\-]+)?")
 MADE = {"tests/data", "factory/run"}
-"""What looks like a path and is none."""
+"""Texts that look like paths."""
 
 
 def shown(path: Path) -> str:

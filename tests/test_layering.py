@@ -1,4 +1,4 @@
-"""The directions of imports and the doors of foreign systems, read from the source."""
+"""Checks the directions of imports and the modules that may import foreign systems."""
 
 from __future__ import annotations
 
