@@ -1,4 +1,4 @@
-"""What users get wrong: each a clear message with the remedy, the right exit code, and nothing lost."""
+"""User errors: each gives a message with the remedy and the right exit code, and changes no data."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_directory_of_another_plan_is_not_changed(factory, reference, tmp_path
     before = episodes_in(reference)
     err = factory("run", "demo", "--scene", "hospital", "--out", reference, expect=2).stderr
     assert "choose another --out" in err
-    assert "building" not in err  # it is told before anything is done
+    assert "building" not in err  # reported before any work
     assert episodes_in(reference) == before
 
 

@@ -1,4 +1,4 @@
-"""`factory eval` as a user runs it: tables, files, resuming, and what it says when it cannot."""
+"""`factory eval` from the command line: tables, files, resuming, and errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.acceptance.factory_cli import FactoryCli, wait_for
 
 @pytest.fixture(scope="module")
 def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Replay and a stop over two episodes, kept."""
+    """Results of `replay` and `stop` on two episodes."""
     folder = tmp_path_factory.mktemp("eval") / "out"
     specs = folder.parent / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "--episodes", 2, "-o", specs)
@@ -28,7 +28,7 @@ def out(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFact
 
 
 def shorten(path: Path, steps: int) -> None:
-    """Lowers the limit of steps in a file of specs; the CPU of the tests is not free."""
+    """Lowers the step limit in a spec file to save time."""
     data = json.loads(path.read_text())
     data["settings"]["task"]["max_steps"] = steps
     path.write_text(json.dumps(data))
@@ -81,7 +81,7 @@ def test_two_policies_are_compared_by_paired_episodes(factory: FactoryCli, out: 
 
 
 def test_ctrl_c_keeps_finished_episodes(factory: FactoryCli, drives: Path, out: Path, tmp_path: Path) -> None:
-    slow = "tests.builders.policies:Slow"  # so that the second episode is still driven when the first is written
+    slow = "tests.builders.policies:Slow"  # so that the second episode still runs when the first is written
     words = ("--data", drives, "--specs", out.parent / "specs.json", "--policy", slow, "--workers", 1)
     process = factory.start("eval", *words, "-o", tmp_path / "out")
     wait_for(lambda: any(log.stat().st_size for log in tmp_path.rglob("episodes.jsonl")))

@@ -1,4 +1,4 @@
-"""`factory eval --listen`: an evaluation by workers, whatever is killed meanwhile, has the numbers of one machine."""
+"""`factory eval --listen`: an evaluation on workers under kills has the numbers of one machine."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import pytest
 from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
 from tests.builders.ports import free_endpoint
 
-SLOW = "tests.builders.policies:Slow"  # last, so that the kill of the coordinator comes before the end
+SLOW = "tests.builders.policies:Slow"  # last, so that the coordinator is killed before the end
 POLICIES = ("expert", "replay", "random", SLOW)
 
 
 @pytest.fixture(scope="module")
 def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Both as episodes of evaluation, cut short."""
+    """Specs of both episodes with a low step limit."""
     path = tmp_path_factory.mktemp("specs") / "specs.json"
     factory("eval", "specs", drives, "--split", "all", "-o", path)
     data = json.loads(path.read_text())
@@ -29,12 +29,12 @@ def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture
 def endpoint() -> str:
-    """An address that stays the same when the evaluation is started again."""
+    """An address that stays the same after a restart of the evaluation."""
     return free_endpoint()
 
 
 def rows_in(out: Path) -> Iterator[dict[str, Any]]:
-    """Yields the finished episodes, without the clocks."""
+    """Yields the finished episodes without wall times."""
     for log in sorted(out.glob("policies/*/episodes.jsonl")):
         for line in log.read_bytes().splitlines(keepends=True):
             if line.endswith(b"\n"):
@@ -70,7 +70,7 @@ def test_kills_of_workers_and_coordinators_neither_lose_nor_duplicate_episodes(
     said, log = run.communicate(timeout=240)
     assert run.returncode == 0, log
     assert "All episodes" in said
-    assert second.wait(60) == 0  # it was told that all is done
+    assert second.wait(60) == 0  # it was informed of the end
     factory(*words, "--workers", 1, "-o", reference)
 
     assert by_name(out) == by_name(reference)

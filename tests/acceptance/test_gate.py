@@ -1,4 +1,4 @@
-"""`factory gate` as a user runs it: real attempts, a verdict, and nothing left behind."""
+"""`factory gate` from the command line: real attempts, a verdict, and no leftover files."""
 
 from __future__ import annotations
 

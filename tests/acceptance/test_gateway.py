@@ -1,4 +1,4 @@
-"""A run whose episodes end up at two gateways, brought together again: all as a user calls it, with real physics."""
+"""A run with two gateways and `factory gather` from the command line, with real physics."""
 
 from __future__ import annotations
 

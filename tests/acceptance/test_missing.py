@@ -1,4 +1,4 @@
-"""A finished run that lacks episodes ends with 1 and says why, whichever command ends it."""
+"""A finished run with missing episodes ends with exit code 1 and the reason, for each command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run whose dataset lies in a bucket, as a user makes and reads it."""
+"""A run with a dataset in a bucket, from the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory plan` as a user runs it on a plan that its scene cannot fulfil."""
+"""`factory plan` from the command line on infeasible plans."""
 
 from __future__ import annotations
 

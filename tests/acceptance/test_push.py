@@ -1,4 +1,4 @@
-"""`factory push` as a user runs it, against a Hub on loopback: real client library, real HTTP."""
+"""`factory push` from the command line against a Hub on loopback, with the real client library over HTTP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`factory repair` as a user calls it, on a copy of a real dataset."""
+"""`factory repair` from the command line on a copy of a real dataset."""
 
 from __future__ import annotations
 

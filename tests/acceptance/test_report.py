@@ -1,4 +1,4 @@
-"""`factory report` as a user runs it."""
+"""`factory report` from the command line."""
 
 from __future__ import annotations
 

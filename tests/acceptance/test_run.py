@@ -1,4 +1,4 @@
-"""The main promise: the dataset does not depend on how many workers made it or what was killed meanwhile."""
+"""The main guarantee: the dataset depends neither on the number of workers nor on kills."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_contact_sheet_is_drawn(factory, reference, tmp_path):
 
 
 def processes_that_name(root: Path) -> list[int]:
-    """Ids of processes with the directory on their command line."""
+    """Returns the ids of processes with the directory on their command line."""
     found = []
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():

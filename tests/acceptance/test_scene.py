@@ -1,4 +1,4 @@
-"""`factory scene` as a user runs it: looking into scenes, measuring them, editing what can be named in them."""
+"""`factory scene` from the command line: inspection, survey, and edited target lists."""
 
 from __future__ import annotations
 

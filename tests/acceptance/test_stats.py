@@ -1,4 +1,4 @@
-"""`factory stats` as a user runs it."""
+"""`factory stats` from the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Certificates, a coordinator and a worker behind TLS, an operator: all as a user calls them."""
+"""Certificates, and a coordinator, a worker and an operator with TLS, from the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Builds a minimal run with a ledger: one room, a few chairs, an in-memory database and a clock controlled by the test."""
+"""Builds a minimal run with a ledger: one room, a few chairs, an in-memory database and a test clock."""
 
 from __future__ import annotations
 

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 __all__ = [
+    "ChecksDriver",
+    "ChecksInput",
     "Compiles",
     "Dies",
-    "ChecksDriver",
     "Hangs",
-    "ChecksInput",
+    "InvalidAnswers",
     "NoMethods",
     "Raises",
     "RefusesToBeMade",
     "Tokens",
-    "InvalidAnswers",
 ]
 
 

@@ -62,7 +62,7 @@ def room_walls(
 
 
 def box_room(extra: Sequence[Box] = ()) -> CompiledScene:
-    """Returns a room of 8 x 6 m around the origin with a red crate, a blue barrel, a pillar and the boxes of `extra`."""
+    """Returns a room of 8 x 6 m around the origin with a crate, a barrel, a pillar and the boxes of `extra`."""
     crate = Box((2.2, 1.0, 0.0), (2.8, 1.6, 0.6), (200, 30, 30), category="crate")
     barrel = Box((-3.0, -2.2, 0.0), (-2.5, -1.7, 0.9), (30, 30, 200), category="barrel")
     pillar = Box((-0.2, 1.6, 0.0), (0.2, 2.0, 2.5), (90, 140, 90))

@@ -1,4 +1,4 @@
-"""A worker that implements only the protocol: claims jobs, spools given bundles and serves chunks. Simulates nothing."""
+"""A worker that implements only the protocol: claims jobs, spools given bundles, serves chunks. Simulates nothing."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ class ForkServer(Closing):
 
 
 def main() -> None:
-    """Runs the fork server: reads orders from stdin, reports starts and exits on stdout, kills its children at the end."""
+    """Runs the fork server: reads orders from stdin, reports starts and exits on stdout, kills its children at exit."""
     for module in sys.argv[1:]:
         importlib.import_module(module)
     gc.freeze()

@@ -1,4 +1,4 @@
-"""What is told of a target without drawing, against the mask that the renderer draws."""
+"""Compares the predicted appearance of a target with the rendered mask."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_predicted_centroid_matches_the_mask(renderer: Renderer, name: str, 
     drawn = see(relief.ids, relief.depth, 1, min_pixels=1)
     pixels, column = Appearance(scene, 1, CAMERA).look(0.1, -0.05, yaw)
     assert pixels == pytest.approx(drawn.pixels, rel=0.35, abs=50)
-    if drawn.pixels > 5000:  # not a sliver at the edge
+    if drawn.pixels > 5000:  # not only a few pixels at the edge
         assert column == pytest.approx((drawn.column - 320) / 320, abs=0.12)
 
 

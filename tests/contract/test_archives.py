@@ -1,4 +1,4 @@
-"""What every archive promises, held against each kind: a directory, and a bucket of a real S3 server."""
+"""Contract suite of archives: a directory, and a bucket of a real S3 server."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ archive = open_archive(Path(sys.argv[1]), ObjectPath.at(sys.argv[2]) if len(sys.
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of archive, and how a test reaches behind it."""
+    """One kind of archive with direct access for tests."""
 
     home: Path
     store: ObjectPath | None
@@ -43,7 +43,7 @@ class Kind:
         return self.store or self.home
 
     def lay(self, name: str, data: bytes) -> None:
-        """Puts a file where it does not belong."""
+        """Writes a foreign file."""
         if self.store is not None:
             self.store.objects.put(name, data)
             return

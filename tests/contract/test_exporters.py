@@ -1,4 +1,4 @@
-"""Every registered exporter on a small dataset: whole, the same again, resumed, refused, damaged, on a full disk."""
+"""Contract suite of exporters on a small dataset: completeness, determinism, resuming, refusals, damage, full disks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ every_format = pytest.mark.parametrize("name", list(EXPORTERS))
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset that no test changes."""
+    """A dataset that tests only read."""
     root = tmp_path_factory.mktemp("exported") / "data"
     make_dataset(root, EPISODES)
     return root
@@ -35,7 +35,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def reference(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Exports that nobody disturbed."""
+    """Exports without interruptions."""
     place = tmp_path_factory.mktemp("reference")
     return {name: _exported(dataset, place / name, name) for name in EXPORTERS}
 
@@ -50,7 +50,7 @@ def _exported(root: Path, out: Path, name: str) -> Path:
 
 
 def contents(root: Path) -> dict[str, bytes]:
-    """Returns every file of an export but those that serve its making."""
+    """Returns every file of an export except working files."""
     files = (path for path in root.rglob("*") if path.is_file())
     inside = ((path.relative_to(root), path) for path in files)
     return {str(name): path.read_bytes() for name, path in inside if name.parts[0] != WORK_FOLDER}
@@ -127,7 +127,7 @@ run_export(order, lambda progress: os._exit(9) if progress.done else None)
 def test_full_disk_and_kill_leave_only_whole_files(
     dataset: Path, reference: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
-    """A limit on the size of files stands in for a full disk: both end in an OSError within a write."""
+    """A file size limit replaces a full disk: both raise an OSError during a write."""
     out = tmp_path / "out"
     command = [sys.executable, "-c", _HARD_TIMES, str(dataset), str(out), name]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -162,7 +162,7 @@ def test_disk_without_room_keeps_only_whole_files(
 
 @contextlib.contextmanager
 def disk_of(path: Path, size_bytes: int) -> Iterator[Path]:
-    """Yields a disk of its own with room for that many bytes, at least some pages; only root may have one."""
+    """Yields a separate disk of that many bytes, at least a few pages; requires root."""
     path.mkdir()
     size = max(size_bytes, 4 * 4096)
     command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "small", str(path)]
@@ -242,7 +242,7 @@ def test_a_dry_run_reports_sizes_and_writes_nothing(
     estimate = estimate_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
     size = sum(map(len, contents(reference[name]).values()))
-    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # what is written once counts for every episode
+    assert 0.8 * size <= estimate.bytes <= 3.2 * size  # files written once count for every episode
     assert estimate.episodes == EPISODES
     assert estimate.frames == read_manifest(reference[name]).frames  # type: ignore[union-attr]
     assert estimate.fits

@@ -1,4 +1,4 @@
-"""A renderer in a process of its own: the same bytes, no graphics library here, and how it fails and ends."""
+"""A renderer in a separate process: same bytes, no graphics library in the caller, failures and shutdown."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def digest(frame: RenderedFrame) -> str:
 
 
 def children_of(pid: int) -> set[int]:
-    """Returns the processes whose parent a process is."""
+    """Returns the child processes of a process."""
     found = set()
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -51,7 +51,7 @@ def children_of(pid: int) -> set[int]:
 
 @contextmanager
 def opened_with_pid(kind: RendererKind = "tiny") -> Iterator[tuple[Renderer, int]]:
-    """Opens a renderer in a process of its own; yields it and that process."""
+    """Opens a renderer in a separate process; yields the renderer and its process id."""
     before = children_of(os.getpid())
     with open_renderer(kind, apart=True) as renderer:
         (pid,) = children_of(os.getpid()) - before
@@ -79,7 +79,7 @@ def test_frames_are_bit_identical_to_those_of_the_in_process_renderer(kind: Rend
     scenes = [box_room(), *(build_scene([box]) for box in boxes)]
     with open_renderer(kind) as here, open_renderer(kind, apart=True) as apart:
         assert apart.description == here.description
-        for scene in (*scenes, *scenes):  # more than are kept
+        for scene in (*scenes, *scenes):  # more than the cache keeps
             for renderer in (here, apart):
                 renderer.load(scene, CAMERA)
             for pose in POSES[:3]:
@@ -93,7 +93,7 @@ def test_frames_are_bit_identical_to_those_of_the_in_process_renderer(kind: Rend
 @pytest.mark.gl
 @pytest.mark.parametrize(("apart", "loaded"), [(True, False), (False, True)])
 def test_only_an_in_process_renderer_loads_the_graphics_driver(apart: bool, loaded: bool) -> None:
-    """What is not mapped can neither be bound to by other libraries nor break in a fork."""
+    """Other libraries cannot bind to an unmapped library, and it cannot break in a fork."""
     program = f"""
 from schemas.config import CameraConfig
 from tests.builders.scene import box_room
@@ -196,14 +196,14 @@ def test_an_interrupted_frame_is_not_returned_for_the_next_request() -> None:
 
 
 def in_a_fork(act: Callable[[], object]) -> str:
-    """Returns what an action in a fork of this process raises, or what it returns."""
+    """Returns the exception or the result of an action in a fork of this process."""
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
 
     def run() -> None:
         try:
             theirs.send(str(act()))
-        except Exception as error:  # noqa: BLE001 - told to the test
+        except Exception as error:  # noqa: BLE001 - returned to the test
             theirs.send(f"{type(error).__name__}: {error}")
 
     process = context.Process(target=run)

@@ -1,4 +1,4 @@
-"""One suite over every renderer: what any of them must show, and that they show the same."""
+"""Contract suite of renderers: required output of each renderer, and agreement between renderers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KINDS = [
     pytest.param(("tiny", False), id="tiny"),
     pytest.param(("gl", True), id="gl apart", marks=pytest.mark.gl),
 ]
-"""Which renderer, and whether it runs in a process of its own."""
+"""Which renderer, and whether it runs in a separate process."""
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +57,7 @@ def wall(x: float, colour: tuple[int, int, int] = RED) -> Box:
 
 
 def furnished_room() -> CompiledScene:
-    """The box room with a chequered board on its wall and a low box the camera looks over."""
+    """The box room with a checkerboard on its wall and a box below the height of the camera."""
     rows, columns = np.mgrid[:TEXTURE_SIZE_PX, :TEXTURE_SIZE_PX] // 64
     board = np.where((rows + columns)[..., None] % 2, 255, 80).astype(np.uint8)
     chequers = np.broadcast_to(board, (1, TEXTURE_SIZE_PX, TEXTURE_SIZE_PX, 3))
@@ -135,7 +135,7 @@ def test_surfaces_beyond_the_clip_range_are_not_rendered(renderer: Renderer) -> 
 
 def test_a_surface_across_the_far_plane_ends_before_it(renderer: Renderer) -> None:
     renderer.load(build_scene([wall(CAMERA.x_m + CAMERA.far_m)]), CAMERA)
-    for yaw_rad in (-2e-4, -1e-4, 1e-4, 2e-4):  # millimetres over the image
+    for yaw_rad in (-2e-4, -1e-4, 1e-4, 2e-4):  # millimetres across the image
         depth = renderer.render(Pose.planar(0.0, 0.0, yaw_rad)).depth
         assert 0.3 < np.count_nonzero(depth) / depth.size < 0.7
         assert DEPTH_FRAME.violations(depth) == []

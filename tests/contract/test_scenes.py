@@ -1,4 +1,4 @@
-"""What every built-in scene promises to plans, workers and people."""
+"""Contract suite of the built-in scenes."""
 
 from __future__ import annotations
 
@@ -107,14 +107,14 @@ def test_most_objects_have_a_correct_colour(scene: CompiledScene) -> None:
 
 
 def test_no_view_exceeds_the_triangle_budget_of_a_frame(scene: CompiledScene) -> None:
-    """Of the parts in view, those that face the camera, behind walls too."""
+    """Counts front-facing triangles of parts in view, also behind walls."""
     triangles = scene.positions.reshape(-1, 3, 3).astype(np.float64)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     part = np.repeat(np.arange(len(scene.part_count)), scene.part_count // 3)
     bounds, camera = PartBounds.of(scene), CameraConfig()
     counts = []
     for number, (x, y) in enumerate(scene.spawns[:: max(1, len(scene.spawns) // 16)][:16].tolist()):
-        half = np.pi * number * 0.382  # headings all round
+        half = np.pi * number * 0.382  # headings in all directions
         pose = Pose(x, y, scene.info.floor_height_m, float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
         optical = optical_pose(pose, camera)
         seen = visible_parts(bounds, projection_matrix(camera) @ view_matrix(optical), optical.eye)

@@ -1,4 +1,4 @@
-"""The benchmarks on real work in a small room: rendering, the loop against the plain pipeline, the coordinator."""
+"""The benchmarks on real work in a small room: rendering, rollout and plain pipeline, coordinator."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_rollout_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) ->
     assert (found.episodes, found.failed_attempts, found.wall.runs) == (1, 0, 2)
     assert found.frames_per_s_per_core == found.wall.median
     assert found.by_job.runs == 1
-    # the stages are all of the loop: nothing between them is lost
+    # the stages cover the whole loop
     whole_ms = 1000 / found.frames_per_cpu_s
     assert sum(cost.cpu_ms.median for cost in found.stages) == pytest.approx(whole_ms, rel=0.1)
     assert [cost.stage for cost in found.delivery] == ["validate", "archive"]
@@ -141,11 +141,11 @@ def test_the_coordinator_is_timed_on_a_real_ledger_and_real_bundles(tmp_path: Pa
     assert found.archive_mb_per_s.median > 0
     assert found.wire.cycles_per_s.median > 1
     assert found.wire.archived_per_s.median >= 0
-    assert found.wire.coordinator_cpu_ms.low > 0.05  # less than its COMMIT alone takes would be no measure
+    assert found.wire.coordinator_cpu_ms.low > 0.05  # must include at least the time of its COMMIT
     assert found.wire.workers_cpu_ms.low > 0.05
     assert (found.wire.crowd.sessions, found.wire.rush.workers) == (8, 4)
     assert found.wire.rush.claims > 0
-    # a process of its own, with the bundles never whole in memory
+    # a separate process that never holds a whole bundle in memory
     assert 30 < found.wire.rush.memory.start_mib <= found.wire.rush.memory.peak_mib
-    # those of the rush, and what was pulled of the cycles before
+    # bundles of the burst and of the previous cycles
     assert len(list((tmp_path / "bench" / "episodes").iterdir())) >= 4

@@ -24,7 +24,7 @@ SWEEPS_S = 1.0
 
 
 class SetClock:
-    """This machine's clock, which a test may set."""
+    """A clock that tests can set."""
 
     def __init__(self) -> None:
         self.offset = timedelta()

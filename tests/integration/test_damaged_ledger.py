@@ -1,4 +1,4 @@
-"""Ledgers with flipped bits and wrong values, opened by every verb: an answer or an error in words, never our bug."""
+"""Ledgers with flipped bits and wrong values: every command returns a result or an error, never a traceback."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ def harmed(whole: ArchivedRun, tmp_path: Path) -> Path:
 def call(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], root: Path, words: tuple[str, ...]
 ) -> int:
-    """Returns the exit code of a verb; fails at a traceback."""
+    """Returns the exit code of a command; fails on a traceback."""
     monkeypatch.setattr(sys, "argv", ["factory", *(word.format(root) for word in words)])
     try:
         code = _run()
-    except SystemExit as error:  # an option's own end
+    except SystemExit as error:  # early exit of an option
         code = int(error.code or 0)
     said = capsys.readouterr()
     assert code in (0, 1, 2), (words, code, said.err)

@@ -1,4 +1,4 @@
-"""The deployment files: every command line in them is one that `factory` takes, every metric one that is served."""
+"""Checks the deployment files: every command line is valid, every metric exists."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ def test_shell_scripts_are_valid(script):
 
 
 class Cluster:
-    """Slurm as a stub: `scontrol` writes down what it is told, `factory` is a worker that leaves when told."""
+    """Stub of Slurm: `scontrol` records its arguments, `factory` is a worker that exits on a signal."""
 
     def __init__(self, folder: Path, worker: str) -> None:
         self.told = folder / "told"
@@ -234,7 +234,7 @@ class Cluster:
                     os.killpg(task.pid, signal.SIGKILL)
 
     def before(self, command: str, deed: str) -> None:
-        """Has the task do something before it runs a command: what would otherwise be a matter of luck."""
+        """Runs a script before a command of the task, to fix the order of events."""
         trap = self.bin / "trap.sh"
         trap.write_text(f"""trap 'case "$BASH_COMMAND" in {command}) {deed};; esac' DEBUG\n""")
         self.environment["BASH_ENV"] = str(trap)

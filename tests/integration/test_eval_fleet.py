@@ -1,4 +1,4 @@
-"""An evaluation that joins a running collection: its workers drive the policies first and then collect on."""
+"""An evaluation that joins a running collection: workers run the evaluation first and then resume the collection."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ EVALUATE = (sys.executable, "-m", "factory.eval.remote.eval_worker")
 
 @pytest.fixture(scope="module")
 def campaign(drives: Dataset) -> Campaign:
-    """Two episodes in which nobody moves."""
+    """Two episodes without motion."""
     return standing_still(drives)
 
 
@@ -65,7 +65,7 @@ def test_workers_of_a_collection_run_an_evaluation_and_resume_the_collection(
         assert note is not None
         assert note.knows == "nothing"
         wait_for_more(hub, archived(hub))
-        # all is done, so that nothing has to be joined any more
+        # all episodes are finished, so that no collection is needed
         assert run_fleet(campaign, drives.meta.plan, store, FleetAccess(), threading.Event(), told.append)
     assert [pace.done for pace in told] == [0, 1, 2, 2]
     assert not (tmp_path / "out" / "fleet").exists()

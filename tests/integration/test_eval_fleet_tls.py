@@ -1,4 +1,4 @@
-"""An evaluation that borrows the workers of a collection behind mTLS; its certificate is worth nothing else."""
+"""An evaluation on workers of a collection behind mTLS; its certificate has no other rights."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def pki(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
-    """A collection that does not end by itself."""
+    """A collection that does not end automatically."""
     plan, catalog = room_plan(2000), room_catalog(tmp_path)
     guard = Guard(pki / "hub")
     with Coordinator(tmp_path / "out", plan, catalog, ANY_PORT, settings=SETTINGS, guard=guard) as running:
@@ -55,14 +55,14 @@ def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
 
 @contextmanager
 def working(endpoint: str, pki: Path, folder: Path) -> Iterator[None]:
-    """A worker of the collection that can drive evaluations too."""
+    """A worker of the collection that supports evaluations."""
     more = {"host": "node", "tls": files_of(pki, "node"), "command": COLLECT, "errand_command": EVALUATE}
     with WorkerThread(settings_for(endpoint, folder / "worker", **more)):
         yield
 
 
 def evaluates(drives: Dataset, hub: Coordinator, pki: Path, folder: Path) -> list[tuple[str, int]]:
-    """What comes of two episodes in which nobody moves."""
+    """Results of two episodes without motion."""
     campaign = standing_still(drives)
     door = FleetAccess(connect=hub.endpoints, guard=Guard(pki / "desk", listens=False))
     with open_store(folder / "results", campaign) as store:

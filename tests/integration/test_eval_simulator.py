@@ -1,4 +1,4 @@
-"""The stepping simulator against the archive: the same drive, to the last bit; and the limits of its use."""
+"""The stepping simulator reproduces archived drives bit for bit and checks its arguments."""
 
 from __future__ import annotations
 

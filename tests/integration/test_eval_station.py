@@ -1,4 +1,4 @@
-"""The process at the end of a worker's pipe in a run of errands: what it refuses by itself."""
+"""The evaluation process of a worker: the tasks that it refuses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 
 
 def said_to(policy: str, tmp_path: Path) -> list[SimulationReport]:
-    """Returns the reports on one errand."""
+    """Returns the reports on one task."""
     question = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
     errand = EvalTask(setup=Setup(settings=EvalSettings()), policy=policy, question=question)
     order = SimulationOrder(

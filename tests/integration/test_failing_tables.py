@@ -1,4 +1,4 @@
-"""Tables that cannot be written for a while: the run goes on, the log stays short, and the end is told."""
+"""Tables that cannot be written for a time: the run continues, the log stays short, and the recovery is logged."""
 
 from __future__ import annotations
 

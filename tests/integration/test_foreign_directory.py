@@ -1,4 +1,4 @@
-"""Commands in a folder whose files have the names of our modules and of those we use: none of them is executed."""
+"""Commands in a folder with files named like modules of the product and its libraries: none is executed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ raise ImportError("a file of the working directory was imported: " + __name__)
 
 @pytest.fixture
 def traps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The working directory; afterwards none of its files may have been executed."""
+    """The working directory; checks at the end that none of its files was executed."""
     folder = tmp_path / "dataset"
     make_dataset(folder, 2)
     text = TRAP.format(folder=str(tmp_path))

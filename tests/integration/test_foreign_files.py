@@ -1,4 +1,4 @@
-"""Files that others hand us and that parsers choke on: each ends in an error of ours that names the file."""
+"""External files that break parsers: each raises an error of the product that names the file."""
 
 from __future__ import annotations
 

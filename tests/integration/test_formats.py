@@ -1,4 +1,4 @@
-"""Small exports, read back by the packages that people read them with."""
+"""Small exports, read back with their usual readers."""
 
 from __future__ import annotations
 
@@ -232,7 +232,7 @@ def test_mcap_images_and_poses_are_those_of_the_episode(dataset, mcap):
 
 
 class LoaderTrajectory:
-    """What the loaders of GNM, ViNT and NoMaD do with a trajectory, in the words of their published code."""
+    """The operations of the GNM, ViNT and NoMaD loaders on a trajectory, from their published code."""
 
     def __init__(self, data_folder: Path, name: str) -> None:
         with (data_folder / name / "traj_data.pkl").open("rb") as file:
@@ -277,7 +277,7 @@ def test_gnm_waypoints_have_an_average_spacing_of_one(dataset, gnm):
 
 def test_gnm_pickles_reference_only_public_numpy_names(gnm):
     data = (gnm / "minivla_nav/ep_000001/traj_data.pkl").read_bytes()
-    assert b"numpy.core" not in data  # neither the old nor the new home of numpy's insides
+    assert b"numpy.core" not in data  # neither the old nor the new private numpy modules
     assert b"numpy._core" not in data
 
 

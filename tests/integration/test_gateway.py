@@ -1,4 +1,4 @@
-"""Gateways between workers and a core, over real zenoh on loopback with real directories, ledger and validator."""
+"""Gateways between workers and a coordinator, over zenoh on loopback with real directories, ledger and validator."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ EPISODES = 3
 
 
 class Shared:
-    """One sandboxed child for all tests: starting one takes longer than most of them."""
+    """One sandboxed child for all tests, because starting one takes longer than most tests."""
 
     def __init__(self, validator: Validator) -> None:
         self.check = validator.check
 
     def close(self) -> None:
-        """It lives on."""
+        """Keeps the shared child open."""
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def checker() -> Iterator[Shared]:
 
 
 class Site:
-    """A core and what is around it; every part can be closed and opened again."""
+    """A coordinator, gateways and workers; every part can be closed and opened again."""
 
     def __init__(self, folder: Path, checker: Shared, stack: ExitStack) -> None:
         self.folder, self.checker, self._stack = folder, checker, stack
@@ -78,7 +78,7 @@ class Site:
         return self._stack.enter_context(WireWorker(endpoints, self.core.run))
 
     def gather(self, *names: str, requeue_missing: bool = False) -> GatherReport:
-        """What `factory gather` does, with the core closed."""
+        """Gathers as `factory gather` does, with the coordinator closed."""
         out = self.folder / "out"
         repair_input = RepairInput(out, out, self.url, room_plan(EPISODES), room_catalog(self.folder), {})
         sources = [self.folder / name for name in names]
@@ -99,7 +99,7 @@ def site(tmp_path: Path, checker: Shared) -> Iterator[Site]:
 
 
 def bring(worker: WireWorker, count: int = 1) -> list[Job]:
-    """Claims and delivers so many episodes; returns their jobs."""
+    """Claims and delivers a number of episodes; returns their jobs."""
     jobs = []
     for _ in range(count):
         job, lease = worker.job()
@@ -113,7 +113,7 @@ def name_of(job: Job) -> str:
 
 
 def bring_home(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
-    """Brings episodes and waits until the ledger owns them."""
+    """Delivers episodes and waits until the ledger has recorded them."""
     before = site.core.progress().jobs["archived"]
     jobs = bring(worker, count)
     until(lambda: site.core.progress().jobs["archived"] == before + count)
@@ -164,7 +164,7 @@ def test_a_gathered_dataset_is_whole_and_can_be_gathered_again(site):
     assert site.keepers() == {}
     assert site.files("out") == sorted(map(name_of, (one, two, three)))
     assert site.gather("gw1", "gw2").gathered == 0
-    assert site.open_core().progress().jobs["archived"] == EPISODES  # nothing is taken for lost
+    assert site.open_core().progress().jobs["archived"] == EPISODES  # no episode counts as lost
 
 
 def test_gather_refuses_unknown_files_and_requeues_missing_ones_on_request(site):
@@ -219,7 +219,7 @@ def test_a_restarted_gateway_reports_its_files_and_releases_missing_ones(site):
 def test_episodes_published_before_a_gateway_crash_are_adopted_while_the_job_is_open(site, lease):
     site.open_gateway("gw1").close()
     worker = site.open_worker((site.endpoint,))
-    worker.is_frozen = True  # the core, which is to pull here, gets nothing
+    worker.is_frozen = True  # the coordinator, which pulls here, gets no bundle
     (job,) = bring(worker)
     (bundle,) = (data for _, data in worker.spool.values())
     if lease == "lost":
@@ -262,13 +262,13 @@ def test_a_directory_of_another_gateway_is_refused(site):
 def test_two_concurrent_pulls_of_one_bundle_end_with_one_owner(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     for number in range(1, EPISODES + 1):
-        bring(worker)  # that is the gateway's
+        bring(worker)  # owned by the gateway
         worker.knows_router = False
-        worker.beat()  # and now the core's too, as after a restart in which it has not heard of gateways yet
+        worker.beat()  # now also pulled by the coordinator, as after a restart before gateways have reported
         worker.knows_router = True
-        until(lambda: site.core.progress().jobs["archived"] == number)  # noqa: B023 - waited for within the round
+        until(lambda: site.core.progress().jobs["archived"] == number)  # noqa: B023 - joined within the iteration
     worker.close()
-    until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the loser takes its copy away
+    until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the other one removes its copy
     with look_into(site.url) as ledger:
         archived = [row.job_id for row in ledger.execute(select(events.c.job_id).where(events.c.event == "archived"))]
     assert len(archived) == len(set(archived)) == EPISODES

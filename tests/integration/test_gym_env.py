@@ -1,4 +1,4 @@
-"""The Gymnasium environment: its contract, what it ends with, and many of it at a time."""
+"""The Gymnasium environment: contract, termination, and vectorised environments."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def test_the_instruction_is_only_in_the_info_when_excluded_from_observations(dri
 def test_make_vec_works_with_every_start_method(
     drives: Dataset, specs: SpecSet, context: str | None, instruction: str
 ) -> None:
-    """`None`, Gymnasium's default, forks a process that has already made an environment, for its spaces."""
+    """`None`, Gymnasium's default, forks a process that has already created an environment for its spaces."""
     vector = gymnasium.make_vec(
         "factory.gym:MiniVLANav-v0",
         num_envs=2,
@@ -266,12 +266,12 @@ def test_using_an_environment_after_a_fork_names_the_alternatives(env: MiniVLANa
     said = [ours.recv() if ours.poll(60) else "hangs" for _ in range(2)]
     process.join(30)
     assert ["make_vec(ID, num_envs=4, vectorization_mode='async'" in each for each in said] == [True, True]
-    env.step(np.zeros(2))  # the environment itself goes on
+    env.step(np.zeros(2))  # the environment in the parent still works
 
 
 @pytest.mark.gl
 def test_the_process_of_an_environment_never_loads_a_graphics_driver(drives: Dataset) -> None:
-    """So that it can load any library with an LLVM, or another OpenGL, at any time."""
+    """The process can then load any library with LLVM or another OpenGL at any time."""
     program = f"""
 import gymnasium, numpy
 env = gymnasium.make("factory.gym:MiniVLANav-v0", data={str(drives.root)!r}, size=64, renderer="gl")

@@ -1,4 +1,4 @@
-"""Peers that speak as gateways and mean harm: the core stays up, honest workers go on, no episode is lost."""
+"""Hostile peers in the role of gateways: the coordinator stays up, honest workers continue, no episode is lost."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def told_of(summary: EpisodeSummary, lease: Lease | None = None) -> Archived:
 
 
 def attack(peer: WireWorker, number: int) -> list[Any]:
-    """Sends one of everything that a gateway can say and that is not true; returns the replies."""
+    """Sends every kind of false gateway message; returns the replies."""
     foreign = summary_of(parts_for(job_for(1 + number % EPISODES)).meta, "1" * 64, 7)
     messages = (
         (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
@@ -119,7 +119,7 @@ def test_a_hostile_gateway_cannot_affect_honest_workers(hub: Coordinator) -> Non
 
 
 class Core:
-    """What the core answers to a gateway, on a ledger in memory."""
+    """The coordinator's handlers of gateway requests, on a ledger in memory."""
 
     def __init__(self, episodes: int) -> None:
         self.desk = Desk(room_plan(episodes))
@@ -130,7 +130,7 @@ class Core:
             return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.desk.now).reply
 
     def summaries(self) -> dict[int, EpisodeSummary]:
-        """Returns the row that each episode of the plan would have."""
+        """Returns the row of each episode of the plan."""
         with self.desk.open() as connection:
             rows = connection.execute(select(jobs)).all()
         meta = parts_for().meta

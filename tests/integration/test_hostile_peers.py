@@ -1,4 +1,4 @@
-"""Peers that mean harm, or whose host is broken, against a real coordinator: the others go on."""
+"""Hostile peers and broken hosts against a real coordinator: the other workers continue."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EPISODES = 4
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def hub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Coordinator]:
-    """A coordinator; on either database each test ends with a sound ledger."""
+    """A coordinator; checks at the end that the ledger of either database is valid."""
     is_server = request.param == "postgresql"
     url = request.getfixturevalue("postgres_server").new_database() if is_server else None
     catalog = room_catalog(tmp_path)
@@ -54,7 +54,7 @@ def peer(hub: Coordinator) -> Iterator[WireWorker]:
 
 
 def with_every_number(message: dict[str, Any], number: Any) -> Iterator[dict[str, Any]]:
-    """Yields copies of a message in which one value, however deep, is another."""
+    """Yields copies of a message with one changed value at any depth."""
     for key, value in message.items():
         if isinstance(value, dict):
             yield from (message | {key: inner} for inner in with_every_number(value, number))
@@ -90,7 +90,7 @@ def test_no_message_of_a_peer_makes_the_coordinator_fail(hub, peer, verb):
 
 
 def answer(peer: WireWorker, verb: str, message: dict[str, Any]) -> bytes | None:
-    """Returns the reply as it came."""
+    """Returns the raw reply."""
     key = verb_key(peer.run, peer.host, Verb(verb))
     channel = zenoh.handlers.FifoChannel(4)
     for reply in peer._session.get(key, channel, payload=json.dumps(message), timeout=5.0):

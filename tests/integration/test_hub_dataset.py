@@ -1,4 +1,4 @@
-"""A dataset directory as the hubs read it: `datasets.load_dataset` finds the splits and decodes the thumbnails."""
+"""A dataset directory on the Hub: `datasets.load_dataset` loads the splits and decodes the thumbnails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Looking into a dataset's ledger: it leaves no file behind, and says who works there now."""
+"""Reading the ledger of a dataset: leaves no file and reports active workers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEASE_S = 3600.0
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
-    """A dataset directory whose one worker was heard of just now."""
+    """A dataset directory with one worker that has just sent a heartbeat."""
     root = tmp_path / "data"
     with closing(Staging(root, "data")):
         engine = begun(root, tmp_path)

@@ -238,7 +238,7 @@ def test_repair_restores_intact_episodes_from_quarantine(run, validator):
     bad = bytearray(run.file(2).read_bytes())
     bad[len(bad) // 2] ^= 1
     (run.root / "quarantine" / "ep_000002.zip.00000000").write_bytes(bad)
-    start(run)  # as a coordinator without this remedy left it: two episodes queued again
+    start(run)  # as left by a coordinator without this feature: two episodes queued again
     assert run.states() == {1: "pending", 2: "archived", 3: "pending"}
     report = repair(run.repair_input(), validator, run.desk.now, apply=True)
     assert [str(action.kind) for action in report.actions if action.what.startswith("quarantine")] == ["restore"] * 2

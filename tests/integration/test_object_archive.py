@@ -1,4 +1,4 @@
-"""An archive in a bucket of a real S3 server: what goes wrong between a coordinator and its store."""
+"""An archive in a bucket of a real S3 server: failures between a coordinator and its store."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
 
 @pytest.fixture
 def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
-    """A fresh bucket behind the relay."""
+    """A new bucket behind the relay."""
     url = bucket_url()
     monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
     return ObjectPath.at(f"{url}/run")
@@ -59,7 +59,7 @@ def publish(archive: Archive, index: int, data: bytes) -> None:
 
 
 def said_by(action: Callable[[], object]) -> str:
-    """Returns an error's message; whatever a log could show of it, chained errors included, holds no secret."""
+    """Returns the message of an error; asserts that the error and its causes contain no secret."""
     with pytest.raises(WorldError) as caught:
         action()
     everything = "".join(traceback.format_exception(caught.value))
@@ -199,7 +199,7 @@ def _read_in_child(store: ObjectPath, said: multiprocessing.Queue[str]) -> None:
 
 
 def test_an_object_is_read_like_a_file(store: ObjectPath) -> None:
-    data = bytes(range(251)) * 12_000  # longer than what is read ahead, and than the tail
+    data = bytes(range(251)) * 12_000  # longer than the read-ahead and the tail
     store.objects.put("big", data)
     with (store / "big").open() as file:
         assert file.seek(0, 2) == len(data)
@@ -225,7 +225,7 @@ def test_a_run_resumes_after_an_outage_of_its_store(store: ObjectPath, relay: St
         until(lambda: relay.cuts > 0)
         assert running.progress().jobs.get("archived", 0) == 0
         relay.is_cutting = False
-        until(lambda: bool(worker.beat().drop))  # each beat announces the bundle again
+        until(lambda: bool(worker.beat().drop))  # each heartbeat announces the bundle again
         job, lease = worker.job()
         worker.deliver(lease, bundle_for(job))
         until(running.is_finished)
@@ -235,7 +235,9 @@ def test_a_run_resumes_after_an_outage_of_its_store(store: ObjectPath, relay: St
     pictures = [read_pictures(store / table.name) for table in split_tables_of(store)]
     assert sum(map(len, pictures)) == 2
     assert names_split_tables((store / "README.md").read_text())
-    assert {finding.file.split("/")[0] for finding in verify(store, deep=True).findings} == {"scenes"}  # no real one
+    assert {finding.file.split("/")[0] for finding in verify(store, deep=True).findings} == {
+        "scenes"
+    }  # not a real secret
     assert not (store / ".lock").exists()
     assert (tmp_path / "home/ledger.db").is_file()
 

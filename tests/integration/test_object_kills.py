@@ -1,4 +1,4 @@
-"""A coordinator killed between an object's put and the ledger's commit, at every step of the way, and started again."""
+"""A coordinator killed at every step between the put of an object and the ledger commit, and restarted."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"
 
 @dataclass(frozen=True)
 class Step:
-    """Where the coordinator is killed: a moment of the first request of a method for a key, since the episode's put."""
+    """Moment of the kill: a stage of the first request with a method and key after the put of the episode."""
 
     moment: Moment
     method: str
@@ -66,7 +66,7 @@ STEPS = [
 
 
 class Killer:
-    """Kills a process at a step, and waits until it is dead before the request goes on."""
+    """Kills a process at a step and waits for its exit before the request continues."""
 
     def __init__(self, step: Step, process: subprocess.Popen[bytes]) -> None:
         self._step, self._process = step, process
@@ -90,7 +90,7 @@ def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
 
 @pytest.fixture
 def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
-    """A fresh bucket behind the relay."""
+    """A new bucket behind the relay."""
     url = bucket_url()
     monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
     return ObjectPath.at(f"{url}/run")
@@ -98,7 +98,7 @@ def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same run in a directory, where nothing is killed."""
+    """The same run in a directory without kills."""
     folder = tmp_path_factory.mktemp("reference")
     with (
         Coordinator(folder / "out", RUN, room_catalog(folder), ("tcp/127.0.0.1:0",), settings=SETTINGS) as running,
@@ -110,7 +110,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subprocess.Popen[bytes]]:
-    """Runs a coordinator as a process of its own, from when it listens."""
+    """Runs a coordinator in a separate process; returns when it listens."""
     words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, store)
     command = [sys.executable, "-m", "tests.builders.room_coordinator", *map(str, words)]
     process = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=os.environ, stderr=subprocess.DEVNULL)
@@ -123,7 +123,7 @@ def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subpro
 
 
 def finish(running: Coordinator, worker: WireWorker) -> None:
-    """Claims, delivers and beats until the run is finished."""
+    """Claims, delivers and sends heartbeats until the run is finished."""
 
     def is_finished() -> bool:
         reply = worker.claim()

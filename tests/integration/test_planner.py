@@ -1,4 +1,4 @@
-"""The planner expert in real physics: around a wall to its target without a touch, by the laws of motion."""
+"""The planner expert in real physics: drives around a wall to its target without contact."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ FENCE = Box((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))
 DARK = RenderedFrame(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.float32), np.zeros((8, 8), np.uint16))
 
 
-class Darkness:
-    """A renderer that shows nothing: the planner needs no eyes."""
+class EmptyRenderer:
+    """A renderer that returns empty frames: the planner uses no images."""
 
     description = "darkness"
 
@@ -66,7 +66,7 @@ def drive_from(scene: CompiledScene, start: tuple[float, float, float]) -> Drive
         world.place(*start)
         expert = make_expert(job)
         assert expert.begin(world.pose(), Grid.from_scene(scene), target)
-        return drive(job, target, world, Darkness(), expert, lambda _frame: None, lambda _step: None)
+        return drive(job, target, world, EmptyRenderer(), expert, lambda _frame: None, lambda _step: None)
 
 
 @pytest.mark.parametrize("start", [(-1.5, 0.5, 0.0), (-1.0, 0.0, 2.8), (-2.5, 1.5, -1.6)])

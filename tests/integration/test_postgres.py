@@ -1,4 +1,4 @@
-"""A whole run on a PostgreSQL ledger: one writer, a repair from nothing, readers that cannot write, clear refusals."""
+"""A complete run on a PostgreSQL ledger: single writer, rebuild, read-only readers, error messages."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def url(postgres_server: Postgres) -> str:
 
 @pytest.fixture
 def finished(tmp_path: Path, url: str) -> RepairInput:
-    """A run of two episodes that ended well."""
+    """A finished run of two episodes."""
     plan, catalog = room_plan(2), room_catalog(tmp_path)
     with (
         Coordinator(tmp_path / "out", plan, catalog, ANY_PORT, url, SETTINGS) as hub,
@@ -121,4 +121,4 @@ def test_an_unreachable_server_is_named_without_the_password():
 
 def test_a_missing_driver_is_named_with_the_remedy():
     with pytest.raises(UsageError, match=r"pip install 'psycopg\[binary\]'"):
-        open_writer("postgresql+psycopg2://me:secret@localhost/run")  # the driver that nobody has here
+        open_writer("postgresql+psycopg2://me:secret@localhost/run")  # a driver that is not installed

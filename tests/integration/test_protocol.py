@@ -1,4 +1,4 @@
-"""The lease protocol end to end: a real coordinator on loopback with a real archive, a worker that speaks the wire."""
+"""The lease protocol end to end: a real coordinator on loopback with a real archive, a worker that implements the protocol."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ def test_a_worker_of_another_version_is_refused_by_name(worker):
 
 def test_a_heartbeat_reply_lists_bundles_that_need_no_further_announcement(worker):
     _, lease = worker.job()
-    worker.is_frozen = True  # so that the bundle is announced and stays
+    worker.is_frozen = True  # so that the bundle stays announced
     worker.deliver(lease, b"x")
     reply = worker.beat()
     assert (reply.waiting, reply.drop) == ((lease,), ())

@@ -1,4 +1,4 @@
-"""A finished dataset on a disk that nobody may write to: an archive, a snapshot, another team's folder."""
+"""A finished dataset on a read-only disk, for example a snapshot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.builders.ledger import room_catalog, room_plan
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of its own; only root may have one."""
+    """A separate disk; requires root."""
     path = tmp_path / "disk"
     path.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", "size=8m", "small", str(path)]
@@ -50,7 +50,7 @@ def test_an_unreadable_write_ahead_log_is_not_ignored(disk: Path) -> None:
     writer.execute("PRAGMA journal_mode=WAL")
     writer.execute("CREATE TABLE info (key, value)")
     writer.commit()
-    killed = disk / "killed"  # as a kill leaves it: the log is there, the index of it is not
+    killed = disk / "killed"  # state after a kill: the log exists without its index
     killed.mkdir()
     for name in ("ledger.db", "ledger.db-wal"):
         shutil.copy(disk / name, killed / name)

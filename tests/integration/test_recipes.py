@@ -1,4 +1,4 @@
-"""The recipes of docs/recipes run as they stand: fine-tuning on tokens with a tiny model, and vla-eval's benchmark."""
+"""The recipes of docs/recipes run unchanged: fine-tuning on tokens with a tiny model, and vla-eval's benchmark."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ needs_vla_eval = pytest.mark.skipif(
 
 @pytest.fixture
 def recipes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes the recipes importable, as their folder being the working directory does."""
+    """Makes the recipes importable, as in their folder."""
     monkeypatch.syspath_prepend(str(RECIPES))
 
 
@@ -78,7 +78,7 @@ def test_tokens_replace_the_last_entries_of_the_vocabulary(recipes: None) -> Non
 
 
 class Straight:
-    """The side of a connection that a runner sees; answers every observation with driving ahead."""
+    """Connection of a runner that answers every observation with driving straight ahead."""
 
     def __init__(self) -> None:
         self.heard: list[dict[str, Any]] = []

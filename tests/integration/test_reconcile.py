@@ -1,4 +1,4 @@
-"""Ledger and archive brought to agree at start, with a real directory or bucket, ledger and validator."""
+"""Reconciles ledger and archive at start, with a real directory or bucket, ledger and validator."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def validator() -> Iterator[Validator]:
 
 
 class Scene:
-    """A ledger and an archive between two lives of a coordinator."""
+    """A ledger and an archive between two runs of a coordinator."""
 
     def __init__(self, home: Path, validator: Validator, store: ObjectPath | None = None) -> None:
         self.desk = Desk()
@@ -43,7 +43,7 @@ class Scene:
         self.terms = Terms(self.desk.plan, self.desk.catalog, "test", TTL_S, 1.0)
 
     def announce(self) -> tuple[Lease, bytes]:
-        """A worker has claimed a job and announced its bundle."""
+        """Claims a job and announces its bundle."""
         row = self.desk.claim()
         assert row is not None
         job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), row.attempt)
@@ -55,7 +55,7 @@ class Scene:
         return lease, bundle
 
     def lay(self, name: str, data: bytes) -> Place:
-        """A file as a crash left it among the episodes."""
+        """Writes a file among the episodes, as after a crash."""
         path = self.root / "episodes" / name
         if isinstance(path, ObjectPath):
             path.objects.put(path.key, data)

@@ -1,4 +1,4 @@
-"""`factory repair` on small datasets that are really damaged: real ledger, archive, tables and validator."""
+"""`factory repair` on small damaged datasets with real ledger, archive, tables and validator."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def flip(path: Path) -> None:
 
 def mend(run: ArchivedRun, validator: Validator, **options: bool) -> RepairReport:
     report = repair(run.repair_input(), validator, run.desk.now, apply=options.get("apply", True))
-    if report.applied:  # once is enough, whatever was wrong
+    if report.applied:  # a second repair finds nothing
         assert repair(run.repair_input(), validator, run.desk.now, apply=False).is_sound
     return report
 

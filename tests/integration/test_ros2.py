@@ -77,7 +77,7 @@ def test_rosbags_decodes_every_message_with_the_published_types(out: Path, bag: 
     assert {topic: found.msgtype for topic, found in connections.items()} == {
         topic: kind for topic, kind in ROS2_TOPICS.items() if topic in bag
     }
-    assert ROS2_TOPICS.keys() - bag.keys() <= {"/path/planned"}  # the expert of these episodes plans none
+    assert ROS2_TOPICS.keys() - bag.keys() <= {"/path/planned"}  # the expert of these episodes plans no path
     counts = Counter({topic: len(messages) for topic, messages in bag.items()})
     assert {counts[topic] for topic in IMAGES} == {STEPS // 2}
     assert {counts[topic] for topic in MOTION} == {STEPS}

@@ -1,4 +1,4 @@
-"""A real world in USD: the AWS RoboMaker small warehouse, judged by the SLAM map that came with it."""
+"""A public USD world: the AWS RoboMaker small warehouse, compared with its SLAM map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def slam_points() -> np.ndarray:
 
 
 def share_explained(grid: Grid, points: np.ndarray, yaw: float, shift: np.ndarray) -> float:
-    """Share of the points within 0.10 m of an occupied cell after turning and shifting them."""
+    """Share of the points within 0.10 m of an occupied cell after a rigid transform."""
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     distance = distance_transform_edt(grid.occupancy == 0) * grid.resolution_m
     return float((grid.values_at(distance, points @ turn.T + shift, 9.0) <= 0.10).mean())

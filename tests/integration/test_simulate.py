@@ -1,4 +1,4 @@
-"""The real simulation process: what it reports, and that it ends with its supervisor."""
+"""The real simulation process: its reports, and its end with its supervisor."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def order_in(room: Path, folder: Path, **changes: object) -> SimulationOrder:
 
 
 def hear(simulation: Simulation, *kinds: SimulationReportKind) -> SimulationReport:
-    """Waits for a report of one of the kinds, passing over others."""
+    """Waits for a report of one of the kinds and ignores others."""
     while True:
         heard = simulation.hear(0.2)
         assert not isinstance(heard, Death), heard

@@ -1,4 +1,4 @@
-"""`/healthz`, `/readyz` and `/metrics` of a real coordinator, asked over a real socket."""
+"""`/healthz`, `/readyz` and `/metrics` of a real coordinator over a real socket."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def connected(server: StatusServer) -> socket.socket:
 
 
 def drip(client: socket.socket, text: bytes, most: int) -> int:
-    """Sends one byte every quarter of a second until the server hangs up; returns how many it took."""
+    """Sends one byte every 0.25 s until the server closes the connection; returns the number of bytes."""
     client.settimeout(0.25)
     for sent in range(most):
         try:
@@ -181,7 +181,7 @@ def test_clients_that_send_one_byte_a_second_do_not_block_others(server):
     clients = [connected(server) for _ in range(300)]
     for _ in range(5):
         for client in clients:
-            with contextlib.suppress(OSError):  # the oldest were closed
+            with contextlib.suppress(OSError):  # the oldest connections were closed
                 client.sendall(b"G")
         assert ask(server, "/healthz") == (200, "ok\n")
         assert ask(server, "/metrics")[0] == 200
@@ -195,7 +195,7 @@ def test_an_endless_first_line_is_cut_off(server):
         with contextlib.suppress(OSError):
             endless.sendall(b"GET /" + b"a" * 10_000_000)
         assert ask(server, "/healthz") == (200, "ok\n")
-        with contextlib.suppress(ConnectionResetError):  # it was cut off with bytes unread
+        with contextlib.suppress(ConnectionResetError):  # closed with unread bytes
             assert not endless.recv(100).startswith(b"HTTP/1.1 200")
 
 

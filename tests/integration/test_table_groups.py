@@ -1,4 +1,4 @@
-"""`metadata.parquet` in groups: what is taken from the former table gives the very bytes of one written anew."""
+"""`metadata.parquet` in row groups: reusing groups of the former table gives the bytes of a new table."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FILES = ("metadata.parquet", "attempts.parquet", "README.md", "dataset_meta.json
 
 
 class Watched(ListedEpisodes):
-    """Counts the rows that are asked for."""
+    """Counts the requested rows."""
 
     asked = 0
 
@@ -49,7 +49,7 @@ def rows(numbers: Iterable[int], salt: int = 0) -> list[EpisodeSummary]:
 
 
 def write(root: Path, found: list[EpisodeSummary], *, anew: bool) -> int:
-    """Writes the tables; returns how many rows were made from the ledger."""
+    """Writes the tables; returns the number of rows read from the ledger."""
     episodes = Watched(found)
     with open_archive(root) as archive:
         write_tables(archive, PLAN, {}, episodes, [], NOW, anew=anew)
@@ -99,4 +99,4 @@ def test_a_missing_or_damaged_former_table_is_rewritten(tmp_path, harm):
 
 
 def test_a_group_contains_a_range_of_plan_indices():
-    assert metadata_table.GROUP_ROWS == 2000  # a change of it is a change of the bytes of every dataset
+    assert metadata_table.GROUP_ROWS == 2000  # changing it changes the bytes of every dataset

@@ -1,4 +1,4 @@
-"""mTLS and access control over real zenoh on loopback: who is admitted works, everybody else has no effect."""
+"""mTLS and access control over zenoh on loopback: admitted clients work, requests of others are refused."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Another authority, which gives the same names."""
+    """Another authority with the same names."""
     return make_authority(tmp_path_factory.mktemp("foreign") / "pki", ("node",), ("boss",))
 
 
@@ -126,7 +126,9 @@ def test_an_expired_certificate_does_not_connect(hub, pki, tmp_path):
 def test_a_certificate_whose_host_is_not_admitted_has_no_effect(hub, pki, tmp_path):
     folder = tmp_path / "beside"
     shutil.copytree(pki, folder)
-    admit(folder, "stranger", Role.WORKER, (), 1, datetime.now(UTC))  # signed, but not on the coordinator's list
+    admit(
+        folder, "stranger", Role.WORKER, (), 1, datetime.now(UTC)
+    )  # signed, but not in the host list of the coordinator
     with WireWorker(hub.endpoints, hub.run, "stranger", files_of(folder, "stranger")) as worker:
         assert worker.hello(version("minivla-factory")) is None
     assert hub.progress().workers == ()
@@ -164,7 +166,7 @@ def test_a_host_can_neither_serve_bundles_nor_declare_liveliness_as_another(hub,
             liar.declare_queryable(bundle_key(hub.run, "*"), lie)
             token = liar.liveliness().declare_token(alive_key(hub.run, honest.sid))
             time.sleep(0.3)
-            token.undeclare()  # if it were seen, the honest worker's leases would be shortened
+            token.undeclare()  # if accepted, it would shorten the leases of the honest worker
             before = hub.progress()
             assert honest.deliver(lease, bundle_for(job))
             until(lambda: hub.progress().jobs["archived"] == 1)
@@ -176,7 +178,7 @@ def test_a_host_cannot_read_bundles_of_another(hub, pki):
     with WireWorker(hub.endpoints, hub.run, "other", files_of(pki, "other")) as honest:
         honest.hello(version("minivla-factory"))
         _, lease = honest.job()
-        honest.is_frozen = True  # towards the coordinator too, so that the bundle stays
+        honest.is_frozen = True  # also from the coordinator, so that the bundle stays
         honest.deliver(lease, b"secret" * 100)
         honest.is_frozen = False
         where = f"?job={lease.job_id};fence={lease.fence};off=0;n=10"
@@ -220,7 +222,7 @@ def test_an_operator_can_administer_the_run_and_cannot_claim_jobs(hub, pki, tmp_
         assert greedy.ask(Verb.CLAIM, Claim(sid=greedy.sid, token=secrets.token_hex(16)), ClaimReply) is None
     with pytest.raises(TransientError, match=r"hosts\.txt"):
         ask_progress(hub.endpoints, "somebody", files)
-    with pytest.raises(WorldError, match="another coordinator"):  # nobody to ask without a certificate
+    with pytest.raises(WorldError, match="another coordinator"):  # no coordinator is reachable without a certificate
         administer(tmp_path / "out", request, datetime.now(UTC))
 
 

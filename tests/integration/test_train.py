@@ -1,4 +1,4 @@
-"""`factory train bc` on small datasets: it learns, resumes to the same weights, and drives; or says what is missing."""
+"""`factory train bc` on small datasets: training, resuming to the same weights, driving, and error messages."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from tests.builders.dataset import make_dataset
 from tests.builders.needs_torch import needs_torch
 
 INFO = EpisodeInfo("spec_1", 7, 60, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0)
-# torch 2.13 warns of its own use of what Python 3.14 will drop
+# torch 2.13 warns about a deprecated Python feature that it uses
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 
 
 @pytest.fixture(autouse=True)
 def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nets as small as these lose by threads, and on a busy machine wait for one another."""
+    """Small networks are slower with threads, above all on a busy machine."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     if importlib.util.find_spec("torch") is not None:
         import torch
@@ -51,7 +51,7 @@ def options(**changes: Any) -> BcOptions:
 
 
 def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99) -> list[float]:
-    """Trains, stops after some epochs of this call, and returns the losses of all of them."""
+    """Trains for some epochs and returns the losses of all epochs."""
     seen: list[int] = []
     watcher = Watcher(
         caching=lambda _done, _of: None,
@@ -187,8 +187,8 @@ def test_a_file_that_is_not_a_checkpoint_is_refused_before_loading(tmp_path: Pat
         make_policy(f"bc:{tmp_path}", Outside())
 
 
-class Evil:
-    """Would write a file when unpickled."""
+class WritesOnUnpickling:
+    """Writes a file when unpickled."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -203,7 +203,7 @@ class Evil:
 def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
     import torch
 
-    torch.save({"meta": "{}", "model": Evil(tmp_path / "written")}, tmp_path / "policy.pt")
+    torch.save({"meta": "{}", "model": WritesOnUnpickling(tmp_path / "written")}, tmp_path / "policy.pt")
     with pytest.raises(WorldError, match="damaged or no checkpoint"):
         make_policy(f"bc:{tmp_path}", Outside())
     assert not (tmp_path / "written").exists()

@@ -1,4 +1,4 @@
-"""A worker beside a peer that answers for the coordinator with bytes that no version of the protocol knows."""
+"""A worker beside a peer that answers coordinator requests with bytes outside the protocol."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tests.builders.fake_coordinator import RUN, FakeCoordinator
 from workers.client.link import Link
 
 
-class Babbler(FakeCoordinator):
-    """Answers every question with rubbish."""
+class InvalidReplier(FakeCoordinator):
+    """Answers every request with random bytes."""
 
     def _take(self, query: zenoh.Query) -> None:
         *_, host, name = str(query.key_expr).split("/")
@@ -21,7 +21,7 @@ class Babbler(FakeCoordinator):
 
 
 def test_unreadable_replies_are_ignored_and_do_not_fill_the_log() -> None:
-    babbler = Babbler(())
+    babbler = InvalidReplier(())
     babbler.open()
     link = Link((babbler.endpoint,), "host")
     try:

@@ -1,4 +1,4 @@
-"""The worker against a small coordinator over real zenoh, with simulation processes that do as they are told."""
+"""The worker against a minimal coordinator over zenoh, with scripted simulation processes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def wait_until(holds: Callable[[], object], what: str) -> None:
 
 
 def begun(folder: Path) -> dict[int, int]:
-    """Returns the process that works on each job."""
+    """Returns the process of each job."""
     names = [path.name.split(".") for path in (folder / "begun").iterdir()]
     return {int(job): int(pid) for job, pid in names}
 
@@ -84,7 +84,7 @@ def test_claim_whose_reply_was_lost_is_repeated_under_its_token(tmp_path):
 
 
 def test_failure_whose_acknowledgement_was_lost_is_repeated(tmp_path):
-    with FakeCoordinator(jobs_saying("miss"), lease_ttl_s=60) as hub:  # no beat comes between
+    with FakeCoordinator(jobs_saying("miss"), lease_ttl_s=60) as hub:  # no heartbeat in between
         hub.swallow[Verb.FAIL] = 2
         with WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
             assert worker.join() == 0
@@ -288,7 +288,7 @@ def test_a_worker_whose_simulations_do_not_start_claims_no_job(tmp_path):
 
 
 def test_a_worker_with_a_paused_simulation_learns_the_end_of_the_run_from_a_heartbeat(tmp_path):
-    """Its one slot rests after crashes, so that it claims nothing for a while."""
+    """Its only slot pauses after crashes, so that it claims no job for a time."""
     with coordinator(*["die"] * 4) as hub:
         hub.tells_end_by_beat = True
         hub.swallow[Verb.CLAIM] = 0

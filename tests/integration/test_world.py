@@ -1,4 +1,4 @@
-"""The world in real PyBullet: it drives as told, stops at walls, and does the same every time."""
+"""The world in PyBullet: follows commands, stops at walls, and is deterministic."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def open_world(scene: CompiledScene) -> World:
 
 @pytest.fixture
 def room() -> Iterator[World]:
-    """A room of 8 x 6 m with a crate, a barrel and a pillar; the robot stands in the middle."""
+    """A room of 8 x 6 m with a crate, a barrel and a pillar; the robot is in the middle."""
     with open_world(box_room()) as world:
         yield world
 
@@ -48,7 +48,7 @@ def drive(world: World, wanted: Iterable[Twist]) -> None:
 
 
 def trajectory_digest() -> str:
-    """Drives a fixed zigzag into the crate and digests every pose."""
+    """Drives a fixed zigzag into the crate and returns the digest of all poses."""
     rng = np.random.default_rng(7)
     digest = hashlib.sha256()
     with open_world(box_room()) as world:
@@ -203,7 +203,7 @@ def test_large_meshes_are_split_into_pieces_with_the_same_triangles() -> None:
 
 
 def test_unused_meshes_leave_no_references() -> None:
-    """PyBullet keeps a reference to every list it was ever given."""
+    """PyBullet keeps a reference to every list that it received."""
     rng = np.random.default_rng(0)
     vertices = rng.uniform(3, 4, (3000, 3)).astype(np.float32)
     scene = replace(
