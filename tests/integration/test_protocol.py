@@ -1,4 +1,4 @@
-"""The lease protocol end to end: a real coordinator on loopback with a real archive, a worker that implements the protocol."""
+"""The lease protocol end to end: a real coordinator on loopback with a real archive, and a scripted worker."""
 
 from __future__ import annotations
 

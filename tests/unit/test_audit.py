@@ -1,4 +1,4 @@
-"""What `make audit` makes of pip-audit's reports: a package that nobody could look up is not a sound one."""
+"""The summary of pip-audit's reports in `make audit`: a package without a result does not count as safe."""
 
 from __future__ import annotations
 

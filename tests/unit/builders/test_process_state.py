@@ -1,4 +1,4 @@
-"""What a test changes in its process is restored, and the test is told."""
+"""Changes of a test to its process are restored and reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The processes of a session build a shared thing once, and wait for the one that builds."""
+"""The processes of a session build shared data once and wait for the builder."""
 
 from __future__ import annotations
 

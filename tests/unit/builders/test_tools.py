@@ -1,4 +1,4 @@
-"""The tests find the system's tools with the PATH that Debian gives an ordinary user."""
+"""Tests find system tools with the PATH of an ordinary Debian user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who pulls a bundle, with gateways that name too many routers, or those of others."""
+"""Assignment of bundles to pullers, with gateways that claim too many routers or those of others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TARGET = room_catalog()["room"].info.targets[0]
 
 
 class Desk:
-    """A dispatch with a clock that the test turns."""
+    """A dispatch with a test clock."""
 
     def __init__(self) -> None:
         self.now = 0.0

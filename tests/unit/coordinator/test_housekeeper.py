@@ -1,4 +1,4 @@
-"""The housekeeper: chores again and again, and a failing one neither ends the others nor fills the log."""
+"""The housekeeper: periodic tasks; a failing one neither stops the others nor fills the log."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ STATES = {False: "leased", True: "submitted"}
 
 
 class Held:
-    """A ledger whose workers beat for ever, and the limit that its coordinator has."""
+    """A ledger whose workers send heartbeats without end, and the lease limit of its coordinator."""
 
     def __init__(self, desk: Desk, limit: LeaseLimit) -> None:
         self.desk, self.limit = desk, limit
@@ -35,7 +35,7 @@ class Held:
         return lease
 
     def pass_time(self, seconds: float) -> int:
-        """Lets time pass while every worker beats; returns how many leases the limit has ended."""
+        """Advances the time while every worker sends heartbeats; returns the number of leases ended by the limit."""
         ended, end = 0, self.desk.now + timedelta(seconds=seconds)
         while self.desk.now < end:
             self.desk.tick(min(TTL_S / 2, (end - self.desk.now).total_seconds()))
@@ -44,7 +44,7 @@ class Held:
         return ended
 
     def beat(self) -> list[Lease]:
-        """Beats once for each lease; returns those that are lost."""
+        """Sends one heartbeat for each lease; returns the lost leases."""
         lost: list[Lease] = []
         for lease, sid in self.leases.items():
             with self.desk.open() as connection:

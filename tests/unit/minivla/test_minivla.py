@@ -1,4 +1,4 @@
-"""The public package: light, complete, and aware of foreign packages that hide the product's own."""
+"""The public package: light, complete, and robust against foreign packages with the same names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever a peer sends is bounded: every number, text, list and map of every model, however deep it is nested."""
+"""All data of peers is bounded: every number, text, list and map of every model at any depth."""
 
 from __future__ import annotations
 

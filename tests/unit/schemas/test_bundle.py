@@ -1,4 +1,4 @@
-"""The bundle: whole round trips, equal bytes for equal content, and every way in which a file can be none."""
+"""The bundle: round trips, equal bytes for equal content, and refusal of invalid files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The archive on a real directory: links, part files and full disks; what all archives promise is in the contract."""
+"""The archive on a real directory: links, part files and full disks; the contract suite tests what all archives share."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_only_the_canonical_name_is_an_episode(name: str, index: int | None) -> 
 
 
 def test_a_full_disk_is_reported_and_leaves_no_partial_file(tmp_path: Path) -> None:
-    """A limit on the size of files stands in for a full disk: both end in an OSError within a write."""
+    """A file size limit replaces a full disk: both raise an OSError during a write."""
     script = """
 import resource, signal, sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The lock of the one coordinator: others may ask whether it is held, which never keeps a coordinator out."""
+"""The lock of the coordinator: checking it never blocks a coordinator."""
 
 from __future__ import annotations
 

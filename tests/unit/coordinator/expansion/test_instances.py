@@ -1,4 +1,4 @@
-"""Instances of training and evaluation: kept apart where a scene has enough, shared and said so where it has not."""
+"""Instances of training and evaluation: separate where a scene has enough, otherwise shared and reported."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def named(jobs: list[PlannedJob], *splits: Split) -> set[str]:
 
 
 def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJob]:
-    """Every draw of every episode, as if each but the last were hopeless."""
+    """Returns every draw of every episode, as if all but the last failed."""
     jobs = list(expand(plan, catalog))
     found = list(jobs)
     for _ in range(draws):

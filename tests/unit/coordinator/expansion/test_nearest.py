@@ -1,4 +1,4 @@
-"""The nearest possible plan: every cell has a target, nothing is changed that need not be, and TOML keeps it."""
+"""The nearest feasible plan: every cell has a target, changes are minimal, and TOML preserves it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NEAR_AND_MID = (Tier.NEAR, Tier.MID)
 
 
 def hospital(seen: Sequence[Tier] = tuple(Tier), held_out: Sequence[Tier] | None = tuple(Tier)) -> Catalog:
-    """A hospital whose targets can be started for from those tiers; without held-out categories for `None`."""
+    """A hospital whose targets can be reached from these tiers; without held-out categories for `None`."""
     names = {"chair": seen, "trash_can": seen}
     if held_out is not None:
         names |= {"fire_extinguisher": held_out, "whiteboard": held_out}

@@ -1,4 +1,4 @@
-"""Plan files: every mistake is named with its key; shrinking keeps proportions."""
+"""Plan files: every error names its key; reducing the size keeps proportions."""
 
 from __future__ import annotations
 

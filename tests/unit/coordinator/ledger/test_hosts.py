@@ -1,4 +1,4 @@
-"""Hosts that harm jobs: they pause, are barred and released; jobs are given up only when several hosts failed them."""
+"""Failing hosts pause, are barred and released; jobs are abandoned only after failures on several hosts."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EPISODES = 20
 
 
 class Counter:
-    """Asks a ledger as hosts do, through all that the protocol checks, with a clock that the test turns."""
+    """Sends requests of hosts through the protocol checks to a ledger with a test clock."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -68,7 +68,7 @@ class Counter:
         assert self.desk.archive(lease)
 
     def spoil(self, host: str, seconds: float, reason: FailReason = FailReason.INVALID) -> int:
-        """Lets a host fail whatever it is given for so long; returns how many jobs that were."""
+        """Lets a host fail every job for a time; returns the number of jobs."""
         end, spoilt = self.desk.now + timedelta(seconds=seconds), 0
         while self.desk.now < end:
             reply = self.claim(host)
@@ -211,7 +211,7 @@ def test_a_job_that_fails_on_both_of_two_hosts_is_abandoned(counter):
 
 
 def test_a_job_that_fails_on_the_only_host_is_abandoned_after_a_long_time(counter):
-    """The host brings every other episode, so that it is not at fault."""
+    """The host delivers every other episode, so that it is not barred."""
     begun, tries = counter.desk.now, 0
     while counter.counts()["failed"] == 0:
         reply = counter.claim("only")

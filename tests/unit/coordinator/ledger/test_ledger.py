@@ -1,4 +1,4 @@
-"""The ledger's functions on a real database with a clock that the test turns."""
+"""The functions of the ledger on a real database with a test clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The writer thread: group commits, poison that harms nobody else, answers after COMMIT."""
+"""The writer thread: group commits, isolation of failing requests, answers after COMMIT."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def keys(engine: Engine) -> list[str]:
 
 
 def held_back(writer: Writer) -> threading.Event:
-    """Keeps the writer busy until the event is set, so that what follows shares one commit."""
+    """Keeps the writer busy until the event is set, so that later requests share one commit."""
     gate = threading.Event()
     writer.submit(lambda _: gate.wait(60))
     return gate

@@ -1,4 +1,4 @@
-"""The tables of a dataset, read back with the tools a user has."""
+"""The tables of a dataset, read back with common tools."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_card_has_a_readable_front_matter(tmp_path: Path) -> None:
         {"config_name": "attempts", "data_files": failed},
     ]
     assert "2 of 3 planned episodes so far" in text
-    assert "pypi.org" not in text  # the package is on no index, so that a link to it would lead nowhere
+    assert "pypi.org" not in text  # the package is not on an index, so that a link would be broken
     assert "| office | 2 | 12.0 | 1.60 |" in text
     assert "| 3 | 67 % |" in text
     assert "| train_id | seen categories, training phrases | 2 | 2 |" in text

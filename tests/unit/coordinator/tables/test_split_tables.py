@@ -1,4 +1,4 @@
-"""The split tables: the rows of the metadata by split with thumbnails, written once, whole, and mended."""
+"""The split tables: metadata rows by split with thumbnails, written atomically, reused and repaired."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def root(made: Path, tmp_path: Path) -> Path:
-    """A copy that the test may damage."""
+    """A copy that the test may change."""
     shutil.copytree(made, tmp_path / "data")
     return tmp_path / "data"
 
@@ -97,7 +97,7 @@ def test_a_thumbnail_is_made_once_even_when_rows_come_in(tmp_path: Path) -> None
     root = tmp_path / "data"
     old = read_pictures(root / TRAIN)
     for path in (root / "episodes").iterdir():
-        path.unlink()  # so that nothing can be made again
+        path.unlink()  # so that no thumbnail can be computed again
     table = pq.read_table(root / METADATA_FILE)
     renamed = table.set_column(3, "instruction", pa.array(["Go there."] * 3))
     pq.write_table(renamed, root / METADATA_FILE)

@@ -1,4 +1,4 @@
-"""The queue in which owners take turns by the time they were served."""
+"""The queue that serves owners in order of their consumed time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bringing a bundle home: over the network, or from the disk on which the archive lies, too."""
+"""Pulling a bundle over the network, or linking it from the disk of the archive."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LEASE = Lease(job_id=1, fence=1, token="0" * 32)
 
 @dataclass
 class House:
-    """A ledger and a judge that agree with everything, and a worker that serves `BUNDLE`; all take notes."""
+    """A ledger and a validator that accept everything, and a worker that serves `BUNDLE`; all record their calls."""
 
     fetched: list[Chunk] = field(default_factory=list)
     judged: list[bytes] = field(default_factory=list)
@@ -65,7 +65,7 @@ class House:
 
 @contextmanager
 def brought(root: Path, nearby: Nearby) -> Iterator[tuple[House, Path]]:
-    """Has one bundle brought, and gives what was noted and where it has to lie."""
+    """Pulls one bundle; returns the recorded calls and its expected path."""
     house = House()
     settings = CoordinatorSettings(pullers=1, chunk_bytes=4096, reserve_bytes=0)
     sha256 = hashlib.sha256(BUNDLE).hexdigest()
@@ -146,7 +146,7 @@ def test_refused_bundles_of_one_host_do_not_fill_the_log(tmp_path: Path) -> None
 
 
 class Crowd(House):
-    """Workers of several hosts; those whose name begins with `slow` take their time for every chunk."""
+    """Workers of several hosts; those with a name that starts with `slow` delay every chunk."""
 
     def __init__(self, pause_s: float) -> None:
         super().__init__()
@@ -237,7 +237,7 @@ def test_a_bundle_that_is_announced_repeatedly_but_not_served_is_refused(tmp_pat
         open_archive(tmp_path / "data") as archive,
         Pullers(archive, house, fetch, house, settings, house.done.set) as pullers,
     ):
-        for _ in range(600):  # as beats do
+        for _ in range(600):  # as heartbeats do
             pullers.offer(pull)
             if house.done.wait(0.05):
                 break

@@ -1,4 +1,4 @@
-"""What validation finds in the route an episode claims."""
+"""Validation of the route of an episode."""
 
 from __future__ import annotations
 

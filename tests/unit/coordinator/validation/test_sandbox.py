@@ -1,4 +1,4 @@
-"""What a confined process can still do: real processes, real system calls."""
+"""Permitted operations of a confined process: real processes, real system calls."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ ALLOWED = {"what it was handed": "inherited.read()", "memory": "bytearray(64 << 
 
 
 def outcome(folder: Path, action: str) -> tuple[list[str], str]:
-    """Returns what confines a fresh process, and what came of an action in it."""
+    """Returns the active limits of a new process and the result of an action in it."""
     (folder / "secret").write_text("token")
     (folder / "bundle").write_bytes(b"frames")
     words = [sys.executable, "-c", SCRIPT, str(folder), action]

@@ -1,4 +1,4 @@
-"""Every violation that validation promises to find, one at a time, on the smallest valid bundle."""
+"""Every violation that validation detects, one at a time, on the smallest valid bundle."""
 
 from __future__ import annotations
 

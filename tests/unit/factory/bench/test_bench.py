@@ -1,4 +1,4 @@
-"""The parts of the benchmarks that need no simulation: the watch, spreads, the choice of work, the machine."""
+"""The parts of the benchmarks that need no simulation: stopwatch, spreads, choice of jobs, machine description."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_stopwatch_gives_every_stage_the_time_since_the_previous_stage() -> No
     assert list(times) == ["slow", "quick"]
     assert times["slow"][0] >= 0.04
     assert times["slow"][0] + times["quick"][0] <= time.perf_counter() - begun
-    assert times["slow"][1] < times["slow"][0]  # asleep is no CPU time
+    assert times["slow"][1] < times["slow"][0]  # sleeping uses no CPU time
     watch.start()
     assert watch.take() == {}
 
@@ -84,7 +84,7 @@ def test_the_machine_is_named_and_its_memory_is_that_of_this_process() -> None:
     machine = describe_machine()
     assert machine.cpu
     assert machine.cores >= 1
-    # a map of its own: what malloc hands out may be pages that this process held before, in a long test run
+    # a new mapping: malloc may return pages that this process used before
     with mmap.mmap(-1, 40 << 20) as held:
         before = resident_mib()
         held[:: mmap.PAGESIZE] = b"x" * (len(held) // mmap.PAGESIZE)

@@ -1,4 +1,4 @@
-"""All verbs at once: every option explains itself, every result can be had as JSON, the shell completes what it can."""
+"""All commands: every option has a help text, every result is available as JSON, shell completion works."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A package that is missing is told before anything is read, made or started."""
+"""A missing package is reported before any file is read or written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reader of a dataset: as a sequence, across processes, and in the face of damage."""
+"""The reader of a dataset: as a sequence, across processes, and with damaged data."""
 
 from __future__ import annotations
 
@@ -233,7 +233,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before) / len(frames
 
 
 def test_the_memory_of_a_frame_is_reused_for_the_next_one(shared: Path) -> None:
-    """A frame has about 900 pages; where they are given back to the system each is faulted in again."""
+    """A frame has about 900 pages, each of which would cause a page fault if its memory were returned to the system."""
     done = subprocess.run([sys.executable, "-c", _FAULTS, str(shared)], capture_output=True, text=True, check=True)
     assert float(done.stdout) < 150
 
@@ -290,7 +290,7 @@ def test_collation_makes_what_torchs_own_makes(shared: Path) -> None:
 
 
 def test_threads_may_share_an_episode(shared: Path) -> None:
-    """A file has one position: readers that move it under each other found damage where there is none."""
+    """A file has one position: concurrent readers that moved it reported false damage."""
     episode = Dataset(shared)[0]
     wanted = [frame[0] for frame in parts_for().frames]
     with ThreadPoolExecutor(8) as pool:

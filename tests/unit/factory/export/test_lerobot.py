@@ -1,4 +1,4 @@
-"""LeRobot datasets: as LeRobot's own writer makes them, and true to the bundles."""
+"""LeRobot datasets: equal to those of LeRobot's writer, with the content of the bundles."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_info_equals_that_of_lerobots_writer(everything: Path) -> None:
     assert list(ours["features"]) == list(theirs["features"])
     for name, feature in theirs["features"].items():
         mine = ours["features"][name]
-        encoder = {"video.crf", "video.extra_options"}  # what we encode with, not what a reader needs
+        encoder = {"video.crf", "video.extra_options"}  # encoder settings, not needed by readers
         info = {key: value for key, value in feature.pop("info", {}).items() if key not in encoder}
         assert {key: value for key, value in mine.pop("info", {}).items() if key not in encoder} == info
         assert mine == feature
@@ -227,7 +227,7 @@ def test_modality_covers_the_whole_state_and_action(older: Path) -> None:
     stats = json.loads((older / "meta/stats.json").read_text())
     for part in (*MODALITY["state"].values(), *MODALITY["action"].values()):
         assert np.issubdtype(part["dtype"], np.number)
-    for key in ("observation.state", "action", "tokens"):  # GR00T cuts its parts out of every statistic
+    for key in ("observation.state", "action", "tokens"):  # GR00T slices its parts out of every statistic
         assert {len(values) for values in stats[key].values()} == {features[key]["shape"][0]}
 
 
@@ -242,7 +242,7 @@ def test_version_2_1_uses_the_list_type_of_its_readers(older: Path) -> None:
 
 def test_files_are_split_at_their_size_limit(varied: Path, tmp_path: Path) -> None:
     shutil.copytree(varied, tmp_path / "data")
-    (tmp_path / "data/episodes/ep_000003.zip").unlink()  # an export that misses an episode keeps its pieces
+    (tmp_path / "data/episodes/ep_000003.zip").unlink()  # an export with a missing episode keeps its pieces
     options, out = LeRobotOptions(fps=10), tmp_path / "out"
     assert not run_export(ExportOrder(tmp_path / "data", out, "lerobot", options)).complete
     dataset = Dataset(varied)
@@ -277,7 +277,7 @@ def test_rate_that_does_not_divide_is_refused(varied: Path, tmp_path: Path) -> N
 
 
 def test_state_is_odometry_from_the_first_frame() -> None:
-    """A quarter circle to the left of radius 1 m within one second, begun at (3, 2) facing +y."""
+    """A quarter circle to the left of radius 1 m within one second, from (3, 2) facing +y."""
     t = np.linspace(0, 1, 61)
     yaw = np.pi / 2 + t * np.pi / 2
     poses = np.zeros((61, 7), np.float32)

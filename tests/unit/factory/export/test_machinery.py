@@ -1,4 +1,4 @@
-"""What stands behind all formats: processes, the directory, selection, options on the command line."""
+"""The shared parts of all formats: processes, output directory, selection, command line options."""
 
 from __future__ import annotations
 
@@ -213,7 +213,7 @@ def test_the_command_names_skipped_episodes_and_exits_with_1(varied: Path, tmp_p
 def test_the_command_names_missing_episodes_of_the_plan_and_exits_with_1(tmp_path: Path) -> None:
     make_dataset(tmp_path / "data", 1, planned=7)
     words = [str(tmp_path / "data"), "--to", "vlnce", "-o", str(tmp_path / "out"), "--workers", "1"]
-    for _ in range(2):  # the second time all is there already
+    for _ in range(2):  # the second run finds everything complete
         done = CliRunner().invoke(command, words, standalone_mode=False)
         assert done.return_value == 1
         assert "not in the dataset: ep_000002, ep_000003, ep_000004, ep_000005, ep_000006 and 1 more" in done.stderr

@@ -1,4 +1,4 @@
-"""The paper's tree: every frame and array is in content what the bundle holds."""
+"""The paper's tree: every frame and array equals the content of the bundle."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ KINDS = (("rgb_front", "png"), ("depth_front", "npy"), ("seg_front", "png"))
 
 
 def frame(folder: Path, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Reads a frame with libraries that know nothing of us."""
+    """Reads a frame with third-party libraries only."""
     rgb = np.asarray(Image.open(folder / f"rgb_front/{t:06d}.png"))
     ids = np.asarray(Image.open(folder / f"seg_front/{t:06d}.png"))
     return rgb, np.load(folder / f"depth_front/{t:06d}.npy"), ids.astype(np.uint16)

@@ -1,4 +1,4 @@
-"""Episodes in Habitat's words: axes, headings, paths, tokens."""
+"""Episodes in Habitat's conventions: axes, headings, paths, tokens."""
 
 from __future__ import annotations
 

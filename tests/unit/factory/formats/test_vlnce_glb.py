@@ -1,4 +1,4 @@
-"""Scenes as binary glTF: what a reader finds of two boxes, one plain and one with a texture."""
+"""Scenes as binary glTF: two boxes, one plain and one with a texture."""
 
 from __future__ import annotations
 

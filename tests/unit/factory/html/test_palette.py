@@ -1,4 +1,4 @@
-"""The colours: legible on both grounds, told apart by people who see fewer colours, replaceable by name."""
+"""The colours: legible on both backgrounds, distinguishable with colour vision deficiency, replaceable by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Templates: text is escaped, a missing name is an error, and the package holds all of them."""
+"""Templates: text is escaped, a missing name is an error, and the package contains all templates."""
 
 from __future__ import annotations
 

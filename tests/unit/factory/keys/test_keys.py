@@ -1,4 +1,4 @@
-"""The folder of an authority: what is written, who may read it, what is refused."""
+"""The folder of an authority: files, permissions, refusals."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def test_tls_endpoints_without_keys_and_keys_without_tls_endpoints_are_refused()
         require_loopback(["tcp/0.0.0.0:7447"])
     with pytest.raises(UsageError, match="--tls"):
         require_loopback(["tls/127.0.0.1:7447"])
-    require_endpoints(["tcp/10.0.0.1:7447"], with_tls=False)  # through a tunnel of the user's, perhaps
+    require_endpoints(["tcp/10.0.0.1:7447"], with_tls=False)  # possibly through a tunnel of the user
     require_endpoints(["tls/10.0.0.1:7447"], with_tls=True)
     with pytest.raises(UsageError, match="--tls"):
         require_endpoints(["tls/10.0.0.1:7447"], with_tls=False)

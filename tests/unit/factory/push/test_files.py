@@ -1,4 +1,4 @@
-"""What of a folder goes to the Hub."""
+"""Selection of files for the Hub."""
 
 from __future__ import annotations
 

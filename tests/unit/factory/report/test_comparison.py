@@ -1,4 +1,4 @@
-"""Beside the paper: every difference is right, and where it is one, the reason has the numbers that make it."""
+"""Comparison with the paper: every difference is correct, and its reason contains the numbers."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_shares_follow_the_plan() -> None:
 
 
 def test_the_share_of_a_small_plan_is_that_of_its_cells() -> None:
-    row = found([episode_row(1)], "share of train_id")  # of two, one in each scene
+    row = found([episode_row(1)], "share of train_id")  # one of two in each scene
     assert row.reason.startswith("The plan asks for 60 % in all, 100 % of its 2 episodes, 1 of 2 made so far")
 
 

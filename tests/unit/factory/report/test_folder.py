@@ -1,4 +1,4 @@
-"""Where a report is written: to folders that are empty or its own, and deleting nothing of others."""
+"""The output folder of a report: empty folders or former reports only, without deleting other files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The choice of sample episodes: scenes and categories take turns, by the rows alone."""
+"""The choice of sample episodes from the rows: scenes and categories in turn."""
 
 from __future__ import annotations
 

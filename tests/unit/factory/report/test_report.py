@@ -1,4 +1,4 @@
-"""A whole report of small datasets: what is on the page, that it needs nothing else, and what it says of damage."""
+"""Complete reports of small datasets: content of the page, self-containedness, and damaged data."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def own(tmp_path: Path) -> Path:
 
 
 def page_of(root: Path) -> str:
-    """Returns the page with the quickest figure alone."""
+    """Returns the page with only the fastest figure."""
     return render_report(gather(root), drawers=(action_space.draw,))[0][PAGE_FILE].decode()
 
 
@@ -116,7 +116,7 @@ def test_numbers_are_those_of_the_statistics(files: dict[str, bytes], data: Path
 
 @pytest.fixture(scope="module")
 def alone(data: Path) -> dict[str, bytes]:
-    """The report of the same dataset as it is by default: its plan is not the paper's."""
+    """The default report of the same dataset, whose plan is not the paper's."""
     return render_report(gather(data))[0]
 
 
@@ -154,7 +154,7 @@ def test_instructions_are_escaped(own: Path) -> None:
 
 def test_a_damaged_episode_is_omitted_and_reported(own: Path) -> None:
     path = own / "episodes" / "ep_000002.zip"
-    path.write_bytes(bytes(path.stat().st_size))  # a cut one would be left out of the statistics already
+    path.write_bytes(bytes(path.stat().st_size))  # a truncated one would already be excluded from the statistics
     material = gather(own)
     assert sorted(material.drives.tracks) == ["ep_000001", "ep_000003"]
     (remark,) = material.statistics.remarks

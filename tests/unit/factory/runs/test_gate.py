@@ -1,4 +1,4 @@
-"""The gate: every first attempt tried once, counted by tier and reason, judged; real processes, no physics."""
+"""The gate: every first attempt runs once and is counted by tier and reason; real processes, no physics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Imported scenes are found by name in a cache, the last first; built-in ones are none of them."""
+"""Imported scenes are found by name in a cache, newest first, without built-in scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files that a plan names are looked for before anything is built; all that are missing are named."""
+"""The files of a plan are checked before building; all missing ones are listed."""
 
 from __future__ import annotations
 

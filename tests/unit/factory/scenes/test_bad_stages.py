@@ -1,4 +1,4 @@
-"""Stages that are broken, odd or hostile: a message that names prim or file and the remedy, never a crash."""
+"""Broken, unusual or hostile stages: a message with prim or file and the remedy, never a crash."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_an_oversized_mesh_is_refused_before_triangulation(tmp_path: Path) -> No
         int[] faceVertexIndices = {[7] * 60}
         point3f[] points = [(0, 0, 0)]
     }}"""
-    assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # cut up, it shows itself as broken
+    assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # triangulation would report it as broken
     with pytest.raises(WorldError, match=r"more than 50 triangles, passed at /World/Fan.*/World/Fan \(58\)"):
         extract(tmp_path, fan + BOX, StageLimits(max_triangles=50))
 
@@ -241,7 +241,7 @@ def textured(file: str) -> str:
 
 @pytest.fixture
 def secret(tmp_path: Path) -> Path:
-    """A picture beside, not below, the stage's folder."""
+    """An image outside the folder of the stage."""
     (tmp_path / "stage").mkdir()
     Image.fromarray(np.full((8, 8, 3), 77, np.uint8)).save(tmp_path / "secret.png")
     return tmp_path / "secret.png"
@@ -303,7 +303,7 @@ def test_a_stage_with_invalid_text_is_refused_or_noted(tmp_path: Path, place: by
 
 
 def refusal_of(path: Path) -> str:
-    """Returns why a stage is refused, or nothing when it is not."""
+    """Returns why a stage is refused, or an empty text."""
     try:
         extract_stage(path)
     except WorldError as error:

@@ -1,4 +1,4 @@
-"""Colour names are those that people would give."""
+"""Colour names match human naming."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stage becomes a scene package, or an error that says why not."""
+"""Compilation of a stage to a scene package, or an error with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An unchanged stage is compiled once; whatever changes what it is compiled to has it compiled anew."""
+"""An unchanged stage is compiled once; every change of an input triggers compilation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BOXES = {"a.usda": 0.5, "b.usda": 1.0}
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Path:
-    """A room with two boxes of different height from files of their own."""
+    """A room with two boxes of different height from separate files."""
     for name, height in BOXES.items():
         TEXT.write(tmp_path / name, TEXT.box("Box", (0, 0, 0), (0.5, 0.5, height)))
     boxes = "".join(
@@ -30,7 +30,7 @@ def stage(tmp_path: Path) -> Path:
 
 
 def imported(stage: Path, rules: RuleBook | None = None, targets: TargetList | None = None) -> tuple[Path, bool]:
-    """The package, and whether it was compiled for it."""
+    """Returns the package, and whether it was compiled in this call."""
     told: list[str] = []
     cache = stage.parent / "cache"
     return import_scene(stage, "lab", cache, rules, targets, tell=lambda: told.append("lab")), bool(told)

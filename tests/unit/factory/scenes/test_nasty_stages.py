@@ -1,4 +1,4 @@
-"""A corpus of small nasty stages: each is read without an end, keeps its good box, and names the prim that is bad."""
+"""A corpus of small broken stages: each is read, keeps its valid box, and names the broken prim."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def mesh(name: str, points: str, counts: str = "[3]", indices: str = "[0, 1, 2]"
 
 
 def textured(asset: str) -> str:
-    """A triangle whose colour comes from a picture."""
+    """A triangle with a textured colour."""
     return (
         mesh(
             "Bad",
@@ -73,7 +73,7 @@ BOUND = mesh("Bad", CORNERS, more="rel material:binding = </World/Paint>")
 
 @dataclass(frozen=True)
 class Case:
-    """A nasty stage, what a note must say, and how many triangles its bad prims still show."""
+    """A broken stage, the expected note, and the number of triangles of its broken prims."""
 
     body: str
     words: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What docs/scenes/own.md tells to type is understood: its commands, rules, row of targets and plan."""
+"""Commands, rules, target row and plan of docs/scenes/own.md are valid."""
 
 from __future__ import annotations
 

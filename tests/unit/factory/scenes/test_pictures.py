@@ -1,4 +1,4 @@
-"""Which views and which things are shown, decided on numbers before anything is drawn."""
+"""The choice of views and objects for pictures, before rendering."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def frame(ids: np.ndarray, depth_m: float = 3.0) -> RenderedFrame:
 
 
 def picture(*things: int) -> np.ndarray:
-    """40 x 40 ids: background 1 and one square of 8 x 8 for each thing."""
+    """40 x 40 ids: background 1 and one square of 8 x 8 for each object."""
     ids = np.ones((40, 40), int)
     for number, thing in enumerate(things):
         ids[4:12, 9 * number : 9 * number + 8] = thing

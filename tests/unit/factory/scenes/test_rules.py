@@ -1,4 +1,4 @@
-"""Names in the wild find their categories."""
+"""Category rules on names of public assets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Floor, collider and occupancy say what is solid and where."""
+"""Floor, collider and occupancy of a scene."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_an_authored_collider_replaces_the_meshes_inside_it() -> None:
     proxy = part("/World/Shelf/collision", box((0, 0, 0), (0.2, 1, 1)), is_collider=True)
     far = part("/World/Shelf/collision_2", box((0.9, 0, 0), (1, 1, 1)), is_collider=True)
     solid = solid_triangles([shown, beside], [proxy, far], 0.0)
-    assert len(solid) == 3 * 10  # what lies on the floor is floor
+    assert len(solid) == 3 * 10  # geometry on the floor counts as floor
     assert not ((solid[:, :, 0] > 0.2) & (solid[:, :, 0] < 0.9)).any()
 
 

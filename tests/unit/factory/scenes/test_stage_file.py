@@ -93,14 +93,14 @@ def test_a_stage_with_a_wrong_suffix_is_refused_with_the_right_suffix(tmp_path: 
 
     text = stage(tmp_path)
     crate, packed = tmp_path / "c.usdc", tmp_path / "p.usdz"
-    opened = Usd.Stage.Open(str(text))  # kept: a layer without its stage is freed
+    opened = Usd.Stage.Open(str(text))  # kept alive: a layer without its stage is freed
     opened.GetRootLayer().Export(str(crate))
     assert UsdUtils.CreateNewUsdzPackage(str(crate), str(packed))
     opens = {text: (".usd", ".usda", ".USDA"), crate: (".usd", ".usdc"), packed: (".usdz",)}
     for source, suffixes in opens.items():
         for suffix in (".usd", ".usda", ".USDA", ".usdc", ".usdz", ".txt", ""):
             if source is packed and suffix in {".txt", ""}:
-                continue  # any zip archive: nothing says that it is a stage
+                continue  # any zip archive: no sign of a stage
             path = tmp_path / f"copy{suffix}"
             path.write_bytes(source.read_bytes())
             fault = find_fault(path)

@@ -1,4 +1,4 @@
-"""A scene's start points are measured, and too few of them are called so with a reason."""
+"""The start points of a scene are measured, and too few of them are reported with a reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The list of targets is readable, editable and honoured; what it gets wrong is named."""
+"""The target list can be read and edited and is applied; its errors are named."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def plain(stage: Path) -> CompiledScene:
 
 
 def edited(stage: Path, plain: CompiledScene, **changes: dict[str, object]) -> CompiledScene:
-    """The room compiled again with the rows of some targets changed; new ids add rows."""
+    """Compiles the room again with changed rows of some targets; new ids add rows."""
     data = yaml.safe_load(spell_target_list(plain.info))
     rows = {row["id"]: row for row in data["targets"]}
     for name, change in changes.items():

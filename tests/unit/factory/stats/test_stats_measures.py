@@ -1,4 +1,4 @@
-"""Each statistic against values worked out by hand and against scipy."""
+"""Each statistic compared with hand-computed values and with scipy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What reaches the log: one bounded line an event, and no value of a local variable."""
+"""Log output: one bounded line for each event, without values of local variables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(factory.__file__).parents[1]
 
 @pytest.fixture
 def lines() -> Iterator[io.StringIO]:
-    """Everything that is logged, with the configuration of an entry point."""
+    """All log lines, with the configuration of an entry point."""
     stream = io.StringIO()
     with contextlib.redirect_stderr(stream):
         configure_logs(verbose=True)

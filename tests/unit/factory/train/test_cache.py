@@ -1,4 +1,4 @@
-"""The cache of shrunk frames: what it holds, that it is made once, and anew when something is wrong with it."""
+"""The cache of downscaled frames: content, reuse, and rebuilding after damage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a checkpoint says of itself, and what is refused; needs no torch."""
+"""Metadata and refusal of checkpoints; needs no torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the network sees of a frame: sizes, ranges, and geometry that survives the shrinking."""
+"""Preprocessing of frames for the network: sizes, ranges, and preserved geometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Instructions as numbers: complete for the templates, stable, and the same for all in the ablated twin."""
+"""Encoding of instructions: complete for the templates, stable, and constant in the ablated model."""
 
 from __future__ import annotations
 

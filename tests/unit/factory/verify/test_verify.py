@@ -1,4 +1,4 @@
-"""Verification finds every kind of damage, and none where there is none."""
+"""Verification finds every kind of damage and reports no false damage."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def data(pristine: Path, tmp_path: Path) -> Path:
-    """A copy that the test may damage."""
+    """A copy that the test may change."""
     return Path(shutil.copytree(pristine, tmp_path / "data"))
 
 
@@ -169,7 +169,7 @@ def test_missing_or_changed_scene_is_found(data: Path) -> None:
     package.write_bytes(good[:-1])
     assert kinds(verify(data)) == [(Kind.DAMAGED, f"scenes/{package.name}")]
     comment = bytearray(good)
-    comment[12] ^= 1  # the hour of the first member, which no decoder looks at
+    comment[12] ^= 1  # the time of the first member, which no decoder reads
     package.write_bytes(comment)
     assert kinds(verify(data)) == [(Kind.CHANGED, f"scenes/{package.name}")]
 
@@ -212,7 +212,7 @@ def test_row_that_breaks_its_model_is_found(data: Path) -> None:
 
 
 def test_episode_with_consistent_hashes_but_impossible_motion_is_found(data: Path) -> None:
-    """Whoever rewrites episode and tables alike still cannot forge the laws of motion."""
+    """Consistent changes of episode and tables still violate the laws of motion."""
     before = Dataset(data)
     with open_archive(data) as archive:
         first = before[0]

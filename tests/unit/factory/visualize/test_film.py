@@ -1,4 +1,4 @@
-"""Films and sheets of an episode: what is in the pictures, what players get, and what a wrong suffix says."""
+"""Videos and contact sheets of an episode: content, codecs, and the message for a wrong suffix."""
 
 from __future__ import annotations
 

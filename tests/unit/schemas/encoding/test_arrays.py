@@ -1,4 +1,4 @@
-"""What an array spec says of arrays that do not fit."""
+"""Violations of array specs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The container: deterministic bytes, random access, and every way in which a zip can lie."""
+"""The container: deterministic bytes, random access, and refusal of inconsistent zip files."""
 
 from __future__ import annotations
 

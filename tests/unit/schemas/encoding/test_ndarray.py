@@ -1,4 +1,4 @@
-"""Arrays as bytes: exact round trips, and headers and frames that lie about their size."""
+"""Arrays as bytes: exact round trips, and headers and frames with false sizes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_numpy_reads_what_we_write() -> None:
 
 
 def test_a_header_in_another_notation_is_equivalent() -> None:
-    """Ours is known by sight; any other one is parsed."""
+    """The header of the product is recognised by its bytes; other headers are parsed."""
     text = "{'shape':(4,3), 'fortran_order':False, 'descr':'<f4'}"
     data = header(f"{text}\n") + SMALL.tobytes()
     assert not encode_npy(SMALL).startswith(header(f"{text}\n"))
@@ -160,7 +160,7 @@ def test_every_flipped_bit_in_a_compressed_array_is_detected(data: st.DataObject
         found = decode_npy_zst("thing", bytes(bad), np.float32, SMALL.shape, 1 << 20)
     except InvalidBundle:
         return
-    assert np.array_equal(found, SMALL)  # a flipped bit that no decoder looks at
+    assert np.array_equal(found, SMALL)  # a flipped bit that no decoder reads
 
 
 @pytest.mark.parametrize("header", [b"{'descr': '<f4', 'shape': (3,", b"(" * 5000, b"'''", b"{[" * 900, b"9" * 6000])

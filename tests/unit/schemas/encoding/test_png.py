@@ -1,4 +1,4 @@
-"""PNG: lossless, readable by others, and closed to every image that is not exactly one of ours."""
+"""PNG: lossless, readable by other software, and strict: other image forms are refused."""
 
 from __future__ import annotations
 

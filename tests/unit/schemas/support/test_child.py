@@ -1,4 +1,4 @@
-"""What a Python process of ours inherits, and that no process is started otherwise."""
+"""The environment of child processes, and that every process is started with it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_python_is_started_by_one_function_only() -> None:
         if isinstance(node, ast.Attribute) and ast.unparse(node) == "sys.executable"
     }
     assert {stray.partition(":")[0] for stray in strays} <= {
-        "factory/cli/main.py",  # runs itself again, by its own words
+        "factory/cli/main.py",  # runs itself again with the same arguments
         "schemas/support/extras.py",  # names it in a message
     }
 

@@ -1,4 +1,4 @@
-"""Repeated events in the log: once, seldom, and over."""
+"""Repeated events in the log: first line, rare repetitions, end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nearest name is offered, and none where none is near."""
+"""The closest name is suggested, and none without a similar name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The spool: what survives, what is swept, and who may use a folder."""
+"""The spool: recovery, cleanup, and locking of folders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small parts of the worker: pauses, names, leases in work, phases."""
+"""Small parts of the worker: pauses, names, active leases, phases."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ UNSEEN = Sighting(0, 320.0, lambda: 0.0)
 
 
 class Seen(NamedTuple):
-    """Senses that have all been taken."""
+    """A view with precomputed values."""
 
     sighting: Sighting
     bearing_rad: float

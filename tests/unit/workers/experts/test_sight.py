@@ -1,4 +1,4 @@
-"""What experts read off a frame."""
+"""Values that experts compute from a frame."""
 
 from __future__ import annotations
 

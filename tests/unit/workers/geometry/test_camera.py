@@ -1,4 +1,4 @@
-"""The camera's geometry: where it is, which way it looks, and what lands on which pixel."""
+"""The geometry of the camera: position, orientation and projection."""
 
 from __future__ import annotations
 

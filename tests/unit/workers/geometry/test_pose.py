@@ -1,4 +1,4 @@
-"""Poses: heading, and what counts as level."""
+"""Poses: heading and levelling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The slew limit: what it lets through, and what it holds back."""
+"""The slew limit of commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RATES = st.floats(-1.5, 1.5)
 
 
 def rounded(twist: Twist) -> Twist:
-    """The twist as an archive holds it."""
+    """The twist in the precision of the archive."""
     return Twist(float(np.float32(twist.v_mps)), float(np.float32(twist.w_rps)))
 
 

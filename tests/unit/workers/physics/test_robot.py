@@ -1,4 +1,4 @@
-"""The robot's URDF: well formed, and of the measures the configuration gives."""
+"""The URDF of the robot: well formed, with the dimensions of the configuration."""
 
 from __future__ import annotations
 

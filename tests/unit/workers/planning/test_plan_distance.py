@@ -1,4 +1,4 @@
-"""Distances along the floor: straight where it is free, around what stands there, none where nothing connects."""
+"""Distances along the floor: straight, around obstacles, and none without a connection."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_two_sides_of_a_fence_are_not_connected():
 
 
 def test_a_wall_at_the_target_blocks_the_success_circle():
-    """The circle reaches beyond the wall; the far side of it is not the target's."""
+    """The circle reaches beyond the wall; the far side does not count."""
     screen = Box((1.9, -3.0, 0.0), (2.0, 3.0, 2.5))
     assert geodesic((1.4, 1.3), screen) is None
 

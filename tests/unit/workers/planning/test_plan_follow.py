@@ -22,7 +22,7 @@ CORNER = (
 
 
 def follow(path: tuple[Waypoint, ...], start: Pose, steps: int = 600) -> tuple[list[Pose], list[Twist]]:
-    """Integrates a robot that does exactly as it is told."""
+    """Integrates a robot that follows commands exactly."""
     follower, pose, command = Follower(path, ROBOT, CONFIG), start, Twist(0.0, 0.0)
     poses, commands = [pose], []
     for _ in range(steps):
@@ -71,7 +71,7 @@ def test_a_turn_on_the_spot_goes_the_planned_way_round(way):
 
 
 def test_a_turn_on_the_spot_ends_at_the_planned_heading_before_a_curve():
-    """By 90 degrees, then on along an arc to the left; farther on the spot the tail might touch something."""
+    """By 90 degrees, then on along an arc to the left; turning further on the spot might cause contact at the tail."""
     turn = [Waypoint(0.0, 0.0, math.radians(10 * step)) for step in range(10)]
     arc = [Waypoint(0.6 * math.cos(a) - 0.6, 0.6 * math.sin(a), a + math.pi / 2) for a in (0.3, 0.6, 0.9, 1.2)]
     poses, commands = follow((*turn, *arc), Pose.planar(0, 0, 0))

@@ -1,4 +1,4 @@
-"""What a process that draws on one core finds in its environment."""
+"""The environment of a process that renders on one core."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walls that hide: what stands wholly behind one is left out, and nothing that could be seen."""
+"""Occlusion by walls: parts completely behind a wall are left out, and no visible part is."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AHEAD = Pose.planar(0.0, 0.0, 0.0)
 
 
 def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
-    """Returns the instance ids of the parts that are said to be hidden."""
+    """Returns the instance ids of the parts that are classified as hidden."""
     bounds = PartBounds.of(scene)
     parts = np.arange(len(scene.part_first))
     hidden = Screens.of(scene).hidden(bounds, parts, optical_pose(pose, CAMERA), CAMERA)
@@ -33,9 +33,9 @@ def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
         (Box((3.0, -0.5, 0.0), (3.5, 0.5, 1.0)), True),
         (Box((3.0, -0.5, 0.0), (3.5, 2.5, 1.0)), False),  # reaches out beside the wall
         (Box((3.0, -0.5, 0.0), (3.5, 0.5, 4.0)), False),  # and above it
-        (Box((1.0, -0.5, 0.0), (1.5, 0.5, 1.0)), False),  # stands before it
-        (Box((1.9, -0.5, 0.0), (2.1, 0.5, 1.0)), False),  # stands through it
-        (Box((-2.0, -0.5, 0.0), (-1.5, 0.5, 1.0)), False),  # stands behind the camera
+        (Box((1.0, -0.5, 0.0), (1.5, 0.5, 1.0)), False),  # in front of it
+        (Box((1.9, -0.5, 0.0), (2.1, 0.5, 1.0)), False),  # intersects it
+        (Box((-2.0, -0.5, 0.0), (-1.5, 0.5, 1.0)), False),  # behind the camera
     ],
 )
 def test_only_what_is_wholly_behind_a_wall_is_hidden(box: Box, is_hidden: bool) -> None:

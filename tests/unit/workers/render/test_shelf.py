@@ -1,4 +1,4 @@
-"""The shelf of prepared scenes: what it keeps, and what it closes."""
+"""The cache of prepared scenes: what it keeps and closes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from workers.render.shelf import SceneShelf
 
 
 class Prepared:
-    """Remembers what it was made of and whether it was closed."""
+    """Records its scene and whether it was closed."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene

@@ -1,4 +1,4 @@
-"""The foreseen drive: it turns while it rolls, keeps to the robot's limits and ends on the success circle."""
+"""The predicted drive: turns while driving, respects the limits of the robot and ends on the success circle."""
 
 from __future__ import annotations
 

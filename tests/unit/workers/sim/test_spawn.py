@@ -23,7 +23,7 @@ CRATE = Box((-0.3, -0.3, 0.0), (0.3, 0.3, 0.6), category="crate")
 
 
 def lane_room(length_m: float) -> LoadedScene:
-    """A room of two metres' width whose crate stands near one end."""
+    """A room of 2 m width with a crate near one end."""
     return prepare_scene(build_scene((*room_walls((-1.0, -1.0), (length_m, 1.0)), CRATE)))
 
 
@@ -98,7 +98,7 @@ def test_the_same_attempt_starts_at_the_same_pose() -> None:
 
 
 def pillared_room() -> LoadedScene:
-    """An open room whose crate is ringed by pillars a metre and a half apart: some ways between them are tight."""
+    """An open room with a crate surrounded by pillars at 1.5 m; some passages between them are narrow."""
     angles = 2 * np.pi * np.arange(10) / 10
     spots = [(2.4 * math.cos(angle), 2.4 * math.sin(angle)) for angle in angles]
     pillars = [Box((x - 0.15, y - 0.15, 0.0), (x + 0.15, y + 0.15, 2.0)) for x, y in spots]
@@ -119,7 +119,7 @@ def test_straight_experts_start_where_the_predicted_drive_is_free() -> None:
     lines = place.grid.are_lines_free(points, 0.97 * points / 5.0, job.spawn.approach_clearance_m)
     off = job.spawn.heading_noise_rad
     drives = [is_drive_free(place, job, (x, y, math.atan2(-y, -x) + off)) for x, y in points[lines]]
-    assert 0 < sum(drives) < len(drives)  # so that there is something to choose
+    assert 0 < sum(drives) < len(drives)  # so that there are several candidates
     for attempt in range(1, 60):
         tried = crate_job(place, attempt)
         start = first_start(place, tried)

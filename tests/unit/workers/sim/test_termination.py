@@ -1,4 +1,4 @@
-"""The end of an episode, told from poses and commands."""
+"""The end of an episode from poses and commands."""
 
 from __future__ import annotations
 

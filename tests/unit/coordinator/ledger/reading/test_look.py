@@ -1,4 +1,4 @@
-"""Looking into a ledger that is none, or is damaged: an error with a remedy, never a traceback of the database's."""
+"""Reading an invalid or damaged ledger: an error with a remedy, never a traceback of the database."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bars where no terminal shows them: a line now and then, and none where a terminal does or nothing is under way."""
+"""Progress without a terminal: occasional log lines, and none on a terminal or without active work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables on a narrow terminal: in pieces that can be read, each with what tells its rows apart."""
+"""Tables on a narrow terminal: readable pieces, each with the identifying columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mistakes in the words of `factory eval`, each refused by name before anything is driven."""
+"""Errors in the arguments of `factory eval`, each refused by name before an episode runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of a dataset: what goes into which group, beside the paper, and in the face of damage."""
+"""The tables of a dataset: groups, comparison with the paper, and damaged data."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_overlap_counts_instances_that_occur_in_training() -> None:
     assert (office.targets, office.shared, office.share) == (2, 1, 0.5)
     assert (office.episodes, office.episodes_on_shared) == (3, 2)
     (everything,) = [row for row in found.overlap if (row.scene, row.split) == ("all", "test_id")]
-    assert (everything.targets, everything.shared) == (3, 1)  # the hospital's chair is another one
+    assert (everything.targets, everything.shared) == (3, 1)  # the chair of the hospital is another instance
 
 
 def test_an_empty_dataset_has_every_table_and_no_mean() -> None:

@@ -1,4 +1,4 @@
-"""Watching a run: a coordinator that is away for a moment is asked again, one that stays away ends the watch."""
+"""Watching a run: a short outage of the coordinator is retried, a long one ends the watch."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def progress(archived: int) -> Progress:
 
 
 def telling(answers: Iterable[int | None]) -> Callable[[], Progress]:
-    """Returns a source that gives each answer in turn; `None` is silence."""
+    """Returns a source that returns each answer in turn; `None` is no answer."""
     left = iter(answers)
 
     def source() -> Progress:

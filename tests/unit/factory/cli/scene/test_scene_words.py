@@ -1,4 +1,4 @@
-"""What is no target is counted, named within bounds, and told apart by why."""
+"""Objects that are not targets are counted, listed up to a limit, and grouped by reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each figure of a survey is a line that says what it means."""
+"""Each value of a survey is printed on a line with its meaning."""
 
 from __future__ import annotations
 

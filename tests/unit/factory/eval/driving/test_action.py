@@ -1,4 +1,4 @@
-"""What counts as an action: shapes, kinds, ranges, and messages that say what came instead."""
+"""Parsing of actions: shapes, types, ranges, and messages for invalid answers."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def track_through(*points: tuple[float, float], stand: int = 0) -> np.ndarray:
 
 def test_spl_is_the_shortest_over_the_driven_length_and_zero_without_success() -> None:
     assert measure.spl(True, 4.0, 5.0) == pytest.approx(0.8)
-    assert measure.spl(True, 4.0, 3.9) == 1.0  # shorter than the shortest: the cells' way is not exact
+    assert measure.spl(True, 4.0, 3.9) == 1.0  # shorter than the shortest: the path on the grid is not exact
     assert measure.spl(False, 4.0, 4.0) == 0.0
     assert measure.spl(True, 0.0, 0.0) == 1.0
 

@@ -1,4 +1,4 @@
-"""The file of specs: what it says of itself, what a part of it is, and how a bad one is refused."""
+"""The spec file: description, subsets, and refusal of invalid files."""
 
 from __future__ import annotations
 

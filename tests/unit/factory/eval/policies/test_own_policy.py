@@ -1,4 +1,4 @@
-"""What is said when a policy's module, class or package is not there, before anything is driven."""
+"""Messages about a missing module, class or package of a policy, before an episode runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Driver(_Base): pass
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working directory, whose modules are forgotten again."""
+    """The working directory; its modules are unloaded at the end."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(sys, "modules", dict(sys.modules))

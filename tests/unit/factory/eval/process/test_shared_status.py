@@ -1,4 +1,4 @@
-"""The sheet in shared memory: what one process writes, another reads, even when the writer is stuck."""
+"""The status in shared memory: one process writes, another reads, even when the writer is blocked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Under which limit a call of a policy stands: the patient one for a reset and a first answer, else the strict one."""
+"""Timeouts of policy calls: the load timeout for a reset and a first answer, otherwise the action timeout."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def sheet() -> Iterator[SharedStatus]:
 
 
 def busy_when_asked(sheet: SharedStatus, watch: SheetWatch, calls: int) -> list[Activity]:
-    """What stands on the sheet while each call of an episode goes on, its reset first."""
+    """Returns the status during each call of an episode, reset first."""
     watch.begin(Activity.SIMULATING)
     found = []
     for _ in range(calls):

@@ -1,4 +1,4 @@
-"""Results from other machines: what an honest one is, and everything that gives a wrong one away."""
+"""Checks of results from other machines: a valid result, and every detected inconsistency."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instructio
 
 
 def arrived(**changes: Any) -> EpisodeResult:
-    """The result of an honest drive to the circle."""
+    """The result of a valid drive to the success circle."""
     rows = [*range(0, STEPS - 1, 6), STEPS - 1]
     values: dict[str, Any] = {
         **describe_question(ORDER),

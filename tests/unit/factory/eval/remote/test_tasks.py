@@ -1,4 +1,4 @@
-"""A campaign as a run of errands: one name for one campaign, and everything a worker needs in what it is told."""
+"""An evaluation as a run of tasks: a unique run name, and tasks with all data that a worker needs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def campaign(drives: Dataset) -> Campaign:
-    """It again, by two policies."""
+    """The same episode with two policies."""
     specs = specs_of_dataset(drives, [Split.TRAIN_ID])
     return Campaign(specs, drives.root, ("stop", "replay"), (Variant.ORIGINAL,), Setup(settings=specs.settings))
 

@@ -1,4 +1,4 @@
-"""What is said of policies that fail as programs: each way once, with its first message."""
+"""Reports of policy errors: each kind once, with its first message."""
 
 from __future__ import annotations
 

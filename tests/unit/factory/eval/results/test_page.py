@@ -1,4 +1,4 @@
-"""The page of an evaluation: self-contained, free of what others wrote into names, main metrics first."""
+"""The page of an evaluation: self-contained, escaped, main metrics first."""
 
 from __future__ import annotations
 

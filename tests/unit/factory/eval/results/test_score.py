@@ -1,4 +1,4 @@
-"""Tables of results: counts by hand, groups in order, gaps of other words, paired comparisons."""
+"""Tables of results: counts, order of groups, ablation gaps, paired comparisons."""
 
 from __future__ import annotations
 

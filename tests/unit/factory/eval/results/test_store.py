@@ -1,4 +1,4 @@
-"""The evaluation directory: durable rows, a torn tail, other questions refused."""
+"""The evaluation directory: durable rows, recovery of a torn tail, refusal of other specs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Other words: never the true ones, the same for the same set, from categories that are there."""
+"""Ablated instructions: never the original, deterministic, from existing categories."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def test_every_model_is_on_or_above_the_floor() -> None:
 
 
 def test_no_two_visible_materials_share_a_plane() -> None:
-    """Else both are seen, in specks; backs against a wall and undersides on the floor are not seen."""
+    """Otherwise z-fighting is visible; backs against a wall and undersides on the floor are not visible."""
     shop, found = Workshop(0), []
     for name, entry in CATALOGUE.items():
         for variant in range(entry.variants):

@@ -1,4 +1,4 @@
-"""What a stage shows arrives whole, in metres and z up, whatever the author did."""
+"""Extraction of the visible geometry of a stage, in metres and z up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The outermost match is the thing; containers, groups and scopes are looked into."""
+"""The outermost match is the object; containers, groups and scopes are descended."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Baked light on rooms of boxes: where it is darker and where it is not."""
+"""Baked light in rooms of boxes: dark and bright areas."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def bake(boxes: Sequence[Box], lamps: Sequence[int] = (LAMP_NUMBER,)) -> LightMa
 
 
 def light_at(light: LightMap, boxes: Sequence[Box], box: int, axis: int, sign: int, place: tuple[float, ...]) -> float:
-    """The mean of the three channels at a place on the face of a box that looks along an axis."""
+    """The mean of the three channels at a position on the face of a box along an axis."""
     triangles = box_triangles(boxes)
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     for row in range(12 * box, 12 * box + 12):

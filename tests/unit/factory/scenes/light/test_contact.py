@@ -1,4 +1,4 @@
-"""The dark rim beside what stands on the floor."""
+"""The contact shadow beside objects on the floor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Normals that run on over the pieces of a round surface, and stay apart over sharp edges."""
+"""Normals are smooth over the pieces of a round surface and separate at sharp edges."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def room_charts() -> Charts:
 
 
 def covered(layout: Unwrap) -> np.ndarray:
-    """How many charts claim each texel."""
+    """Number of charts that use each texel."""
     claims = np.zeros(layout.shape, int)
     for (column, row), (wide, high) in zip(layout.place, layout.size, strict=True):
         claims[row : row + high, column : column + wide] += 1
