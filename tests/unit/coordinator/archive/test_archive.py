@@ -1,4 +1,4 @@
-"""The archive on a real directory: links, part files and full disks; the contract suite tests what all archives share."""
+"""The archive on a directory: links, part files and full disks. The contract suite tests what archives share."""
 
 from __future__ import annotations
 
