@@ -43,7 +43,7 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = l
         if nearest.plan is not None:
             mistakes += [f"nearest possible: {change}" for change in nearest.changes]
             mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
-        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
     return entries
 
 
@@ -85,7 +85,7 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
         entry = read_entry(package_file(path))
         if entry.sha256 == sha256:
             return entry
-    raise ArchiveCorrupt(f"{root / SCENES} holds no package of {name} with SHA-256 {sha256}; run `factory verify`")
+    raise ArchiveCorrupt(f"{root / SCENES} has no package of scene {name} with SHA-256 {sha256}; run `factory verify`")
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:

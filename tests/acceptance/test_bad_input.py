@@ -61,7 +61,7 @@ def test_a_directory_of_another_plan_is_not_changed(factory, reference, tmp_path
 
 def test_a_directory_within_a_dataset_is_refused(factory, plan, reference):
     err = factory("run", plan, "--out", reference / "episodes" / "x", expect=2).stderr
-    assert f"lies in the dataset {reference}" in err
+    assert f"is inside the dataset {reference}" in err
     assert not (reference / "episodes" / "x").exists()
 
 
@@ -71,7 +71,7 @@ def test_an_unknown_part_of_a_dataset_is_refused_before_a_dataset_is_written(fac
     out.mkdir()
     (out / "thesis.tex").write_text("mine")
     err = factory("run", plan, "--out", out, expect=2).stderr
-    assert "no part of a dataset, as `factory verify` will say: thesis.tex" in err
+    assert "files that do not belong to a dataset; `factory verify` will report them: thesis.tex" in err
 
 
 def test_a_worker_without_a_coordinator_prints_the_start_command(factory):
@@ -126,7 +126,7 @@ def test_truncated_and_foreign_files_among_the_episodes_are_found_and_repaired(f
 
 def test_a_missing_episode_is_answered_with_the_existing_ones(factory, reference):
     assert "holds 5 episodes" in factory("replay", reference, 77, expect=2).stderr
-    assert "no dataset" in factory("replay", reference.parent, 1, expect=2).stderr
+    assert "is not a dataset" in factory("replay", reference.parent, 1, expect=2).stderr
 
 
 def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, reference):

@@ -31,5 +31,5 @@ def test_repair_without_ledger_and_description_requires_the_plan(factory, refere
 
 
 def test_a_missing_directory_is_reported(factory, tmp_path):
-    assert "no directory" in factory("repair", tmp_path / "nowhere", expect=2).stderr
+    assert "nowhere does not exist" in factory("repair", tmp_path / "nowhere", expect=2).stderr
     assert not (tmp_path / "nowhere").exists()

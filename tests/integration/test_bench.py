@@ -115,7 +115,7 @@ def test_memory_is_measured_over_aborted_and_complete_episodes(room: Path) -> No
 @pytest.mark.gl
 def test_no_memory_figure_is_reported_for_a_failed_simulation(room: Path) -> None:
     nowhere = replace(read_entry(room), path=room / "no folder")
-    with pytest.raises(WorldError, match=r"could not do .*Not a directory"):
+    with pytest.raises(WorldError, match=r"simulation failed in scene .*Not a directory"):
         bench_memory([job_in(room)], {"box_room": nowhere}, COMMAND, 20, lambda: None)
 
 

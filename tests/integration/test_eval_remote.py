@@ -95,7 +95,7 @@ def test_an_error_of_the_server_is_a_policy_failure_with_its_message() -> None:
 def test_malformed_bytes_are_an_invalid_answer() -> None:
     with server(lambda connection, _: connection.send(b"\xc1")) as address:
         policy = begin(address)
-        with pytest.raises(PolicyFailure, match="no msgpack message") as caught:
+        with pytest.raises(PolicyFailure, match="not a valid msgpack message") as caught:
             policy.act(VIEW)
         policy.close()
     assert caught.value.fault is PolicyFault.INVALID
@@ -175,7 +175,10 @@ def test_an_unreachable_server_is_not_a_policy_failure() -> None:
 
 
 def test_an_endpoint_without_a_policy_server_is_reported_immediately() -> None:
-    with server(lambda _c, _o: None, greeting="hello") as address, pytest.raises(UsageError, match="openpi's kind"):
+    with (
+        server(lambda _c, _o: None, greeting="hello") as address,
+        pytest.raises(UsageError, match="not an openpi policy server"),
+    ):
         begin(address)
     with pytest.raises(UsageError, match="write ws://HOST:PORT"):
         begin("ws:nonsense")
@@ -208,7 +211,7 @@ def test_arrays_are_packed_as_openpi_packs_them() -> None:
 def test_an_array_with_inconsistent_metadata_is_refused_before_allocation(fake: dict[bytes, Any]) -> None:
     import msgpack
 
-    with pytest.raises(WireError, match="holds an array"):
+    with pytest.raises(WireError, match="contains an array"):
         unpack(msgpack.packb(fake))
     with pytest.raises(WireError):
         pack(np.array([object()]))

@@ -6,8 +6,8 @@ Runs in a separate environment (Python 3.12, `lerobot==0.3.3 av==15.1.0`, the la
     python tests/judges/lerobot_v21_judge.py PAPER EXPORT [EXPORT ...]
 
 PAPER: the dataset as `factory export --to paper`. EXPORT: the same episodes as `factory export --to lerobot-v2.1`.
-Isaac-GR00T is not on a package index: the operations of `LeRobotSingleDataset` (N1, N1.5) and `LeRobotEpisodeLoader` (N1.6 on)
-on `meta/modality.json` are reimplemented here.
+Isaac-GR00T is not on a package index: the operations of `LeRobotSingleDataset` (N1, N1.5) and
+`LeRobotEpisodeLoader` (N1.6 on) on `meta/modality.json` are reimplemented here.
 """
 
 import json

@@ -147,7 +147,7 @@ def test_a_refusal_message_is_short_for_any_input(verb: str, payload: bytes) -> 
 def test_an_invalid_host_name_is_refused_and_shortened_in_the_message(host: str) -> None:
     refusal = parse("claim", host, b"{}")
     assert isinstance(refusal, Refusal)
-    assert "no name for a host" in refusal.error
+    assert "not a valid host name" in refusal.error
     assert len(refusal.error) < 200
 
 

@@ -56,7 +56,7 @@ def test_a_missing_file_is_reported(reference, said):
 
 
 def test_an_unknown_scene_suggests_the_closest_scene_of_the_plan():
-    with pytest.raises(UsageError, match=r"has no scene 'hospitl'; it has .*; did you mean 'hospital'"):
+    with pytest.raises(UsageError, match=r"has no scene 'hospitl'; its scenes: .*; did you mean 'hospital'"):
         shrink(load_plan("demo"), scenes=["hospitl"])
 
 

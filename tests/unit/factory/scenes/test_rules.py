@@ -79,7 +79,9 @@ def test_an_invalid_rule_table_is_refused_by_name(tmp_path: Path, text: str) -> 
 
 
 def test_a_missing_rule_table_is_refused_with_the_command_that_creates_one(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=f"no category rules.*`cp {BUILTIN_RULES} {tmp_path}/absent.yaml`") as caught:
+    with pytest.raises(
+        UsageError, match=f"cannot read category rules.*`cp {BUILTIN_RULES} {tmp_path}/absent.yaml`"
+    ) as caught:
         load_rules(tmp_path / "absent.yaml")
     assert "Errno" not in str(caught.value)
 

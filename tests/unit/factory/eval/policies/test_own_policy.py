@@ -48,8 +48,8 @@ def test_a_missing_class_is_reported_with_the_classes_of_the_module(folder: Path
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("import nowhere_torch", r"cannot be made: ModuleNotFoundError: .*'nowhere_torch' \(broken_pilot.py:1\)"),
-        ("class Policy:\n  def act(self) return 1\n", r"cannot be made: SyntaxError: .*\(broken_pilot.py:2\)"),
+        ("import nowhere_torch", r"cannot be created: ModuleNotFoundError: .*'nowhere_torch' \(broken_pilot.py:1\)"),
+        ("class Policy:\n  def act(self) return 1\n", r"cannot be created: SyntaxError: .*\(broken_pilot.py:2\)"),
     ],
 )
 def test_an_import_error_names_the_line_of_the_module(folder: Path, text: str, said: str) -> None:
