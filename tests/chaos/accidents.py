@@ -15,7 +15,7 @@ _LOG, _SHARED = "ledger.db-wal", "ledger.db-shm"
 _PAGE = 4096
 
 Accident = Callable[[Path, Sequence[Path], random.Random], str]
-"""(dataset, older copies of its ledger, chance) -> what was done, in words."""
+"""(dataset, older copies of its ledger, chance) -> description of the damage."""
 
 
 def copy_ledger(out: Path, folder: Path) -> Path:

@@ -87,7 +87,7 @@ for line in sys.stdin:
     path = json.loads(line)["attachment_path"]
     tell(kind="failure", reason="crash", detail="given " + hashlib.sha256(open(path, "rb").read()).hexdigest())
 """
-"""A program for errands that does none of them and says what it was given."""
+"""A program that fails every evaluation task and reports the digest of its attachment."""
 
 
 def test_workers_fetch_a_checkpoint_by_its_digest(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:

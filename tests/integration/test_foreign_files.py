@@ -42,7 +42,7 @@ YAML = {
     "an impossible date": "2026-99-99",
     "too large": "#" * (5 << 20),
     "a NUL": "a: \0",
-    "binary that is none": "!!binary '\u00e4'",
+    "invalid binary": "!!binary '\u00e4'",
 }
 
 

@@ -157,7 +157,7 @@ DAMAGE = {
         Kind.CONTRADICTION,
         False,
     ),
-    "a picture that is none": (lambda path: spoil_picture(path), Kind.DAMAGED, True),
+    "an invalid picture": (lambda path: spoil_picture(path), Kind.DAMAGED, True),
 }
 
 

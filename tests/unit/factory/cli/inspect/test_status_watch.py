@@ -39,7 +39,7 @@ def telling(answers: Iterable[int | None]) -> Callable[[], Progress]:
     def source() -> Progress:
         answer = next(left)
         if answer is None:
-            raise TransientError("nobody answers")
+            raise TransientError("no coordinator answers")
         return progress(answer)
 
     return source
@@ -98,10 +98,10 @@ def test_a_watch_ends_with_an_error_after_a_long_silence() -> None:
         while True:
             yield None
 
-    with pytest.raises(TransientError, match="nobody answers"):
+    with pytest.raises(TransientError, match="no coordinator answers"):
         watch_progress(telling(always_silent()), pause_s=0.001, patience_s=0.05)
 
 
 def test_a_coordinator_that_never_answered_is_reported_immediately() -> None:
-    with pytest.raises(TransientError, match="nobody answers"):
+    with pytest.raises(TransientError, match="no coordinator answers"):
         watch_progress(telling([None, 3]), pause_s=0.001)
