@@ -1,7 +1,7 @@
 """Fine-tune a vision-language model on the action tokens of a dataset, as OpenVLA does.
 
-    python finetune_tokens.py --data dataset --model tiny -o tiny                  # minutes on a CPU, tests the pipeline
-    python finetune_tokens.py --data dataset --model openvla/openvla-7b -o adapted   # transformers, peft, a GPU
+    python finetune_tokens.py --data dataset --model tiny -o tiny                  # minutes on a CPU, tests the steps
+    python finetune_tokens.py --data dataset --model openvla/openvla-7b -o adapted   # transformers, peft, GPU
 
 Then, from the folder of this file:  VLA_CHECKPOINT=tiny factory eval dataset --policy finetune_tokens:VlaPolicy
 

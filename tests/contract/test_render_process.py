@@ -173,7 +173,7 @@ def test_a_missing_driver_is_an_error_for_gl_and_selects_the_fallback_for_auto(m
 
 @pytest.mark.parametrize("size", [0, -1, 2049])
 def test_an_invalid_frame_size_is_refused(size: int) -> None:
-    with pytest.raises(UsageError, match=f"frame size {size}: choose 1 to 2048"):
+    with pytest.raises(UsageError, match=f"frame size {size} is not valid: choose 1 to 2048"):
         open_renderer("tiny", size, apart=True)
 
 

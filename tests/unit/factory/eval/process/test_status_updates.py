@@ -47,7 +47,7 @@ def test_only_answers_after_the_first_one_have_the_strict_timeout(sheet: SharedS
 
 def test_the_time_of_an_expert_counts_as_simulation_time(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
-    watch.is_insider = True
+    watch.is_privileged = True
     assert busy_when_asked(sheet, watch, 4) == [Activity.SIMULATING] * 4
 
 
