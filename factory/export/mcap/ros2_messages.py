@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.export.mcap_messages import OPTICAL_FROM_BASE, Said, calibration
+from factory.export.mcap.messages import OPTICAL_FROM_BASE, Said, calibration
 from schemas.config import CameraConfig
 from schemas.episode import EpisodeMeta
 from schemas.scene import CompiledScene, Target

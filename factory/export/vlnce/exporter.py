@@ -1,6 +1,6 @@
 """`vlnce`: evaluation episodes of VLN-CE and Habitat, `<split>/<split>.json.gz`, with the driven paths beside them.
 
-No frames: a simulator makes them from the scene's mesh. `vlnce_episode` says how axes are turned.
+No frames: a simulator makes them from the scene's mesh. `factory.export.vlnce.episode` says how axes are turned.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
 from factory.export.card import CARD_FILE, export_card
 from factory.export.output import Output
-from factory.export.vlnce_episode import (
+from factory.export.vlnce.episode import (
     scene_file,
     to_habitat,
     tokens_of_text,
@@ -24,7 +24,7 @@ from factory.export.vlnce_episode import (
     vocabulary_of,
     words_of,
 )
-from factory.export.vlnce_glb import encode_glb
+from factory.export.vlnce.glb import encode_glb
 from factory.runs.catalog import find_package
 from schemas.scene import SceneInfo, decode_scene
 from schemas.storage.place import Place

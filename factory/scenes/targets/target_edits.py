@@ -11,7 +11,7 @@ import numpy as np
 
 from factory.scenes.importer import Part
 from factory.scenes.importer.targets import Candidate
-from factory.scenes.target_list import TargetList
+from factory.scenes.targets.target_list import TargetList
 from schemas.errors import UsageError
 from schemas.scene import Target
 

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
-from factory.export import mcap_messages as foxglove
-from factory.export import ros2_messages as ros2
-from factory.export.mcap_messages import Said
-from factory.export.mcap_protobuf import descriptor_set
-from factory.export.mcap_protobuf import encode as encode_protobuf
-from factory.export.ros2_cdr import definition_of
-from factory.export.ros2_cdr import encode as encode_cdr
+from factory.export.mcap import messages as foxglove
+from factory.export.mcap import ros2_messages as ros2
+from factory.export.mcap.messages import Said
+from factory.export.mcap.protobuf import descriptor_set
+from factory.export.mcap.protobuf import encode as encode_protobuf
+from factory.export.mcap.ros2_cdr import definition_of
+from factory.export.mcap.ros2_cdr import encode as encode_cdr
 from schemas.scene import CompiledScene
 
 __all__ = ["FOXGLOVE", "ROS2", "Profile"]

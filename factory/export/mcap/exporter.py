@@ -14,8 +14,8 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, Finish
 from factory.export.card import CARD_FILE, export_card
-from factory.export.mcap_messages import Said, measured_twists, stamp_of
-from factory.export.mcap_profile import FOXGLOVE, ROS2, Profile
+from factory.export.mcap.messages import Said, measured_twists, stamp_of
+from factory.export.mcap.profile import FOXGLOVE, ROS2, Profile
 from factory.export.options import Decimated, stride_of
 from factory.runs.catalog import find_package
 from schemas.dataset_meta import DatasetMeta
