@@ -1,6 +1,6 @@
 #!/bin/sh
-# Makes sure that an OpenGL context can be opened through EGL; installs Debian's software driver where it may.
-# Never fails: without EGL the fallback renderer is used, and this says so in one line.
+# Checks that an OpenGL context can be opened through EGL; installs Debian's software driver if permitted.
+# Never fails: without EGL the fallback renderer is used, and this script prints one line.
 python=$1
 
 has_egl() {

@@ -1,4 +1,4 @@
-"""The image's health check: asks the coordinator or gateway if that is process 1; other roles need none."""
+"""Health check of the image: queries the coordinator or gateway if it is process 1; other roles need no check."""
 
 from __future__ import annotations
 

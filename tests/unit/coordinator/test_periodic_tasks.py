@@ -7,7 +7,7 @@ import threading
 from coordinator.periodic_tasks import PeriodicTasks
 
 
-def test_a_chore_that_fails_is_done_again_but_seldom_while_others_go_on() -> None:
+def test_a_failing_task_is_retried_rarely_while_others_continue() -> None:
     done = {"broken": 0, "sound": 0}
     enough = threading.Event()
 

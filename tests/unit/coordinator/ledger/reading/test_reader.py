@@ -1,4 +1,4 @@
-"""Looking into a ledger that is none, or is damaged: an error with a remedy, never a traceback of the database's."""
+"""Reading an invalid or damaged ledger: an error with a remedy, never a traceback of the database."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from schemas.errors import UsageError, WorldError
 
 
 @pytest.mark.parametrize("content", [b"garbage, and more of it", b""])
-def test_a_file_that_is_no_ledger_is_named_with_the_verb_that_rebuilds_it(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_ledger_is_refused_with_the_repair_command(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "ledger.db"
     file.write_bytes(content)
     with (
