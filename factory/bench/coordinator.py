@@ -102,9 +102,9 @@ def bench_coordinator(
 
 
 def _seconds(work: Callable[[], Any]) -> float:
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     work()
-    return time.perf_counter() - begun
+    return time.perf_counter() - start_s
 
 
 def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
@@ -115,13 +115,13 @@ def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
 
 def _cycles_per_s(writer: Writer, meta: EpisodeMeta, workers: int) -> float:
     """Every worker claims, announces and has its episode recorded; a round ends when the last has been committed."""
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     for _ in range(_ROUNDS):
         rows = _together(writer, [_claim] * workers)
         leases = [lease_of(row) for row in rows]
         _together(writer, [_announcing(lease) for lease in leases])
         _together(writer, [_archiving(lease, row.idx, meta) for lease, row in zip(leases, rows, strict=True)])
-    return _ROUNDS * workers / (time.perf_counter() - begun)
+    return _ROUNDS * workers / (time.perf_counter() - start_s)
 
 
 def _together(writer: Writer, works: Sequence[Callable[[Any], Any]]) -> list[Any]:
@@ -150,18 +150,18 @@ def _validate(samples: Sequence[BenchSample], repeats: int) -> list[float]:
         frames = 0
         runs = []
         for _ in range(repeats):
-            begun = time.perf_counter()
+            start_s = time.perf_counter()
             frames = sum(validator.check(sample.path, sample.job).num_steps for sample in samples)
-            runs.append(1000 * (time.perf_counter() - begun) / frames)
+            runs.append(1000 * (time.perf_counter() - start_s) / frames)
     return runs
 
 
 def _archive(samples: Sequence[BenchSample], root: Path) -> float:
     bundles = [sample.path.read_bytes() for sample in samples]
     with open_archive(root) as archive:
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         for sample, data in zip(samples, bundles, strict=True):
             with archive.stage(sample.job.index) as staged:
                 staged.write(data)
                 archive.publish(staged, sample.job.index)
-        return sum(map(len, bundles)) / 1e6 / (time.perf_counter() - begun)
+        return sum(map(len, bundles)) / 1e6 / (time.perf_counter() - start_s)

@@ -13,7 +13,7 @@ from typing import BinaryIO
 from coordinator.archive.opening import open_archive
 from coordinator.validation.validate import validate
 from factory.bench.model import StageCost
-from factory.bench.watch import ProcessWatch, StageTimes, stage_costs
+from factory.bench.stage_times import StageClock, StageTimes, stage_costs
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
 
@@ -30,7 +30,7 @@ def time_delivery(file: BinaryIO, repeats: int) -> tuple[StageCost, ...]:
 
 
 def _deliver(file: BinaryIO) -> tuple[int, StageTimes]:
-    watch = ProcessWatch()
+    watch = StageClock()
     with tempfile.TemporaryDirectory(prefix="bench-") as folder, open_archive(Path(folder)) as archive:
         watch.start()
         bundle = BundleReader(file)

@@ -24,11 +24,11 @@ from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_k
 from schemas.wire import Beat, BeatReply, Claim, Done, Hello, Lease
 
 __all__ = [
-    "Effort",
-    "Member",
+    "BenchWorker",
+    "WorkCost",
     "bundle_of",
     "claim_and_announce",
-    "claim_until_told",
+    "claim_until_stopped",
     "deliver_together",
     "stay_connected",
 ]
@@ -42,7 +42,7 @@ _ARRIVING, _TRIES = 8, 10
 """Sessions that are opened at a time, and how often: a connection gives up after two seconds on a busy machine."""
 
 
-class Effort(Model):
+class WorkCost(Model):
     """What some work took."""
 
     seconds: float
@@ -57,7 +57,7 @@ def bundle_of(size: int) -> bytes:
     return (block * (size // len(block) + 1))[:size]
 
 
-class Member:
+class BenchWorker:
     """One session with a name; closed with `close`.
 
     Args:
@@ -134,37 +134,37 @@ class Member:
 def claim_and_announce(
     pipe: Connection, endpoints: Sequence[str], run: str, members: int, cycles: int, size: int
 ) -> None:
-    """Every member claims a job and announces its bundle so many times, and serves what is pulled; sends an `Effort`.
+    """Every member claims a job and announces its bundle so many times, and serves what is pulled; sends an `WorkCost`.
 
     Pulling goes on beside the cycles, as fast as the coordinator's pullers can; no member waits for it.
     """
     bundle = bundle_of(size)
     digest = sha256(bundle).hexdigest()
 
-    def work(member: Member) -> None:
+    def work(member: BenchWorker) -> None:
         for _ in range(cycles):
             member.announce(member.claim(), digest, size)
 
     fleet = _open(endpoints, run, members, bundle)
     pipe.send(len(fleet))
     pipe.recv()
-    begun, begun_cpu = time.perf_counter(), time.process_time()
+    start_s, start_cpu_s = time.perf_counter(), time.process_time()
     _all(work, fleet)
-    pipe.send(Effort(seconds=time.perf_counter() - begun, cpu_s=time.process_time() - begun_cpu))
+    pipe.send(WorkCost(seconds=time.perf_counter() - start_s, cpu_s=time.process_time() - start_cpu_s))
     with contextlib.suppress(EOFError):
         pipe.recv()
-    _all(Member.close, fleet)
+    _all(BenchWorker.close, fleet)
 
 
-def claim_until_told(pipe: Connection, endpoints: Sequence[str], run: str, pause_s: float) -> None:
+def claim_until_stopped(pipe: Connection, endpoints: Sequence[str], run: str, pause_s: float) -> None:
     """One member claims now and then until the pipe says stop; sends how long each answer took, seconds."""
     (member,) = _open(endpoints, run, 1)
     waits = []
     pipe.send(1)
     while not pipe.poll(pause_s):
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         member.ask_for_work()
-        waits.append(time.perf_counter() - begun)
+        waits.append(time.perf_counter() - start_s)
     pipe.send(waits)
     member.close()
 
@@ -177,24 +177,24 @@ def deliver_together(pipe: Connection, endpoints: Sequence[str], run: str, membe
     leases = [member.claim() for member in fleet]
     pipe.send(len(fleet))
     pipe.recv()
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     waiting = dict(zip(fleet, leases, strict=True))
     _all(lambda member: member.announce(waiting[member], digest, size), fleet)
     while waiting:
         time.sleep(_BEAT_S)
         waiting = {member: lease for member, lease in waiting.items() if member.is_wanted(lease)}
-    pipe.send(time.perf_counter() - begun)
-    _all(Member.close, fleet)
+    pipe.send(time.perf_counter() - start_s)
+    _all(BenchWorker.close, fleet)
 
 
 def stay_connected(pipe: Connection, endpoints: Sequence[str], run: str, members: int) -> None:
     """Opens sessions that introduce themselves, tells how many there are, and keeps them until the pipe says stop."""
     fleet = _open(endpoints, run, members)
-    _all(Member.introduce, fleet)
+    _all(BenchWorker.introduce, fleet)
     pipe.send(len(fleet))
     with contextlib.suppress(EOFError):
         pipe.recv()
-    _all(Member.close, fleet)
+    _all(BenchWorker.close, fleet)
 
 
 def _connect(endpoints: Sequence[str]) -> zenoh.Session:
@@ -204,11 +204,11 @@ def _connect(endpoints: Sequence[str]) -> zenoh.Session:
     return zenoh.open(client_config(endpoints, _LINK_LEASE_S))
 
 
-def _open(endpoints: Sequence[str], run: str, members: int, bundle: bytes = b"") -> list[Member]:
+def _open(endpoints: Sequence[str], run: str, members: int, bundle: bytes = b"") -> list[BenchWorker]:
     with ThreadPoolExecutor(_ARRIVING) as pool:
-        return list(pool.map(lambda _: Member(endpoints, run, bundle), range(members)))
+        return list(pool.map(lambda _: BenchWorker(endpoints, run, bundle), range(members)))
 
 
-def _all(work: Callable[[Member], None], fleet: Sequence[Member]) -> None:
+def _all(work: Callable[[BenchWorker], None], fleet: Sequence[BenchWorker]) -> None:
     with ThreadPoolExecutor(min(len(fleet), _PARALLEL)) as pool:
         list(pool.map(work, fleet))

@@ -1,4 +1,4 @@
-"""Whether a simulation's memory stays flat: many short episodes in all scenes by turns, watched one by one.
+"""Whether a simulation's memory stays flat: many short episodes in all scenes by turns, simulation one by one.
 
 The process is the one that a worker starts. Most episodes are cut short after a few frames, for a leak shows at starts
 and ends; some are driven to their end.
@@ -48,23 +48,23 @@ def bench_memory(
         WorldError: the simulation died, or broke on a job.
     """
     machine, held, frames, done = describe_machine(), [], 0, 0
-    with TemporaryDirectory() as folder, closing(_Watched(Simulation(command, _HANG_S))) as watched:
-        bundle, start_mib = Path(folder, "bundle.zip"), resident_mib(watched.pid)
+    with TemporaryDirectory() as folder, closing(_SimulationUnderTest(Simulation(command, _HANG_S))) as simulation:
+        bundle, start_mib = Path(folder, "bundle.zip"), resident_mib(simulation.pid)
         for number in range(episodes):
             is_whole = number < len(catalog) or number % _WHOLE_EVERY == 0
             job = jobs[number % len(jobs)] if is_whole else _short(jobs[number % len(jobs)])
-            report = watched.run(
+            report = simulation.run(
                 SimulationOrder(job=job, scene_path=catalog[job.scene].path, bundle_path=bundle, sid="bench")
             )
             done, frames = done + (report.kind is SimulationReportKind.SUCCESS), frames + report.step
             bundle.unlink(missing_ok=True)
-            held.append(resident_mib(watched.pid))
+            held.append(resident_mib(simulation.pid))
             tell()
-        memory = measure_memory(start_mib, watched.pid)
+        memory = measure_memory(start_mib, simulation.pid)
     tenth = episodes // _TENTH
     return MemoryBench(
         machine=machine,
-        renderer=watched.renderer,
+        renderer=simulation.renderer,
         scenes=tuple(catalog),
         episodes=episodes,
         succeeded=done,
@@ -75,19 +75,19 @@ def bench_memory(
     )
 
 
-class _Watched:
+class _SimulationUnderTest:
     """A running simulation that must not die."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         simulation.start()
         self.pid = simulation.pid or 0
-        self.renderer = self._hear({SimulationReportKind.READY}).renderer
+        self.renderer = self._receive({SimulationReportKind.READY}).renderer
 
     def run(self, order: SimulationOrder) -> SimulationReport:
         """Returns how the attempt ended."""
         self._simulation.order(order)
-        report = self._hear(_ENDS)
+        report = self._receive(_ENDS)
         if report.reason is FailReason.CRASH:
             raise WorldError(f"the simulation could not do {order.job.scene}: {report.detail}")
         return report
@@ -95,7 +95,7 @@ class _Watched:
     def close(self) -> None:
         self._simulation.kill()
 
-    def _hear(self, wanted: set[SimulationReportKind]) -> SimulationReport:
+    def _receive(self, wanted: set[SimulationReportKind]) -> SimulationReport:
         while True:
             said = self._simulation.hear(1.0)
             if isinstance(said, Death):

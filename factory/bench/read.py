@@ -78,10 +78,10 @@ def _round(visits: list[tuple[Episode, int]], look: Look) -> tuple[float, float]
 
 
 def _open(dataset: Dataset, position: int) -> float:
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     with dataset[position] as episode:
         _ = episode.actions
-    return time.perf_counter() - begun
+    return time.perf_counter() - start_s
 
 
 def _load(dataset: Dataset, workers: int, frames: int) -> float:
@@ -94,9 +94,9 @@ def _load(dataset: Dataset, workers: int, frames: int) -> float:
     loader: Any = torch.utils.data.DataLoader(
         source, _BATCH, sampler=drawn, num_workers=workers, multiprocessing_context=context, collate_fn=collate
     )
-    seen, begun = 0, 0.0
+    seen, start_s = 0, 0.0
     for batch in loader:
         if not seen:
-            begun = time.perf_counter()  # processes have started, and the first batch is paid for
+            start_s = time.perf_counter()  # processes have started, and the first batch is paid for
         seen += len(batch["step"])
-    return (seen - _BATCH) / (time.perf_counter() - begun)
+    return (seen - _BATCH) / (time.perf_counter() - start_s)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from factory.bench.model import SceneRender, Spread, StageCost
-from factory.bench.watch import ProcessWatch, StageTimes, stage_costs
+from factory.bench.stage_times import StageClock, StageTimes, stage_costs
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
@@ -33,7 +33,7 @@ def poses_in(scene: CompiledScene, count: int) -> list[Pose]:
 def bench_render(
     scene: CompiledScene,
     renderer: Renderer,
-    watch: ProcessWatch,
+    watch: StageClock,
     camera: CameraConfig,
     frames: int,
     repeats: int,
@@ -63,7 +63,7 @@ def bench_render(
 
 
 def _time(
-    draw: Callable[[Pose], object], watch: ProcessWatch, poses: Sequence[Pose], repeats: int
+    draw: Callable[[Pose], object], watch: StageClock, poses: Sequence[Pose], repeats: int
 ) -> tuple[list[float], tuple[StageCost, ...]]:
     """Returns the seconds of every round and the stages, after one round that warms up."""
     _round(draw, watch, poses)
@@ -71,12 +71,12 @@ def _time(
     return [seconds for seconds, _ in rounds], stage_costs([(len(poses), times) for _, times in rounds])
 
 
-def _round(draw: Callable[[Pose], object], watch: ProcessWatch, poses: Sequence[Pose]) -> tuple[float, StageTimes]:
-    begun = time.perf_counter()
+def _round(draw: Callable[[Pose], object], watch: StageClock, poses: Sequence[Pose]) -> tuple[float, StageTimes]:
+    start_s = time.perf_counter()
     watch.start()
     for pose in poses:
         draw(pose)
-    return time.perf_counter() - begun, watch.take()
+    return time.perf_counter() - start_s, watch.take()
 
 
 def _triangles_in_view(scene: CompiledScene, camera: CameraConfig, poses: Sequence[Pose]) -> float:

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coordinator.expansion.catalog import SceneEntry
+from factory.bench.baseline import run_baseline
 from factory.bench.deliver import time_delivery
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
-from factory.bench.plain import run_plain
-from factory.bench.watch import ProcessWatch, StageTimes, stage_costs
+from factory.bench.stage_times import StageClock, StageTimes, stage_costs
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from schemas.job import Job
@@ -50,7 +50,7 @@ def bench_rollout(
     jobs: Sequence[Job],
     entry: SceneEntry,
     stage: SceneRenderer,
-    watch: ProcessWatch,
+    watch: StageClock,
     repeats: int,
     plain_frames: int,
     tell: StepCallback,
@@ -97,7 +97,7 @@ def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[
     )
 
 
-def _timed(job: Job, stage: SceneRenderer, watch: ProcessWatch, file: BinaryIO, tell: StepCallback) -> _Run:
+def _timed(job: Job, stage: SceneRenderer, watch: StageClock, file: BinaryIO, tell: StepCallback) -> _Run:
     _rewind(file)
     wall, cpu = time.perf_counter(), time.process_time()
     watch.start()
@@ -136,7 +136,7 @@ def _summarise(
     spent = sum(run.wall_s for runs in rounds for run in runs)
     rows = np.concatenate([run.poses for run in won[0]]).astype(np.float64)
     poses = [Pose(*row) for row in rows.tolist()]
-    plain = run_plain(stage.loaded(entry.sha256).scene, jobs[0], poses, plain_frames) if plain_frames else None
+    plain = run_baseline(stage.loaded(entry.sha256).scene, jobs[0], poses, plain_frames) if plain_frames else None
     return SceneRollout(
         frames_per_s_per_core=wall.median,
         frames_per_cpu_s=cpu.median,

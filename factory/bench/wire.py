@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coordinator.expansion.catalog import Catalog
+from factory.bench.coordinator_process import CoordinatorReady, CoordinatorUsage, serve_coordinator
 from factory.bench.fleet import (
-    Effort,
+    WorkCost,
     bundle_of,
     claim_and_announce,
-    claim_until_told,
+    claim_until_stopped,
     deliver_together,
     stay_connected,
 )
-from factory.bench.hub import Condition, Opened, serve_hub
 from factory.bench.model import Crowd, Rush, Spread, WireBench
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
@@ -85,7 +85,7 @@ class _Run(NamedTuple):
 
     cycles: int
     start_s: float
-    fleet: Effort
+    fleet: WorkCost
     coordinator_cpu_s: float
     archived: int
     """Bundles of theirs that were archived before the last cycle was answered."""
@@ -95,41 +95,41 @@ def _named(size: int) -> tuple[str, int]:
     return sha256(bundle_of(size)).hexdigest(), size
 
 
-def _cycles(facts: tuple[Any, ...], run: str, workers: int, rounds: int) -> _Run:
-    episodes: Path = facts[0] / "episodes"
-    with _process(serve_hub, *facts) as hub:
-        opened: Opened = _hear(hub)
+def _cycles(arguments: tuple[Any, ...], run: str, workers: int, rounds: int) -> _Run:
+    episodes: Path = arguments[0] / "episodes"
+    with _process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = _receive(coordinator)
         with _process(claim_and_announce, opened.endpoints, run, workers, rounds, _CYCLE_BUNDLE_BYTES) as fleet:
-            _hear(fleet)
-            before, there = _condition(hub), len(list(episodes.iterdir()))
+            _receive(fleet)
+            before, there = _usage(coordinator), len(list(episodes.iterdir()))
             fleet.send("go")
-            effort: Effort = _hear(fleet)
-            archived, after = len(list(episodes.iterdir())) - there, _condition(hub)
+            effort: WorkCost = _receive(fleet)
+            archived, after = len(list(episodes.iterdir())) - there, _usage(coordinator)
             return _Run(rounds * workers, opened.seconds, effort, after.cpu_s - before.cpu_s, archived)
 
 
-def _crowd(facts: tuple[Any, ...], run: str, sessions: int) -> Crowd:
-    with _process(serve_hub, *facts) as hub:
-        opened: Opened = _hear(hub)
+def _crowd(arguments: tuple[Any, ...], run: str, sessions: int) -> Crowd:
+    with _process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = _receive(coordinator)
         shares = [min(_MEMBERS_A_PROCESS, sessions - start) for start in range(0, sessions, _MEMBERS_A_PROCESS)]
         with _processes(stay_connected, [(opened.endpoints, run, share) for share in shares]) as fleets:
-            connected = sum(_hear(fleet) for fleet in fleets)
-            return Crowd(sessions=connected, memory=_condition(hub).memory)
+            connected = sum(_receive(fleet) for fleet in fleets)
+            return Crowd(sessions=connected, memory=_usage(coordinator).memory)
 
 
-def _rush(facts: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> Rush:
-    with _process(serve_hub, *facts) as hub:
-        opened: Opened = _hear(hub)
+def _rush(arguments: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> Rush:
+    with _process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = _receive(coordinator)
         with (
             _process(deliver_together, opened.endpoints, run, workers, bundle_bytes) as fleet,
-            _process(claim_until_told, opened.endpoints, run, _BYSTANDER_PAUSE_S) as bystander,
+            _process(claim_until_stopped, opened.endpoints, run, _BYSTANDER_PAUSE_S) as bystander,
         ):
-            _hear(fleet)
-            _hear(bystander)
+            _receive(fleet)
+            _receive(bystander)
             fleet.send("go")
-            seconds = _hear(fleet)
+            seconds = _receive(fleet)
             bystander.send("stop")
-            waits_ms = 1000 * np.array(_hear(bystander))
+            waits_ms = 1000 * np.array(_receive(bystander))
             return Rush(
                 workers=workers,
                 bundle_mb=bundle_bytes / 1e6,
@@ -138,17 +138,17 @@ def _rush(facts: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> 
                 claims=len(waits_ms),
                 claim_p50_ms=float(np.percentile(waits_ms, 50)),
                 claim_p99_ms=float(np.percentile(waits_ms, 99)),
-                memory=_condition(hub).memory,
+                memory=_usage(coordinator).memory,
             )
 
 
-def _condition(hub: Connection) -> Condition:
-    hub.send("how do you do")
-    condition: Condition = _hear(hub)
+def _usage(coordinator: Connection) -> CoordinatorUsage:
+    coordinator.send("how do you do")
+    condition: CoordinatorUsage = _receive(coordinator)
     return condition
 
 
-def _hear(pipe: Connection) -> Any:
+def _receive(pipe: Connection) -> Any:
     try:
         if pipe.poll(_PATIENCE_S):
             return pipe.recv()
@@ -158,12 +158,12 @@ def _hear(pipe: Connection) -> Any:
 
 
 @contextmanager
-def _processes(target: Callable[..., None], errands: list[tuple[Any, ...]]) -> Iterator[list[Connection]]:
+def _processes(target: Callable[..., None], argument_sets: list[tuple[Any, ...]]) -> Iterator[list[Connection]]:
     pipes, processes = [], []
     try:
-        for errand in errands:
+        for arguments in argument_sets:
             ours, theirs = _SPAWN.Pipe()
-            process = _SPAWN.Process(target=target, args=(theirs, *errand), daemon=True)
+            process = _SPAWN.Process(target=target, args=(theirs, *arguments), daemon=True)
             process.start()
             theirs.close()
             pipes.append(ours)
@@ -177,6 +177,6 @@ def _processes(target: Callable[..., None], errands: list[tuple[Any, ...]]) -> I
 
 
 @contextmanager
-def _process(target: Callable[..., None], *errand: Any) -> Iterator[Connection]:
-    with _processes(target, [errand]) as (pipe,):
+def _process(target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    with _processes(target, [arguments]) as (pipe,):
         yield pipe

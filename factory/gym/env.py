@@ -132,8 +132,8 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self._require_own_process()
         super().reset(seed=seed)
         spec = self._choose((options or {}).get("episode"))
-        place = self._places.load(spec.scene, spec.scene_sha256)
-        self._view = self._simulator.reset(spec, place)
+        loaded = self._places.load(spec.scene, spec.scene_sha256)
+        self._view = self._simulator.reset(spec, loaded)
         return self._observe(self._view), self._inform(self._view)
 
     def step(self, action: NDArray[Any]) -> tuple[GymObservation, float, bool, bool, Info]:

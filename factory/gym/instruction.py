@@ -15,7 +15,7 @@ from gymnasium.vector.utils import read_from_shared_memory
 from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
-from factory.train.words import MAX_WORDS, encode, vocabulary
+from factory.train.vocabulary import MAX_WORDS, encode, vocabulary
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from schemas.terms import COLOUR_NAMES

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
-__all__ = ["Certificate", "expiry_of", "found_authority", "issue", "require_cryptography"]
+__all__ = ["Certificate", "create_authority_certificate", "expiry_of", "issue", "require_cryptography"]
 
 _HEAD_START = timedelta(minutes=5)
 """Clocks of hosts differ."""
@@ -38,7 +38,7 @@ def require_cryptography() -> None:
     require_package("cryptography", "`factory keys`")
 
 
-def found_authority(name: str, days: int, now: datetime) -> Certificate:
+def create_authority_certificate(name: str, days: int, now: datetime) -> Certificate:
     """Makes a new authority: P-256, signing certificates of hosts only."""
     require_cryptography()
     from cryptography import x509

@@ -11,12 +11,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from factory.keys.authority import Certificate, expiry_of, found_authority, issue
+from factory.keys.authority import Certificate, create_authority_certificate, expiry_of, issue
 from schemas.errors import UsageError
 from schemas.identity import ADMITTED_FILE, CA_FILE, Role, parse_admitted, require_host_name, spell_admitted, tls_files
 from schemas.storage.disk import translated
 
-__all__ = ["HostKeys", "admit", "found", "list_hosts", "revoke"]
+__all__ = ["HostKeys", "admit", "create_authority", "list_hosts", "revoke"]
 
 _CA_KEY_FILE, _ROLE_FILE = "ca.key", "role.txt"
 
@@ -31,7 +31,7 @@ class HostKeys(NamedTuple):
     folder: Path
 
 
-def found(folder: Path, name: str, days: int, now: datetime) -> Path:
+def create_authority(folder: Path, name: str, days: int, now: datetime) -> Path:
     """Makes an authority in a folder that has none.
 
     Raises:
@@ -39,7 +39,7 @@ def found(folder: Path, name: str, days: int, now: datetime) -> Path:
     """
     if (folder / _CA_KEY_FILE).exists() or (folder / CA_FILE).exists():
         raise UsageError(f"{folder} has an authority; a new one would shut every host out: choose another folder")
-    made = found_authority(name, days, now)
+    made = create_authority_certificate(name, days, now)
     with translated("write", folder):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _write_secret(folder / _CA_KEY_FILE, made.key)

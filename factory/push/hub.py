@@ -136,7 +136,7 @@ def _translated(hub: ModuleType, repository: str, endpoint: str) -> Iterator[Non
         yield
     except hub.errors.HfHubHTTPError as error:
         status = error.response.status_code if error.response is not None else None
-        raise WorldError(_say_status(status, repository, endpoint, error)) from None  # the cause holds the request
+        raise WorldError(_describe_status(status, repository, endpoint, error)) from None  # the cause holds the request
     except hub.errors.HFValidationError as error:
         raise UsageError(f"{repository!r} is refused as a name: {error}") from None
     except (hub.errors.HTTPError, OSError, ValueError, RuntimeError) as error:
@@ -146,7 +146,7 @@ def _translated(hub: ModuleType, repository: str, endpoint: str) -> Iterator[Non
 _AGAIN = "run the same command again: what is there already is not sent twice"
 
 
-def _say_status(status: int | None, repository: str, endpoint: str, error: Exception) -> str:
+def _describe_status(status: int | None, repository: str, endpoint: str, error: Exception) -> str:
     if status in (401, 403):
         return (
             f"{endpoint} refuses the token for {repository} ({status}): it needs write access to that owner; "

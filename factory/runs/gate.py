@@ -25,7 +25,7 @@ from schemas.terms import FailReason, Tier
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import Death, Simulation
 
-__all__ = ["GateReport", "Lost", "Pilot", "Trial", "judge", "run_pilot"]
+__all__ = ["FailedTrial", "GateReport", "Pilot", "Trial", "evaluate_gate", "run_pilot"]
 
 _POLL_S = 0.1
 _HANG_S = 60.0
@@ -63,7 +63,7 @@ class Trial:
     detail: str = ""
 
 
-class Lost(Model):
+class FailedTrial(Model):
     """A first attempt that failed."""
 
     episode_id: str
@@ -83,7 +83,7 @@ class GateReport(Model):
     success: Share
     by_tier: dict[Tier, Share]
     reasons: dict[FailReason, int]
-    lost: tuple[Lost, ...]
+    lost: tuple[FailedTrial, ...]
     """In the order of the plan."""
 
 
@@ -101,19 +101,19 @@ def run_pilot(pilot: Pilot, stop: threading.Event, tell: Callable[[int], None]) 
     waiting, trials = deque(pilot.jobs), list[Trial]()
     with tempfile.TemporaryDirectory(prefix="gate-") as folder, ExitStack() as stack:
         count = min(pilot.processes, len(pilot.jobs))
-        seats = [_Seat(pilot, Path(folder) / f"{number}.zip", count) for number in range(count)]
-        for seat in seats:
-            stack.callback(seat.close)
+        slots = [_TrialProcess(pilot, Path(folder) / f"{number}.zip", count) for number in range(count)]
+        for slot in slots:
+            stack.callback(slot.close)
         while len(trials) < len(pilot.jobs) and not stop.is_set():
-            for seat in seats:
-                trial = seat.turn(waiting)
+            for slot in slots:
+                trial = slot.turn(waiting)
                 if trial is not None:
                     trials.append(trial)
                     tell(len(trials))
     return trials
 
 
-def judge(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
+def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
     """Counts trials by tier and reason and compares their share of successes with what is asked for.
 
     A crash counts as a failed attempt: the gate asks whether a scene can be generated, whatever is in the way.
@@ -121,7 +121,7 @@ def judge(scene: str, expert: str, trials: Sequence[Trial], min_success: float) 
     won = Counter(trial.job.tier for trial in trials if trial.reason is None)
     tried = Counter(trial.job.tier for trial in trials)
     lost = [
-        Lost(
+        FailedTrial(
             episode_id=trial.job.episode_id,
             tier=trial.job.tier,
             target_id=trial.job.target_id,
@@ -144,13 +144,13 @@ def judge(scene: str, expert: str, trials: Sequence[Trial], min_success: float) 
     )
 
 
-class _Seat:
-    """One simulation process and the job it has; all seats are asked in turn, so none may wait for long."""
+class _TrialProcess:
+    """One simulation process and the job it has; all slots are asked in turn, so none may wait for long."""
 
-    def __init__(self, pilot: Pilot, bundle: Path, seats: int) -> None:
+    def __init__(self, pilot: Pilot, bundle: Path, slots: int) -> None:
         self._pilot, self._bundle = pilot, bundle
-        self._poll_s = _POLL_S / seats
-        self._simulation = Simulation(pilot.command, _HANG_S / seats)  # hears itself wait for its own turns only
+        self._poll_s = _POLL_S / slots
+        self._simulation = Simulation(pilot.command, _HANG_S / slots)  # hears itself wait for its own turns only
         self._job: Job | None = None
         self._is_ready = False
         self._starts = 0
@@ -170,8 +170,8 @@ class _Seat:
             self._order(waiting.popleft())
         heard = self._simulation.hear(self._poll_s)
         if isinstance(heard, Death):
-            return self._mourn(heard)
-        return None if heard is None else self._note(heard)
+            return self._handle_death(heard)
+        return None if heard is None else self._handle_report(heard)
 
     def _order(self, job: Job) -> None:
         self._job = job
@@ -179,7 +179,7 @@ class _Seat:
             SimulationOrder(job=job, scene_path=self._pilot.package, bundle_path=self._bundle, sid="gate")
         )
 
-    def _note(self, report: SimulationReport) -> Trial | None:
+    def _handle_report(self, report: SimulationReport) -> Trial | None:
         if report.kind is SimulationReportKind.READY:
             self._is_ready, self._starts = True, 0
         if report.kind in {SimulationReportKind.READY, SimulationReportKind.PROGRESS} or self._job is None:
@@ -190,7 +190,7 @@ class _Seat:
         self._bundle.unlink(missing_ok=True)
         return Trial(job, report.reason, report.detail)
 
-    def _mourn(self, death: Death) -> Trial | None:
+    def _handle_death(self, death: Death) -> Trial | None:
         job, self._job = self._job, None
         if job is not None:
             return Trial(job, death.reason, death.detail)

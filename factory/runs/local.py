@@ -96,11 +96,11 @@ def run_locally(
         tell(progress)
         if progress.finished:
             return progress
-        with _Crew(run, coordinator.endpoints[0]) as crew:
+        with _WorkerPool(run, coordinator.endpoints[0]) as pool:
             while not (progress.finished or stop.wait(_POLL_S)):
                 progress = coordinator.progress()
                 tell(progress)
-                crew.look_after(progress.jobs.get("archived", 0))
+                pool.restart_dead(progress.jobs.get("archived", 0))
                 _require_work(run, progress)
         progress = coordinator.progress()
         tell(progress)
@@ -126,7 +126,7 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     )
 
 
-class _Crew:
+class _WorkerPool:
     """The worker processes; each watches our end of its stdin and leaves when it closes, however we end."""
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
@@ -137,9 +137,9 @@ class _Crew:
         ]
         self._deaths = 0
         self._archived = 0
-        self._members = [self._start() for _ in range(run.workers)]
+        self._processes = [self._start() for _ in range(run.workers)]
 
-    def look_after(self, archived: int) -> None:
+    def restart_dead(self, archived: int) -> None:
         """Starts a dead worker again; gives up when they only die.
 
         Raises:
@@ -147,15 +147,15 @@ class _Crew:
         """
         if archived > self._archived:
             self._archived, self._deaths = archived, 0
-        for place, member in enumerate(self._members):
-            code = member.poll()
+        for place, process in enumerate(self._processes):
+            code = process.poll()
             if code is None or code == 0:
                 continue
             self._deaths += 1
             log.warning("worker_died", status=code, deaths=self._deaths)
             if self._deaths > _MOST_DEATHS:
                 raise WorldError(f"workers died {self._deaths} times without an episode, last with status {code}")
-            self._members[place] = self._start()
+            self._processes[place] = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
         # a session of its own: Ctrl-C reaches us, and we stop them in order
@@ -173,12 +173,12 @@ class _Crew:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for member in self._members:
-            if member.stdin is not None:
-                member.stdin.close()
-        for member in self._members:
+        for process in self._processes:
+            if process.stdin is not None:
+                process.stdin.close()
+        for process in self._processes:
             try:
-                member.wait(_LEAVE_S)
+                process.wait(_LEAVE_S)
             except subprocess.TimeoutExpired:
-                member.kill()
-                member.wait()
+                process.kill()
+                process.wait()

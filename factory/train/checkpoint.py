@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from factory.train.options import CHECKPOINT_FORMAT, CheckpointMeta
 from factory.train.preprocess import PREPROCESS_VERSION
-from factory.train.torch_door import load_torch
+from factory.train.torch_import import load_torch
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import sync_directory, translated
 

@@ -25,7 +25,7 @@ from factory.train.network import BcNetwork, NetworkOutput
 from factory.train.options import BcOptions
 from factory.train.report import EpochMeasures
 from factory.train.schedule import ema_decay, learning_rate
-from factory.train.words import encode
+from factory.train.vocabulary import encode
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
 
 __all__ = ["BcTraining", "TrainingLimits"]
@@ -96,7 +96,7 @@ class BcTraining:
             val: the frames to measure on.
             tell: is told batches done and to do, and the loss.
         """
-        begun = time.monotonic()
+        start_s = time.monotonic()
         rng = np.random.default_rng((self._options.seed, self.epochs_done))
         order = rng.permutation(len(train))
         said = self._sentences(train)
@@ -117,7 +117,7 @@ class BcTraining:
             train_loss=losses / batches,
             **{name: measured.get(name) for name in _MEASURES},
             rate=rate,
-            seconds=time.monotonic() - begun,
+            seconds=time.monotonic() - start_s,
         )
 
     def _step(self, batch: Batch, said: NDArray[np.int64], rate: float) -> float:

@@ -29,8 +29,8 @@ from factory.train.checkpoint import (
 )
 from factory.train.options import BcOptions, CheckpointMeta
 from factory.train.report import EpochMeasures, TrainReport
-from factory.train.torch_door import choose_device, load_torch, require_logs, summary_writer
-from factory.train.words import vocabulary
+from factory.train.torch_import import choose_device, load_torch, require_logs, summary_writer
+from factory.train.vocabulary import vocabulary
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import translated
 from schemas.terms import Split
@@ -38,7 +38,7 @@ from schemas.terms import Split
 if TYPE_CHECKING:
     from factory.train.fit import BcTraining
 
-__all__ = ["TrainOrder", "Watcher", "train_bc"]
+__all__ = ["TrainCallbacks", "TrainOrder", "train_bc"]
 
 _METRICS = "metrics.json"
 
@@ -58,7 +58,7 @@ class TrainOrder:
 
 
 @dataclass(frozen=True)
-class Watcher:
+class TrainCallbacks:
     """Whom to tell and whom to ask on the way."""
 
     caching: Callable[[int, int], None]
@@ -69,8 +69,8 @@ class Watcher:
     is_stopped: Callable[[], bool]
 
 
-def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
-    """Trains until the epochs are done, the minutes are used up or the watcher stops; continues what the folder holds.
+def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
+    """Trains until the epochs are done, the minutes are used up or the callbacks stops; continues what the folder holds.
 
     Raises:
         UsageError: torch is missing, the folder holds a training with other options or episodes, or there is nothing
@@ -80,25 +80,25 @@ def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
     """
     device = choose_device(order.device)
     require_logs()
-    begun_with = _check_folder(order)
-    train, val = _caches(order, watcher)
+    resumed = _check_folder(order)
+    train, val = _caches(order, callbacks)
     meta = _meta(order, train)
-    if begun_with is not None:
-        _require_same_data(begun_with, meta, order.out)
+    if resumed is not None:
+        _require_same_data(resumed, meta, order.out)
     from factory.train.fit import BcTraining, TrainingLimits
 
     limits = TrainingLimits(meta.max_speed_mps, meta.max_yaw_rate_rps)
     training = BcTraining(order.options, meta.words, limits, device)
-    epochs = _restore(order, training, begun_with) if begun_with is not None else []
+    epochs = _restore(order, training, resumed) if resumed is not None else []
     begun, longest = time.monotonic(), 0.0
     with closing(summary_writer(str(order.out / "tensorboard"), training.epochs_done + 1)) as log:
-        while training.epochs_done < order.options.epochs and not watcher.is_stopped():
+        while training.epochs_done < order.options.epochs and not callbacks.is_stopped():
             spent = time.monotonic() - begun
             if order.minutes is not None and longest and spent + longest > 60 * order.minutes:
                 break
 
             def tell(done: int, of: int, loss: float) -> None:
-                watcher.learning(training.epochs_done, done, of, loss)
+                callbacks.learning(training.epochs_done, done, of, loss)
 
             measured = training.run_epoch(train, val, tell)
             _require_sound(measured)
@@ -107,7 +107,7 @@ def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
             _log(log, measured)
             report = _report(order, training, train, val, epochs, str(device))
             _write(order.out, training, meta, report)
-            watcher.measured(measured)
+            callbacks.measured(measured)
     return _report(order, training, train, val, epochs, str(device))
 
 
@@ -135,16 +135,16 @@ def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> No
     then = found.meta
     if (then.train_digest, then.words) != (meta.train_digest, meta.words):
         raise UsageError(
-            f"{out} holds a training on other episodes ({_say_data(then)}; now {_say_data(meta)}): give the same "
+            f"{out} holds a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): give the same "
             "dataset, --split, --scene and --tier to continue it, or choose another --out"
         )
 
 
-def _say_data(meta: CheckpointMeta) -> str:
+def _describe_data(meta: CheckpointMeta) -> str:
     return f"{meta.train_episodes} episodes, {meta.train_frames} frames, digest {meta.train_digest[:12]}"
 
 
-def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache | None]:
+def _caches(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[FrameCache, FrameCache | None]:
     root, options = cache_directory() / "train", order.options
     part = order.dataset.filter(split=order.split)
     if not len(part):
@@ -152,8 +152,8 @@ def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache
         raise UsageError(f"{order.dataset.root} has no episodes of {order.split} here; splits there: {found}")
 
     def tell(done: int, of: int) -> None:
-        watcher.caching(done, of)
-        if watcher.is_stopped():
+        callbacks.caching(done, of)
+        if callbacks.is_stopped():
             raise KeyboardInterrupt
 
     train = open_cache(part, options.size, options.hold, root, tell)

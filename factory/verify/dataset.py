@@ -85,7 +85,7 @@ def verify(
     _check_listing(root, rows, report)
     _check_tables(dataset, rows, report)
     checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report)
-    for done, findings in enumerate(_carry_out(checks, processes), 1):
+    for done, findings in enumerate(_run_checks(checks, processes), 1):
         report.findings += findings
         on_progress(done, len(rows))
     if deep:
@@ -121,7 +121,7 @@ def _plan_checks(rows: Rows, scenes: dict[str, SceneEntry], report: VerifyReport
     return checks
 
 
-def _carry_out(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Finding]]:
+def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Finding]]:
     if processes <= 1 or len(checks) <= 1:
         yield from map(check_episode, checks)
         return

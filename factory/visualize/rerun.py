@@ -183,7 +183,7 @@ def _log_still(rerun: ModuleType, log: Any, episode: Episode, scene: CompiledSce
     )
     for name, colour in _LINES.items():
         log.log(name, rerun.SeriesLines(colors=[colour], widths=[2.0]), static=True)
-    log.log("instruction", rerun.TextDocument(_say_episode(episode), media_type="text/markdown"), static=True)
+    log.log("instruction", rerun.TextDocument(_describe_episode(episode), media_type="text/markdown"), static=True)
     _log_robot(rerun, log, job.camera)
     ids = np.array([0, *(instance.id for instance in meta.instances)], np.uint16)
     names = ["nothing", *(_name_of(instance.prim_path, instance.category) for instance in meta.instances)]
@@ -236,7 +236,7 @@ def _name_of(prim_path: str, category: str | None) -> str:
     return f"{category} {leaf}" if category else leaf
 
 
-def _say_episode(episode: Episode) -> str:
+def _describe_episode(episode: Episode) -> str:
     job, rollout = episode.meta.job, episode.meta.rollout
     return (
         f"# {job.instruction}\n\n"

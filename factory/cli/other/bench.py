@@ -26,7 +26,7 @@ from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import make_sample
-from factory.bench.watch import ProcessWatch
+from factory.bench.stage_times import StageClock
 from factory.bench.work import first_attempts, narrow
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
@@ -96,7 +96,7 @@ def rollout(
     time of the process, which does not depend on the load of the machine.
     """
     plan = narrow(load_plan(plan_name), scenes or (), episodes)
-    machine, watch = describe_machine(), ProcessWatch()
+    machine, watch = describe_machine(), StageClock()
     with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
         results = {}
@@ -119,7 +119,7 @@ def rollout(
 def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
     """Time rendering at the same random poses of each scene."""
     plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
-    machine, watch = describe_machine(), ProcessWatch()
+    machine, watch = describe_machine(), StageClock()
     with _bar("render", len(plan.scenes)) as tell, _nowhere() as nowhere:
         catalog = open_catalog(plan, nowhere, scene_cache())
         results = {}

@@ -39,23 +39,23 @@ from schemas.terms import ExpertName
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
-__all__ = ["TRACK_HZ", "StatusWatch", "describe_question", "progresses", "run_episode", "thin_track"]
+__all__ = ["TRACK_HZ", "PolicyCallObserver", "progresses", "request_fields", "run_episode", "thin_track"]
 
 TRACK_HZ = 10
 
 
-class StatusWatch(Protocol):
+class PolicyCallObserver(Protocol):
     """Is told what goes on, so that somebody outside can tell a policy that hangs from a simulation that does."""
 
-    def asks(self, simulator: Simulator, view: Observation) -> None:
+    def before_call(self, simulator: Simulator, view: Observation) -> None:
         """The policy is about to be asked about a view; the first call of an episode is its reset."""
 
-    def has_answer(self) -> None:
+    def after_call(self) -> None:
         """The policy has answered, or failed to."""
 
 
 def run_episode(
-    order: EvalOrder, policy: Policy, simulator: Simulator, place: LoadedScene, watch: StatusWatch
+    order: EvalOrder, policy: Policy, simulator: Simulator, loaded: LoadedScene, watch: PolicyCallObserver
 ) -> EpisodeResult:
     """Drives an episode to its end and measures it.
 
@@ -63,28 +63,28 @@ def run_episode(
         order: what is asked, and of whom.
         policy: who drives; an `PrivilegedPolicy` is let in.
         simulator: open, with the settings of the set.
-        place: the scene of the spec.
+        loaded: the scene of the spec.
         watch: told before and after each call of the policy.
 
     Raises:
         WorldError: the spec does not fit its scene.
         ServerAway: the policy's server cannot be reached; nothing is known about the episode.
     """
-    begun = time.monotonic()
-    drive = _Drive(order, policy, simulator, watch)
-    view = simulator.reset(order.question.spec, place)
+    start_s = time.monotonic()
+    drive = _EpisodeRun(order, policy, simulator, watch)
+    view = simulator.reset(order.question.spec, loaded)
     end, detail = drive.run(view)
-    return _measured(order, simulator, end, detail, drive, time.monotonic() - begun)
+    return _measured(order, simulator, end, detail, drive, time.monotonic() - start_s)
 
 
 @dataclass
-class _Drive:
+class _EpisodeRun:
     """A policy at the wheel; keeps the clock and the count of its answers."""
 
     order: EvalOrder
     policy: Policy
     simulator: Simulator
-    watch: StatusWatch
+    watch: PolicyCallObserver
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
@@ -99,7 +99,7 @@ class _Drive:
         try:
             self._begin(view)
             while view.end is None:
-                view = self._turn(view)
+                view = self._act_once(view)
         except PolicyFailure as failure:
             return EvalEnd(failure.fault), failure.detail
         end = EvalEnd(view.end)
@@ -117,17 +117,17 @@ class _Drive:
             w_range_rps=(-settings.robot.max_yaw_rate_rps, settings.robot.max_yaw_rate_rps),
             fov_deg=settings.camera.fov_deg,
         )
-        with self._asking(view):
+        with self._policy_call(view):
             if is_insider(self.policy):
                 expert = getattr(self.policy, "expert", ExpertName.PROPORTIONAL)
                 situation = PrivilegedState(self.simulator, spec.job(settings, expert), self.order.actions)
                 cast(PrivilegedPolicy, self.policy).enter(situation)
             self.policy.reset(self.question.instruction, info)
 
-    def _turn(self, view: Observation) -> Observation:
+    def _act_once(self, view: Observation) -> Observation:
         """Asks once and carries the answer out."""
         observation = self._observation(view)
-        with self._asking(view):
+        with self._policy_call(view):
             answer = self.policy.act(observation)
         self.answers += 1
         robot = self.simulator.settings.robot
@@ -149,10 +149,10 @@ class _Drive:
         return seen
 
     @contextmanager
-    def _asking(self, view: Observation) -> Iterator[None]:
+    def _policy_call(self, view: Observation) -> Iterator[None]:
         """Around a call of the policy: watched, timed, and every exception of it turned into its failure."""
-        self.watch.asks(self.simulator, view)
-        begun = time.monotonic()
+        self.watch.before_call(self.simulator, view)
+        start_s = time.monotonic()
         try:
             yield
         except (PolicyFailure, ServerAway):
@@ -160,8 +160,8 @@ class _Drive:
         except Exception as error:
             raise PolicyFailure(PolicyFault.RAISED, describe_error(error)) from error
         finally:
-            self.act_s += time.monotonic() - begun
-            self.watch.has_answer()
+            self.act_s += time.monotonic() - start_s
+            self.watch.after_call()
 
 
 def describe_error(error: BaseException) -> str:
@@ -187,7 +187,7 @@ def _measured(
     simulator: Simulator,
     end: EvalEnd,
     detail: str,
-    drive: _Drive,
+    drive: _EpisodeRun,
     seconds: float,
 ) -> EpisodeResult:
     spec, task, track = order.question.spec, simulator.settings.task, simulator.track
@@ -196,11 +196,12 @@ def _measured(
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
     return EpisodeResult(
-        **describe_question(order),
+        **request_fields(order),
         end=end,
         detail=detail,
         success=is_success,
-        any_instance=is_success or measure.stops_at_any(track, simulator.place.scene.info.targets, spec.category, task),
+        any_instance=is_success
+        or measure.stops_at_any(track, simulator.loaded.scene.info.targets, spec.category, task),
         num_steps=simulator.steps,
         spawn_dist_m=start_m,
         trajectory_length_m=driven_m,
@@ -217,7 +218,7 @@ def _measured(
     )
 
 
-def describe_question(order: EvalOrder) -> dict[str, Any]:
+def request_fields(order: EvalOrder) -> dict[str, Any]:
     """Returns the fields of a result that are known before the drive."""
     question, spec = order.question, order.question.spec
     return {
@@ -256,5 +257,5 @@ def _soft_spl(
     if is_success:
         return measure.soft_spl(spec.geodesic_m, 0.0, driven_m)
     radius_m = simulator.settings.task.success_radius_m
-    left_m = measure.floor_distance_m(simulator.place.grid, track[-1, :2], simulator.target, radius_m)
+    left_m = measure.floor_distance_m(simulator.loaded.grid, track[-1, :2], simulator.target, radius_m)
     return 0.0 if left_m is None else measure.soft_spl(spec.geodesic_m, left_m, driven_m)

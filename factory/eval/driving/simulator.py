@@ -54,22 +54,22 @@ class Simulator:
         self._held.close()
         self._loop = None
 
-    def reset(self, spec: EvalSpec, place: LoadedScene) -> Observation:
+    def reset(self, spec: EvalSpec, loaded: LoadedScene) -> Observation:
         """Puts the robot at the start of an episode and returns the first view.
 
         Args:
             spec: the episode.
-            place: its scene, loaded.
+            loaded: its scene, loaded.
 
         Raises:
             NoFirmStand: the robot does not stand firm there.
             WorldError: the scene has no such target.
         """
         self.close()
-        self.spec, self.place = spec, place
-        self.target = _target(spec, place)
-        job, scene = spec.job(self.settings), place.scene
-        world = self._held.enter_context(World(scene, place.collider, job.robot, job.task.control_hz))
+        self.spec, self.loaded = spec, loaded
+        self.target = _target(spec, loaded)
+        job, scene = spec.job(self.settings), loaded.scene
+        world = self._held.enter_context(World(scene, loaded.collider, job.robot, job.task.control_hz))
         x, y, yaw = spec.spawn_pose
         if not is_spawn_firm(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
@@ -139,9 +139,9 @@ class Simulator:
         )
 
 
-def _target(spec: EvalSpec, place: LoadedScene) -> Target:
+def _target(spec: EvalSpec, loaded: LoadedScene) -> Target:
     try:
-        return place.scene.info.target(spec.target_id)
+        return loaded.scene.info.target(spec.target_id)
     except KeyError as error:
         raise WorldError(
             f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; make new specs"

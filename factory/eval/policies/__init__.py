@@ -10,11 +10,11 @@ from typing import NamedTuple
 from factory.eval.driving.policy import Policy, is_built_in
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.experts import ExpertPolicy
-from factory.eval.policies.foreign import load_class, require_module
-from factory.eval.policies.outside import Outside
+from factory.eval.policies.limits import PolicyLimits
 from factory.eval.policies.recorded import PlaybackPolicy, ReplayPolicy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import RandomPolicy, StopPolicy
+from factory.eval.policies.user_class import load_class, require_module
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
@@ -22,26 +22,26 @@ from schemas.terms import ExpertName
 
 __all__ = [
     "POLICIES",
-    "Outside",
     "PolicyEntry",
+    "PolicyLimits",
     "check_name",
     "describe_knowledge",
     "file_of",
     "find_policy",
-    "is_foreign",
+    "is_user_class",
     "make_policy",
     "renders_apart",
-    "require_at_hand",
+    "require_available",
 ]
 
-Maker = Callable[[str, Outside], Policy]
+PolicyFactory = Callable[[str, PolicyLimits], Policy]
 """Takes what stands behind the first colon of the name, and what a policy may need."""
 
 
 class PolicyEntry(NamedTuple):
     """A kind of policy."""
 
-    make: Maker
+    make: PolicyFactory
     usage: str
     """How it is written after `--policy`."""
     needs_recording: bool = False
@@ -67,15 +67,15 @@ POLICIES: Mapping[str, PolicyEntry] = MappingProxyType(
         "playback": PolicyEntry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
         "bc": PolicyEntry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",), True),
         "ws": PolicyEntry(
-            lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True, None, _WIRE
+            lambda rest, limits: RemotePolicy(f"ws:{rest}", limits), "ws://HOST:PORT", False, True, None, _WIRE
         ),
         "wss": PolicyEntry(
-            lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True, None, _WIRE
+            lambda rest, limits: RemotePolicy(f"wss:{rest}", limits), "wss://HOST:PORT", False, True, None, _WIRE
         ),
     }
 )
 """By the word before the first colon; any other name is taken for `package.module:Class`."""
-_FOREIGN = PolicyEntry(
+_USER_CLASS = PolicyEntry(
     lambda name, _: load_class(name), "package.module:Class", reads_instruction=True, renders_apart=True
 )
 
@@ -90,23 +90,23 @@ def find_policy(name: str) -> PolicyEntry:
     if kind in POLICIES:
         return POLICIES[kind]
     if ":" not in name or not all(part.isidentifier() for part in name.replace(":", ".").split(".")):
-        known = ", ".join(entry.usage for entry in (*POLICIES.values(), _FOREIGN))
+        known = ", ".join(entry.usage for entry in (*POLICIES.values(), _USER_CLASS))
         raise UsageError(f"no policy {name!r}; there are {known}{did_you_mean(kind, POLICIES)}")
-    return _FOREIGN
+    return _USER_CLASS
 
 
-def is_foreign(name: str) -> bool:
+def is_user_class(name: str) -> bool:
     """Whether making the policy imports a module of the user's.
 
     Raises:
         UsageError: nothing is called that.
     """
-    return find_policy(name) is _FOREIGN
+    return find_policy(name) is _USER_CLASS
 
 
 def renders_apart(name: str) -> bool:
     """Returns whether frames are rendered in a process of their own while the policy of that name drives."""
-    return POLICIES.get(name.partition(":")[0], _FOREIGN).renders_apart
+    return POLICIES.get(name.partition(":")[0], _USER_CLASS).renders_apart
 
 
 def check_name(name: str) -> None:
@@ -121,7 +121,7 @@ def check_name(name: str) -> None:
         _expert_name(rest)
 
 
-def require_at_hand(name: str) -> None:
+def require_available(name: str) -> None:
     """Makes sure that what a policy is made of is on this machine, as far as that can be told without making it.
 
     Raises:
@@ -131,16 +131,16 @@ def require_at_hand(name: str) -> None:
     for module in entry.needs:
         require_package(module, f"policy {name}")
     file_of(name)
-    if entry is _FOREIGN:
+    if entry is _USER_CLASS:
         require_module(name)
 
 
-def make_policy(name: str, outside: Outside, file: Path | None = None) -> Policy:
+def make_policy(name: str, limits: PolicyLimits, file: Path | None = None) -> Policy:
     """Returns the policy of that name, ready for its first episode.
 
     Args:
         name: as after `--policy`.
-        outside: what policies may need of their surroundings.
+        limits: what policies may need of their surroundings.
         file: what it is made of, where that is not at the place its name says.
 
     Raises:
@@ -148,8 +148,8 @@ def make_policy(name: str, outside: Outside, file: Path | None = None) -> Policy
         ServerAway: its server cannot be reached.
     """
     entry = find_policy(name)
-    rest = name if entry is _FOREIGN else name.partition(":")[2]
-    policy = entry.make(rest if file is None else str(file), outside)
+    rest = name if entry is _USER_CLASS else name.partition(":")[2]
+    policy = entry.make(rest if file is None else str(file), limits)
     missing = [method for method in ("reset", "act") if not callable(getattr(policy, method, None))]
     if missing:
         raise UsageError(f"policy {name} has no method {' and no '.join(missing)}; see docs/evaluation/README.md")

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from factory.train import preprocess
 from factory.train.checkpoint import POLICY, checkpoint_path, read_checkpoint
-from factory.train.torch_door import load_torch
-from factory.train.words import encode
+from factory.train.torch_import import load_torch
+from factory.train.vocabulary import encode
 from schemas.errors import UsageError
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS
 

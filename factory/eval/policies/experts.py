@@ -32,7 +32,7 @@ class ExpertPolicy:
         simulator = self._situation.simulator
         self._expert = make_expert(self._situation.job)
         start = simulator.observe().pose
-        if self._expert.begin(start, simulator.place.grid, simulator.target) is None:
+        if self._expert.begin(start, simulator.loaded.grid, simulator.target) is None:
             where = f"({start.x:.2f}, {start.y:.2f}) m"
             raise PolicyFailure(PolicyFault.RAISED, f"no drivable path to {simulator.target.target_id} from {where}")
 

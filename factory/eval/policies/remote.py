@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from typing import Any
 
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
-from factory.eval.policies.outside import Outside
+from factory.eval.policies.limits import PolicyLimits
 from factory.eval.policies.wire import MAX_ANSWER_BYTES, WireError, pack, unpack
 from schemas.errors import UsageError
 from schemas.support.extras import missing_package
@@ -28,20 +28,20 @@ class RemotePolicy:
     `seed`, and `pose` where it is given; the answer holds `actions` (v, w) or `tokens`, as (2,) or as a chunk (H, 2).
     """
 
-    def __init__(self, address: str, outside: Outside) -> None:
+    def __init__(self, address: str, limits: PolicyLimits) -> None:
         self._address = address
-        self._outside = outside
+        self._limits = limits
         self._connection: Any = None
         self._has_answered = False
         """Over this connection; the first answer of one may take long."""
         self._held = ExitStack()
-        self._connect(min(outside.reconnect_s, outside.load_timeout_s))
+        self._connect(min(limits.reconnect_s, limits.load_timeout_s))
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Notes what goes with every observation; the server hears of it with step 0."""
         self._fixed = {"prompt": instruction, "episode": info.episode, "seed": info.seed}
         if self._connection is None:
-            self._connect(self._outside.reconnect_s)
+            self._connect(self._limits.reconnect_s)
 
     def act(self, observation: PolicyInput) -> Any:
         """Returns the server's answer, for the caller to judge.
@@ -68,7 +68,7 @@ class RemotePolicy:
     def _ask(self, data: bytes) -> Any:
         from websockets.exceptions import ConnectionClosed
 
-        limit_s = self._outside.act_timeout_s if self._has_answered else self._outside.load_timeout_s
+        limit_s = self._limits.act_timeout_s if self._has_answered else self._limits.load_timeout_s
         try:
             self._connection.send(data)
             answer = self._connection.recv(timeout=limit_s)
@@ -114,7 +114,7 @@ class RemotePolicy:
                         ping_interval=None,
                     )
                 )
-                self.metadata = unpack(connection.recv(timeout=self._outside.load_timeout_s))
+                self.metadata = unpack(connection.recv(timeout=self._limits.load_timeout_s))
             except bad as error:
                 raise UsageError(f"policy server {self._address}: {error}; write ws://HOST:PORT") from error
             except (WireError, TypeError) as error:

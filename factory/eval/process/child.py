@@ -25,9 +25,9 @@ from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies import Outside, describe_knowledge, make_policy
+from factory.eval.policies import PolicyLimits, describe_knowledge, make_policy
 from factory.eval.process.shared_status import Activity, SharedStatus
-from factory.eval.process.status_updates import SheetWatch
+from factory.eval.process.status_updates import StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
 from workers.sim.scene_renderer import SceneRenderer
@@ -82,7 +82,7 @@ class _Driver:
         self, setup: Setup, stage: SceneRenderer, simulator: Simulator, sheet: SharedStatus, tell: SendReport
     ) -> None:
         self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
-        self._watch = SheetWatch(sheet)
+        self._watch = StatusWriter(sheet)
         self._name = ""
         self._policy: Policy | None = None
 
@@ -111,13 +111,13 @@ class _Driver:
     def _drive(self, order: EvalOrder) -> EpisodeResult:
         policy = self._policy_of(order)
         self._watch.begin(Activity.SIMULATING)
-        place = self._stage.load(order.package, order.question.spec.scene_sha256)
-        result = run_episode(order, policy, self._simulator, place, self._watch)
+        loaded = self._stage.load(order.package, order.question.spec.scene_sha256)
+        result = run_episode(order, policy, self._simulator, loaded, self._watch)
         if result.end is EvalEnd.POLICY_LOST:
             # the server may have been started again: its episode begins anew, once
             self._watch.is_warm = False
             self._watch.begin(Activity.SIMULATING)
-            result = run_episode(order, policy, self._simulator, place, self._watch)
+            result = run_episode(order, policy, self._simulator, loaded, self._watch)
         if result.end in {EvalEnd.POLICY_LOST, EvalEnd.POLICY_HUNG}:
             self._watch.is_warm = False  # its next answer comes over a new connection
         return result
@@ -131,12 +131,12 @@ class _Driver:
                 with contextlib.suppress(Exception):
                     close()
             self._policy, self._name = None, name
-            outside = Outside(
+            limits = PolicyLimits(
                 act_timeout_s=self._setup.act_timeout_s,
                 load_timeout_s=self._setup.load_timeout_s,
                 reconnect_s=self._setup.reconnect_s,
             )
-            self._policy = make_policy(name, outside, order.file)
+            self._policy = make_policy(name, limits, order.file)
             self._watch.is_warm, self._watch.is_insider = False, is_insider(self._policy)
             self._tell(
                 EvalReport(kind=EvalReportKind.POLICY, number=order.number, detail=describe_knowledge(self._policy))

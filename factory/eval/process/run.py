@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies.note import note_of
-from factory.eval.process.broken_off import result_of_end
 from factory.eval.process.driver_process import DriverEnded, DriverProcess
+from factory.eval.process.interrupted import interrupted_result
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, orders_for, with_actions
 from factory.eval.specs.from_dataset import Places
@@ -57,16 +57,16 @@ def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: 
     """
     places = Places(campaign.root)
     with ExitStack() as stack:
-        seats = [DriverProcess(campaign.setup) for _ in range(campaign.processes)]
-        for seat in seats:
-            stack.callback(seat.kill)
+        drivers = [DriverProcess(campaign.setup) for _ in range(campaign.processes)]
+        for driver in drivers:
+            stack.callback(driver.kill)
         for policy in campaign.policies:
-            if not _Round(campaign, orders_for(campaign, policy, places), store, seats, stop, tell).run():
+            if not _PolicyCampaign(campaign, orders_for(campaign, policy, places), store, drivers, stop, tell).run():
                 return False
     return True
 
 
-class _Round:
+class _PolicyCampaign:
     """All episodes of one policy."""
 
     def __init__(
@@ -74,13 +74,13 @@ class _Round:
         campaign: Campaign,
         orders: list[EvalOrder],
         store: Store,
-        seats: list[DriverProcess],
+        drivers: list[DriverProcess],
         stop: threading.Event,
         tell: PaceCallback,
     ) -> None:
         self._campaign, self._orders, self._store = campaign, orders, store
         self._policy = orders[0].policy
-        self._seats, self._stop, self._tell = seats, stop, tell
+        self._drivers, self._stop, self._tell = drivers, stop, tell
         self._deaths: dict[int, int] = {}
 
     def run(self) -> bool:
@@ -92,26 +92,28 @@ class _Round:
         pace = Pace(self._policy, len(orders) - len(waiting), len(orders), successes)
         self._tell(pace)
         while pace.done < pace.total and not self._stop.is_set():
-            for result in self._turns(waiting):
+            for result in self._poll_drivers(waiting):
                 self._keep(result)
                 pace = Pace(self._policy, pace.done + 1, pace.total, pace.successes + result.success)
                 self._tell(pace)
         return pace.done >= pace.total
 
-    def _turns(self, waiting: deque[EvalOrder]) -> Iterator[EpisodeResult]:
-        """Gives every idle seat an order and hears every busy one once."""
+    def _poll_drivers(self, waiting: deque[EvalOrder]) -> Iterator[EpisodeResult]:
+        """Gives every idle driver an order and hears every busy one once."""
         busy = 0
-        for seat in self._seats:
-            if seat.current_order is None and waiting:
-                seat.give(with_actions(waiting.popleft(), self._campaign.root))
-            busy += seat.current_order is not None
-        for seat in self._seats:
-            if seat.current_order is None:
+        for driver in self._drivers:
+            if driver.current_order is None and waiting:
+                driver.give(with_actions(waiting.popleft(), self._campaign.root))
+            busy += driver.current_order is not None
+        for driver in self._drivers:
+            if driver.current_order is None:
                 continue
-            heard = seat.hear(_POLL_S / max(1, busy))
-            result = self._after_end(seat, heard, waiting) if isinstance(heard, DriverEnded) else self._after(heard)
+            report = driver.hear(_POLL_S / max(1, busy))
+            result = (
+                self._after_end(driver, report, waiting) if isinstance(report, DriverEnded) else self._after(report)
+            )
             if result is not None:
-                seat.current_order = None
+                driver.current_order = None
                 yield result
 
     def _after(self, report: EvalReport | None) -> EpisodeResult | None:
@@ -126,28 +128,28 @@ class _Round:
             raise RuntimeError(f"a driving process broke: {report.detail}")
         return report.result
 
-    def _after_end(self, seat: DriverProcess, ended: DriverEnded, waiting: deque[EvalOrder]) -> EpisodeResult | None:
-        order = seat.current_order
+    def _after_end(self, driver: DriverProcess, ended: DriverEnded, waiting: deque[EvalOrder]) -> EpisodeResult | None:
+        order = driver.current_order
         if order is None:
             return None
         if ended.fault is not None and self._made() is not None:
             task = self._campaign.specs.settings.task
-            return result_of_end(order, ended.detail, ended.fault, ended.state, task)
+            return interrupted_result(order, ended.detail, ended.fault, ended.state, task)
         if ended.fault is not None:
             raise WorldError(f"policy {order.policy} cannot be made: {ended.detail}")
         self._deaths[order.number] = self._deaths.get(order.number, 0) + 1
         if self._deaths[order.number] >= _TRIES:
             raise WorldError(f"{order.question.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")
-        seat.current_order = None
+        driver.current_order = None
         waiting.appendleft(order)
         return None
 
     def _made(self) -> DriverProcess | None:
-        """A seat in which the policy could be made."""
-        return next((seat for seat in self._seats if self._policy in seat.made), None)
+        """A driver in which the policy could be made."""
+        return next((driver for driver in self._drivers if self._policy in driver.made), None)
 
     def _keep(self, result: EpisodeResult) -> None:
-        seat = self._made()
-        if seat is not None and self._store.note_of(self._policy) is None:
-            self._store.note(note_of(self._policy, seat.made[self._policy], seat.renderer))
+        driver = self._made()
+        if driver is not None and self._store.note_of(self._policy) is None:
+            self._store.note(note_of(self._policy, driver.made[self._policy], driver.renderer))
         self._store.add(result)

@@ -12,10 +12,10 @@ from factory.eval.driving.simulator import Simulator
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from workers.experts.observation import Observation
 
-__all__ = ["SheetWatch"]
+__all__ = ["StatusWriter"]
 
 
-class SheetWatch:
+class StatusWriter:
     """Writes every turn down; a `Watch` of the rollout."""
 
     def __init__(self, sheet: SharedStatus) -> None:
@@ -38,7 +38,7 @@ class SheetWatch:
         self._state, self._last, self._calls = DriverStatus(), None, 0
         self.note(busy)
 
-    def asks(self, simulator: Simulator, view: Observation) -> None:
+    def before_call(self, simulator: Simulator, view: Observation) -> None:
         """The policy is about to be asked."""
         self._calls += 1
         here, state = (view.pose.x, view.pose.y), self._state
@@ -56,7 +56,7 @@ class SheetWatch:
             is_reset = self._calls == 1
             self.note(Activity.ASKING if self.is_warm and not is_reset else Activity.MAKING)
 
-    def has_answer(self) -> None:
+    def after_call(self) -> None:
         """The policy has answered."""
         self.is_warm = self.is_warm or self._calls > 1  # the first one is the reset
         self.note(Activity.SIMULATING)

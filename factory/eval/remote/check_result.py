@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 
 from factory.eval.driving import measure
-from factory.eval.driving.rollout import TRACK_HZ, describe_question, progresses
+from factory.eval.driving.rollout import TRACK_HZ, progresses, request_fields
 from factory.eval.models.messages import EvalOrder
 from factory.eval.models.result import EpisodeResult
 from factory.eval.models.spec import EvalSettings
@@ -35,7 +35,7 @@ def result_findings(result: EpisodeResult, order: EvalOrder, settings: EvalSetti
         settings: of the set.
         target: of the spec, as its scene has it.
     """
-    asked = describe_question(order)
+    asked = request_fields(order)
     found = [
         f"{name} is {getattr(result, name)!r}, asked for {wanted!r}"
         for name, wanted in asked.items()

@@ -18,10 +18,10 @@ from factory.eval.models.messages import EvalOrder as Drive
 from factory.eval.models.messages import EvalReport as Outcome
 from factory.eval.models.messages import EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
-from factory.eval.policies import is_foreign
+from factory.eval.policies import is_user_class
 from factory.eval.policies.note import note_of
-from factory.eval.process.broken_off import result_of_end
 from factory.eval.process.driver_process import DriverEnded, DriverProcess
+from factory.eval.process.interrupted import interrupted_result
 from factory.eval.remote.driven import Driven, write_driven
 from schemas.terms import FailReason, RendererKind
 from workers.process import messages as worker
@@ -72,7 +72,7 @@ class _Station:
         """Does one order and tells what came of it."""
         begun = time.monotonic()
         errand = EvalTask.model_validate_json(order.errand or "")
-        if is_foreign(errand.policy) and not self._may_import:
+        if is_user_class(errand.policy) and not self._may_import:
             # the name came over the network, and importing it runs whatever is there
             self.tell(failure(FailReason.CRASH, f"policy {errand.policy}: {_NO_IMPORTS}"))
             return
@@ -114,7 +114,7 @@ def _result(
     """Returns the result of a drive, or what is wrong with this machine, its way to a server, or the errand."""
     if isinstance(heard, DriverEnded):
         if heard.fault is not None and drive.policy in seat.made:
-            return result_of_end(drive, heard.detail, heard.fault, heard.state, errand.setup.settings.task)
+            return interrupted_result(drive, heard.detail, heard.fault, heard.state, errand.setup.settings.task)
         where = "" if heard.fault is None else f"policy {drive.policy} cannot be made: "
         return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
     if heard.result is not None:

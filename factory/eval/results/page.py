@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from factory.eval.models.result import EpisodeResult
 from factory.eval.results.estimate import IntervalEstimate
-from factory.eval.results.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
+from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
 from factory.html import data_uri, render
 from factory.stats.model import Share
 
@@ -94,8 +94,8 @@ def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureEx
             "head": _MAIN_HEAD,
             "rows": [(policy.policy, policy.knows, _main_cells(policy.overall)) for policy in policies],
         },
-        faults=[line for policy in policies for line in faults_in_words(policy)],
-        ends=[(policy.policy, ends_of(policy)) for policy in policies],
+        faults=[line for policy in policies for line in fault_lines(policy)],
+        ends=[(policy.policy, describe_ends(policy)) for policy in policies],
         tables=list(_tables(policies)),
         films=[(policy.policy, _failed(policy), [_film(failure) for failure in shown]) for policy, shown in films],
     )
@@ -145,7 +145,7 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
             [cell if isinstance(cell, _Cell) else _Cell(str(cell)) for cell in cells]
         )
     if groups:
-        deaf = ", ".join(deaf_policies(policies))
+        deaf = ", ".join(policies_without_instruction(policies))
         note = f"Gap 0 by construction, as they read no instruction: {deaf}." if deaf else ""
         yield _Table("words", "Other words", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
 

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from factory.train.checkpoint import checkpoint_path, parse_meta, write_atomically
 from factory.train.options import BcOptions, CheckpointMeta
-from factory.train.words import vocabulary
+from factory.train.vocabulary import vocabulary
 from schemas.errors import UsageError
 
 PATH = Path("policy.pt")

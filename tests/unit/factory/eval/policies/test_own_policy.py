@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from factory.eval.policies import make_policy, require_at_hand
-from factory.eval.policies.foreign import load_class
-from factory.eval.policies.outside import Outside
+from factory.eval.policies import make_policy, require_available
+from factory.eval.policies.limits import PolicyLimits
+from factory.eval.policies.user_class import load_class
 from schemas.errors import UsageError
 
 ROOT = Path(__file__).parents[5]
@@ -33,7 +33,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_missing_module_is_told_where_it_was_looked_for(folder: Path) -> None:
     said = f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH .*docs/evaluation/my_policy.py is an example"
-    for judge in (require_at_hand, load_class):
+    for judge in (require_available, load_class):
         with pytest.raises(UsageError, match=said) as caught:
             judge("nowhere_pilot:Policy")
         assert "frozen" not in str(caught.value)
@@ -54,14 +54,14 @@ def test_a_missing_class_is_told_those_that_the_module_has(folder: Path) -> None
 )
 def test_a_module_that_cannot_be_imported_is_told_by_its_own_line(folder: Path, text: str, said: str) -> None:
     (folder / "broken_pilot.py").write_text(text)
-    require_at_hand("broken_pilot:Policy")
+    require_available("broken_pilot:Policy")
     with pytest.raises(UsageError, match=said):
         load_class("broken_pilot:Policy")
 
 
 def test_a_module_of_the_working_directory_is_found_without_importing_it(folder: Path) -> None:
     (folder / "loud_pilot.py").write_text("raise SystemExit('imported')")
-    require_at_hand("loud_pilot:Policy")
+    require_available("loud_pilot:Policy")
 
 
 def test_every_page_names_a_class_that_the_example_has(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,4 +70,4 @@ def test_every_page_names_a_class_that_the_example_has(folder: Path, monkeypatch
     named = {name for page in pages for name in re.findall(r"my_policy:\w+", page.read_text())}
     assert named
     for name in named:
-        make_policy(name, Outside())
+        make_policy(name, PolicyLimits())

@@ -43,8 +43,8 @@ def load_class(name: str) -> Policy:
         raise
     except Exception as error:
         if isinstance(error, ModuleNotFoundError) and _is_part(error.name, module_name):
-            raise UsageError(_say_absent(name, error.name or module_name)) from error
-        raise UsageError(f"policy {name} cannot be made: {_say_with_place(error)}") from error
+            raise UsageError(_describe_missing(name, error.name or module_name)) from error
+        raise UsageError(f"policy {name} cannot be made: {_describe_with_location(error)}") from error
     return policy
 
 
@@ -70,7 +70,7 @@ def require_module(name: str) -> None:
     top = name.partition(":")[0].partition(".")[0]
     if top in sys.modules or importlib.util.find_spec(top) or PathFinder.find_spec(top, [str(Path.cwd())]):
         return
-    raise UsageError(_say_absent(name, top))
+    raise UsageError(_describe_missing(name, top))
 
 
 def _class_of(module: ModuleType, class_name: str, name: str) -> object:
@@ -93,13 +93,13 @@ def _is_part(absent: str | None, module_name: str) -> bool:
     return absent is not None and f"{module_name}.".startswith(f"{absent}.")
 
 
-def _say_absent(name: str, absent: str) -> str:
+def _describe_missing(name: str, absent: str) -> str:
     looked = f"looked in {Path.cwd()}, on PYTHONPATH and among the packages of {sys.prefix}"
     remedy = "run the command in the folder that holds it, or name that folder in PYTHONPATH"
     return f"policy {name}: no module {absent!r}; {looked}: {remedy} ({_EXAMPLE})"
 
 
-def _say_with_place(error: Exception) -> str:
+def _describe_with_location(error: Exception) -> str:
     """Returns an exception with the line it came from; those of Python's own importer say nothing to a user."""
     what = traceback.format_exception_only(error)[-1].strip()
     if isinstance(error, SyntaxError) and error.filename:

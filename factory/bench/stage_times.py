@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 from factory.bench.model import Spread, StageCost
 
-__all__ = ["ProcessWatch", "StageTimes", "stage_costs"]
+__all__ = ["StageClock", "StageTimes", "stage_costs"]
 
 StageTimes = dict[str, tuple[float, float]]
 """Stage -> seconds of wall clock, seconds of CPU time."""
 
 
-class ProcessWatch:
+class StageClock:
     """A `schemas.support.stage_timer.Lap` that keeps time; `start` before the first stage, `take` after the last."""
 
     def __init__(self) -> None:

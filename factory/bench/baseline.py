@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.bench.model import PlainPace
-from factory.bench.watch import ProcessWatch
+from factory.bench.stage_times import StageClock
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import CompiledScene
@@ -25,10 +25,10 @@ from workers.physics.mesh_lists import mesh_lists
 from workers.physics.world import ColliderMesh, World
 from workers.render.tiny import TinyScene
 
-__all__ = ["run_plain"]
+__all__ = ["run_baseline"]
 
 
-def run_plain(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
+def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
     """Makes frames at poses spread over those given, one physics step before each, and returns the pace.
 
     Args:
@@ -38,7 +38,7 @@ def run_plain(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int
         frames: how many to make, after one that warms up.
     """
     chosen = [poses[round(k)] for k in np.linspace(0, len(poses) - 1, frames)]
-    watch = ProcessWatch()
+    watch = StageClock()
     collider = _one_body_a_part(scene)
     with World(scene, collider, job.robot, job.task.control_hz) as world, closing(TinyScene(scene)) as shown:
         _make_frame(world, shown, job, chosen[0], watch)
@@ -63,7 +63,7 @@ def _one_body_a_part(scene: CompiledScene) -> ColliderMesh:
     )
 
 
-def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, watch: ProcessWatch) -> None:
+def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, watch: StageClock) -> None:
     world.place(pose.x, pose.y, pose.yaw)
     world.step()
     watch("physics")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Outside"]
+__all__ = ["PolicyLimits"]
 
 
 @dataclass(frozen=True)
-class Outside:
+class PolicyLimits:
     """Given to every policy when it is made."""
 
     act_timeout_s: float = 10.0

@@ -21,13 +21,13 @@ from schemas.job import Job
 from schemas.plan import Plan
 from schemas.scene import Target
 
-__all__ = ["Condition", "Opened", "serve_hub"]
+__all__ = ["CoordinatorReady", "CoordinatorUsage", "serve_coordinator"]
 
 _LEASE_S = 600.0
 """No lease runs out while a busy machine is measured."""
 
 
-class Opened(Model):
+class CoordinatorReady(Model):
     """A coordinator that can be asked."""
 
     endpoints: tuple[str, ...]
@@ -35,7 +35,7 @@ class Opened(Model):
     """From the call to the moment at which it listens: ledger checked, archive reconciled."""
 
 
-class Condition(Model):
+class CoordinatorUsage(Model):
     """How a coordinator does."""
 
     memory: Memory
@@ -43,7 +43,7 @@ class Condition(Model):
     """CPU time of its process so far, all threads."""
 
 
-class _Trust:
+class _AcceptAll:
     """Takes every bundle for a good one: what is timed is the way there, not the check in a process of its own."""
 
     def __init__(self, meta: EpisodeMeta, sha256: str, size: int) -> None:
@@ -58,13 +58,13 @@ class _Trust:
         pass
 
 
-def serve_hub(
+def serve_coordinator(
     pipe: Connection, root: Path, plan: Plan, catalog: Catalog, meta: EpisodeMeta, sha256: str, size: int
 ) -> None:
     """Opens a coordinator, tells where it listens, and answers every message with its condition until the pipe ends.
 
     Args:
-        pipe: to the conductor; the first thing sent is `Opened`, all others are `Condition`.
+        pipe: to the conductor; the first thing sent is `CoordinatorReady`, all others are `CoordinatorUsage`.
         root: of the dataset; its ledger may be filled already.
         plan: what the ledger holds.
         catalog: its scenes.
@@ -75,14 +75,14 @@ def serve_hub(
     configure_logs(verbose=False)
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(40))
     settings = CoordinatorSettings(lease_ttl_s=_LEASE_S, reserve_bytes=0)
-    begun = time.perf_counter()
-    checker = _Trust(meta, sha256, size)
-    with Coordinator(root, plan, catalog, ("tcp/127.0.0.1:0",), settings=settings, checker=checker) as hub:
-        pipe.send(Opened(endpoints=hub.endpoints, seconds=time.perf_counter() - begun))
+    start_s = time.perf_counter()
+    checker = _AcceptAll(meta, sha256, size)
+    with Coordinator(root, plan, catalog, ("tcp/127.0.0.1:0",), settings=settings, checker=checker) as coordinator:
+        pipe.send(CoordinatorReady(endpoints=coordinator.endpoints, seconds=time.perf_counter() - start_s))
         start_mib = resident_mib()
         try:
             while True:
                 pipe.recv()
-                pipe.send(Condition(memory=measure_memory(start_mib), cpu_s=time.process_time()))
+                pipe.send(CoordinatorUsage(memory=measure_memory(start_mib), cpu_s=time.process_time()))
         except EOFError:
             return

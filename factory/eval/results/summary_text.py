@@ -8,7 +8,7 @@ from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import PolicyScores
 from factory.stats.model import Share
 
-__all__ = ["ablation_rows", "deaf_policies", "ends_of", "faults_in_words"]
+__all__ = ["ablation_rows", "describe_ends", "fault_lines", "policies_without_instruction"]
 
 
 def ablation_rows(
@@ -30,18 +30,18 @@ def ablation_rows(
             yield policy.policy, row.variant, which, row.n, *spelt
 
 
-def deaf_policies(policies: Sequence[PolicyScores]) -> list[str]:
+def policies_without_instruction(policies: Sequence[PolicyScores]) -> list[str]:
     """Returns those that read no instruction, so that their gap is 0 by construction."""
     return [policy.policy for policy in policies if not policy.reads_instruction]
 
 
-def ends_of(policy: PolicyScores) -> str:
+def describe_ends(policy: PolicyScores) -> str:
     """Returns how the episodes of a policy ended, and how long it thought."""
     ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
     return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms an answer"
 
 
-def faults_in_words(policy: PolicyScores) -> list[str]:
+def fault_lines(policy: PolicyScores) -> list[str]:
     """Returns a line for each way in which a policy failed as a program, with what it said first."""
     return [
         f"{policy.policy}: {fault.drives} of {fault.of} ended by {fault.end}, first in {fault.first}: {fault.detail}"

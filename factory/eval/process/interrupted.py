@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from factory.eval.driving.policy import PolicyFault
-from factory.eval.driving.rollout import describe_question, progresses
+from factory.eval.driving.rollout import progresses, request_fields
 from factory.eval.models.messages import EvalOrder
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.process.shared_status import DriverStatus
 from schemas.config import TaskConfig
 
-__all__ = ["result_of_end"]
+__all__ = ["interrupted_result"]
 
 
-def result_of_end(
+def interrupted_result(
     order: EvalOrder, detail: str, fault: PolicyFault, state: DriverStatus, task: TaskConfig
 ) -> EpisodeResult:
     """Returns the result of an episode whose driving process had to be ended.
@@ -29,7 +29,7 @@ def result_of_end(
     now_m, least_m = (state.now_m, state.least_m) if state.start_m else (start_m, start_m)
     nothing = None if spec.geodesic_m is None else 0.0
     return EpisodeResult(
-        **describe_question(order),
+        **request_fields(order),
         end=EvalEnd(fault),
         detail=detail,
         success=False,
