@@ -1,4 +1,4 @@
-"""Certificates for the transport: an authority of one's own, and one certificate a host."""
+"""Creates TLS certificates for the transport: one private authority, and one certificate for each host."""
 
 from factory.keys.folder import HostKeys, admit, create_authority, list_hosts, revoke
 

@@ -1,6 +1,7 @@
-"""What became of the attempts: success, collision and timeout by scene and tier, and what each cell took. Pure.
+"""Counts attempts: success, collision and timeout by scene and tier, and the attempts of each cell of the plan.
 
-An attempt is one that the world decided: crashes, expired leases and the like are counted by reason only.
+Counts successes and failures of the task as attempts. Counts crashes, expired leases and the like by reason only.
+Pure functions; no I/O.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_tas
 def attempt_rows(
     episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt], scenes: Iterable[str]
 ) -> tuple[AttemptRow, ...]:
-    """Returns rows by scene, by tier, by both, and one of all."""
+    """Returns one row for each scene, tier, and scene and tier, and one row for all attempts."""
     names = list(scenes)
     kinds: list[tuple[Iterable[str], Callable[[AttemptSummary], str]]] = [
         (names, lambda row: row.scene),
@@ -40,7 +41,7 @@ def attempt_rows(
 def cell_rows(
     episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt] | None, plan: Plan
 ) -> tuple[CellRow, ...]:
-    """Returns quota, episodes and attempts of each cell of scene x split x tier that the plan or the data has."""
+    """Returns the quota, the episodes and the attempts of each cell (scene x split x tier) of the plan or the data."""
     archived = Counter((row.scene, str(row.split), str(row.spawn_tier)) for row in episodes)
     failed = Counter(
         (row.scene, str(row.split), str(row.spawn_tier)) for row in failures or () if row.reason in _TASK_FAILURES

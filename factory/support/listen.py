@@ -1,4 +1,4 @@
-"""Which endpoints may be used: without TLS loopback and nothing else, with it TLS and nothing else. Pure."""
+"""Validates zenoh endpoints: without TLS only loopback, with TLS only `tls/`. Pure functions; opens no socket."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ __all__ = ["require_endpoints", "require_loopback", "require_tls_endpoints"]
 
 
 def require_loopback(endpoints: Sequence[str]) -> None:
-    """Makes sure that every endpoint is of the form tcp/HOST:PORT with a loopback HOST.
+    """Raises an error unless every endpoint has the form tcp/HOST:PORT with a loopback HOST.
 
     Raises:
-        UsageError: an endpoint is malformed, or reachable from other machines.
+        UsageError: An endpoint is malformed, or is reachable from other machines.
     """
     for endpoint in endpoints:
         host = _host_of(endpoint, "tcp")
         if host != "localhost" and not _is_loopback(host):
             raise UsageError(
-                f"{endpoint} could be reached from other machines: without --tls only loopback is listened on. Make "
-                "certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
+                f"{endpoint} is reachable from other machines; without --tls, only loopback endpoints are allowed. "
+                "Create certificates with `factory keys` and listen on tls/HOST:PORT, or use tcp/127.0.0.1:PORT"
             )
 
 
 def require_endpoints(endpoints: Sequence[str], *, with_tls: bool) -> None:
-    """Makes sure that endpoints to connect to are of the form tcp/HOST:PORT, with certificates tls/HOST:PORT.
+    """Raises an error unless every endpoint has the form tcp/HOST:PORT, or tls/HOST:PORT with certificates.
 
     Raises:
-        UsageError: an endpoint is malformed, or does not go with the certificates.
+        UsageError: An endpoint is malformed, or its protocol does not match `with_tls`.
     """
     for endpoint in endpoints:
         _host_of(endpoint, "tls" if with_tls else "tcp")
 
 
 def require_tls_endpoints(endpoints: Sequence[str]) -> None:
-    """Makes sure that every endpoint is of the form tls/HOST:PORT.
+    """Raises an error unless every endpoint has the form tls/HOST:PORT.
 
     Raises:
-        UsageError: an endpoint is malformed, or would not be encrypted.
+        UsageError: An endpoint is malformed, or its protocol is not encrypted.
     """
     for endpoint in endpoints:
         _host_of(endpoint, "tls")
@@ -49,10 +49,10 @@ def _host_of(endpoint: str, wanted: str) -> str:
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol in {"tcp", "tls"} and protocol != wanted:
-        remedy = f"write tls/{address}, or leave out --tls" if wanted == "tls" else "give the TLS folder with --tls"
-        raise UsageError(f"{endpoint} and {'--tls' if wanted == 'tls' else 'no --tls'} do not go together: {remedy}")
+        remedy = f"write tls/{address}, or omit --tls" if wanted == "tls" else "give the TLS folder with --tls"
+        raise UsageError(f"{endpoint} cannot be used {'with' if wanted == 'tls' else 'without'} --tls: {remedy}")
     if protocol != wanted or not host or not port.isdigit() or int(port) > 65535:
-        raise UsageError(f"{endpoint!r} is no endpoint; write {wanted}/127.0.0.1:7447")
+        raise UsageError(f"{endpoint!r} is not a valid endpoint; write {wanted}/127.0.0.1:7447")
     return host.strip("[]")
 
 

@@ -174,14 +174,14 @@ def test_a_dataset_without_an_episode_says_so(tmp_path: Path) -> None:
         write_tables(archive, small_plan(3), {}, [], [], NOW)
     found = measure_dataset(tmp_path / "data")
     assert found.is_sound
-    assert found.remarks[-1].text == "no episodes; every mean is left out"
+    assert found.remarks[-1].text == "no episodes; every mean is omitted"
 
 
 def test_missing_episodes_are_left_out_and_named(own: Path) -> None:
     (own / "episodes" / "ep_000002.zip").unlink()
     found = measure_dataset(own)
     assert (found.episodes, found.is_sound) == (2, False)
-    assert "1 episodes left out whose file is not there: ep_000002" in found.remarks[0].text
+    assert "1 episodes omitted because their file is missing: ep_000002" in found.remarks[0].text
 
 
 def test_truncated_episodes_are_left_out_and_named(own: Path) -> None:
@@ -190,7 +190,7 @@ def test_truncated_episodes_are_left_out_and_named(own: Path) -> None:
     path.write_bytes(path.read_bytes()[:1000])
     found = measure_dataset(own)
     assert (found.episodes, found.is_sound) == (2, False)
-    assert f"whose file has another size: ep_000003 (1000 bytes, recorded {size})" in found.remarks[0].text
+    assert f"because their file size differs: ep_000003 (1000 bytes, recorded {size})" in found.remarks[0].text
 
 
 def test_cells_that_differ_from_the_plan_are_named(own: Path) -> None:
@@ -215,7 +215,7 @@ def test_an_instance_on_both_sides_against_the_promise_is_damage(own: Path) -> N
     describe(own, shared_instances={"office": []})
     found = measure_dataset(own)
     assert not found.is_sound
-    assert "1 instances in training and evaluation against the plan: office chair_001" in found.remarks[-1].text
+    assert "1 instances are in training and evaluation, against the plan: office chair_001" in found.remarks[-1].text
 
 
 def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
@@ -223,7 +223,7 @@ def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
     found = measure_dataset(own)
     assert found.is_sound
     assert [remark.text for remark in found.remarks] == [
-        "office has too few of chair to keep training and evaluation apart"
+        "office has too few instances of chair to separate training from evaluation"
     ]
 
 
@@ -251,13 +251,13 @@ def test_without_a_record_of_attempts_the_rest_is_told(own: Path, damage: str) -
     found = measure_dataset(own)
     assert found.attempts is None
     assert (found.episodes, found.is_sound) == (3, False)
-    assert "attempts are left out" in found.remarks[0].text
+    assert "attempts are omitted" in found.remarks[0].text
     assert all(cell.attempts is None for cell in found.cells)
 
 
 def test_a_destroyed_table_of_episodes_is_refused_with_the_remedy(own: Path) -> None:
     (own / "metadata.parquet").write_bytes(b"rubbish")
-    with pytest.raises(ArchiveCorrupt, match="resumed run writes it anew"):
+    with pytest.raises(ArchiveCorrupt, match="resume the run to write it again"):
         measure_dataset(own)
 
 
@@ -321,4 +321,4 @@ def test_command_ends_with_one_on_damage_and_says_what_is_left_out(own: Path) ->
     (own / "episodes" / "ep_000003.zip").unlink()
     done = CliRunner().invoke(command, [str(own)], standalone_mode=False)
     assert done.return_value == 1
-    assert "damage: episodes: 1 episodes left out" in done.stderr
+    assert "damage: episodes: 1 episodes omitted" in done.stderr
