@@ -86,7 +86,7 @@ class Episode:
             return bundle.rgb(self._step(t))
 
     def depth(self, t: int) -> NDArray[np.float32]:
-        """Returns the depth image at step t, (640, 640) metres along the optical axis; negative t count from the end."""
+        """Returns the depth image at step t, (640, 640) metres along the optical axis; negative t: from the end."""
         with self._reading() as bundle:
             return bundle.depth(self._step(t))
 

@@ -1,6 +1,6 @@
-"""The paper's acceptance gate: first attempts at the episodes of one scene, counted and thrown away. Archives nothing.
+"""Acceptance gate of the paper: runs the first attempt at each episode of a scene and counts the successes.
 
-Attempts run in the simulation processes that workers use; a bundle is deleted as soon as it is whole.
+Attempts run in the same simulation processes as those of workers; bundles are deleted when complete. Archives nothing.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ _STARTS = 3
 
 @dataclass(frozen=True)
 class Pilot:
-    """What to try, and with what."""
+    """Jobs and settings of a pilot run."""
 
     jobs: tuple[Job, ...]
     package: Path
-    """The compiled scene of all jobs."""
+    """Path of the compiled scene of all jobs."""
     command: tuple[str, ...]
-    """How to start a simulation process."""
+    """Command line of a simulation process."""
     processes: int = 1
 
     @classmethod
     def of(cls, plan: Plan, catalog: Catalog, command: tuple[str, ...], processes: int) -> Pilot:
-        """Returns the first attempts at all episodes of a plan of one scene.
+        """Returns a pilot run of the first attempts at all episodes of a plan with one scene.
 
         Raises:
-            InvalidPlan: the scene does not have what the plan asks for.
+            InvalidPlan: The scene cannot fulfil the plan.
         """
         jobs = tuple(to_job(plan, catalog, planned, attempt=1) for planned in expand(plan, catalog))
         return cls(jobs, catalog[plan.scenes[0].name].path, command, processes)
@@ -56,7 +56,7 @@ class Pilot:
 
 @dataclass(frozen=True)
 class Trial:
-    """How one first attempt ended; without a reason it succeeded."""
+    """Result of one first attempt; `reason` is `None` for a success."""
 
     job: Job
     reason: FailReason | None = None
@@ -64,7 +64,7 @@ class Trial:
 
 
 class FailedTrial(Model):
-    """A first attempt that failed."""
+    """Failed first attempt."""
 
     episode_id: str
     tier: Tier
@@ -74,7 +74,7 @@ class FailedTrial(Model):
 
 
 class GateReport(Model):
-    """What the gate says."""
+    """Report of the acceptance gate."""
 
     scene: str
     expert: str
@@ -84,19 +84,19 @@ class GateReport(Model):
     by_tier: dict[Tier, Share]
     reasons: dict[FailReason, int]
     lost: tuple[FailedTrial, ...]
-    """In the order of the plan."""
+    """Failed trials in the order of the plan."""
 
 
 def run_pilot(pilot: Pilot, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
-    """Tries every job once; returns what was tried until all are done or `stop` is set.
+    """Runs every job once; returns the trials that ended before all were done or `stop` was set.
 
     Args:
-        pilot: what to try.
-        stop: leave at once.
-        tell: told the number of attempts done.
+        pilot: Jobs and settings.
+        stop: Event that stops the pilot run immediately.
+        tell: Progress callback, called with the number of finished attempts.
 
     Raises:
-        WorldError: simulations do not start, or the disk of temporary files is full.
+        WorldError: Simulations do not start, or the disk of temporary files is full.
     """
     waiting, trials = deque(pilot.jobs), list[Trial]()
     with tempfile.TemporaryDirectory(prefix="gate-") as folder, ExitStack() as stack:
@@ -114,9 +114,9 @@ def run_pilot(pilot: Pilot, stop: threading.Event, tell: Callable[[int], None]) 
 
 
 def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
-    """Counts trials by tier and reason and compares their share of successes with what is asked for.
+    """Counts trials by tier and reason and compares the share of successes with the required one.
 
-    A crash counts as a failed attempt: the gate asks whether a scene can be generated, whatever is in the way.
+    A crash counts as a failed attempt, because the gate measures whether the scene can be generated at all.
     """
     won = Counter(trial.job.tier for trial in trials if trial.reason is None)
     tried = Counter(trial.job.tier for trial in trials)
@@ -145,22 +145,22 @@ def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success:
 
 
 class _TrialProcess:
-    """One simulation process and the job it has; all slots are asked in turn, so none may wait for long."""
+    """Simulation process and its current job; all processes are polled in turn, so no call may block for long."""
 
     def __init__(self, pilot: Pilot, bundle: Path, slots: int) -> None:
         self._pilot, self._bundle = pilot, bundle
         self._poll_s = _POLL_S / slots
-        self._simulation = Simulation(pilot.command, _HANG_S / slots)  # hears itself wait for its own turns only
+        self._simulation = Simulation(pilot.command, _HANG_S / slots)  # each process is polled only once per round
         self._job: Job | None = None
         self._is_ready = False
         self._starts = 0
 
     def close(self) -> None:
-        """Ends the process, whatever it is doing."""
+        """Kills the process."""
         self._simulation.kill()
 
     def turn(self, waiting: deque[Job]) -> Trial | None:
-        """Starts, orders or hears; returns the trial that ended, if one did."""
+        """Starts the process, sends a job or polls it; returns a finished trial, if any."""
         if self._job is None and not waiting:
             return None
         if not self._simulation.is_running:
@@ -184,8 +184,8 @@ class _TrialProcess:
             self._is_ready, self._starts = True, 0
         if report.kind in {SimulationReportKind.READY, SimulationReportKind.PROGRESS} or self._job is None:
             return None
-        if report.reason is FailReason.RELEASED:  # a full disk says nothing about the scene
-            raise WorldError(f"{report.detail}; free space where temporary files lie, or set TMPDIR")
+        if report.reason is FailReason.RELEASED:  # a full disk does not depend on the scene
+            raise WorldError(f"{report.detail}; free disk space for temporary files, or set TMPDIR")
         job, self._job = self._job, None
         self._bundle.unlink(missing_ok=True)
         return Trial(job, report.reason, report.detail)
@@ -197,5 +197,5 @@ class _TrialProcess:
         self._starts += 1
         if self._starts >= _STARTS:
             command = " ".join(self._pilot.command)
-            raise WorldError(f"a simulation does not start after {_STARTS} tries of `{command}`: {death.detail}")
+            raise WorldError(f"the simulation did not start after {_STARTS} tries of `{command}`: {death.detail}")
         return None

@@ -1,4 +1,4 @@
-"""Read-only looks at the ledger of a dataset directory, for the verbs that report. Never writes."""
+"""Reads the ledger of a dataset for the reporting commands. Never writes."""
 
 from __future__ import annotations
 
@@ -25,34 +25,36 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
     """Opens the ledger of a dataset for reading.
 
     Raises:
-        UsageError: there is no such directory, or no home of such a URL on this machine.
-        WorldError: the directory holds no ledger.
+        UsageError: The directory does not exist, or this machine has no state directory for the URL.
+        WorldError: The directory has no ledger.
     """
     if url is None and not site.home.is_dir():
         begin = f"start a run with `factory run demo --out {site}`"
         if site.store is None:
-            raise UsageError(f"no directory {site}; {begin}")
-        raise UsageError(f"no ledger of {site} here ({site.home}); {begin}, or `factory repair {site}` rebuilds it")
+            raise UsageError(f"directory {site} does not exist; {begin}")
+        raise UsageError(
+            f"{site} has no ledger on this machine ({site.home}); {begin}, or rebuild it with `factory repair {site}`"
+        )
     if url is None and not (site.home / LEDGER_FILE).is_file() and (count := len(children(site.place / EPISODES))):
         raise WorldError(
-            f"{site} has {count} episodes and no ledger: `factory repair {site}` rebuilds it from them, and so does "
-            "the command that the run was begun with"
+            f"{site} has {count} episodes but no ledger; rebuild the ledger with `factory repair {site}`, or repeat "
+            "the command that started the run"
         )
     return look_into(ledger_url_of(site.home, url))
 
 
 def plan_of(site: Site) -> Plan | None:
-    """Returns the plan a place was begun with, as its ledger or else its description says; `None` when neither does.
+    """Returns the plan of a dataset, from its ledger or else from `dataset_meta.json`; `None` without either.
 
     Raises:
-        WorldError: the two name different plans.
-        UsageError: the ledger is of a newer format.
+        WorldError: Ledger and `dataset_meta.json` contain different plans.
+        UsageError: The format of the ledger is newer than this software.
     """
     noted, described = _noted_plan(site.home), _described_plan(site.place)
     if noted is not None and described is not None and noted.digest != described.digest:
         raise WorldError(
-            f"the ledger in {site.home} is of run {noted.run}, and {META_FILE} of {site} of run {described.run}: put "
-            f"the ledger of {described.run} back, or let `factory repair {site}` rebuild it from the episodes"
+            f"the ledger in {site.home} belongs to run {noted.run}, {META_FILE} of {site} to run {described.run}: "
+            f"restore the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
         )
     return noted or described
 
@@ -64,7 +66,7 @@ def _noted_plan(home: Path) -> Plan | None:
         with look_into(ledger_url_of(home)) as connection:
             return read_info(connection).plan if holds_run(connection) else None
     except WorldError:
-        return None  # damaged: it is rebuilt when a coordinator starts
+        return None  # damaged; the coordinator rebuilds it when it starts
 
 
 def _described_plan(place: Place) -> Plan | None:
@@ -75,9 +77,10 @@ def _described_plan(place: Place) -> Plan | None:
 
 
 def progress_of(site: Site, url: str | None = None) -> Progress:
-    """Returns where the run of a directory stands; no worker is alive where no coordinator runs.
+    """Returns the progress of the run of a dataset; without a running coordinator, no worker counts as alive.
 
-    A ledger in another database may belong to a coordinator on another host; its workers are judged by their beats.
+    A ledger in another database can belong to a coordinator on another host; heartbeats decide whether its workers are
+    alive.
     """
     with read_ledger(site, url) as connection:
         progress = read_progress(connection, datetime.now(UTC))

@@ -1,6 +1,7 @@
-"""A whole run on one machine: a coordinator in this process, workers beside it, over zenoh on loopback.
+"""Runs a plan on one machine: a coordinator in this process and worker processes, over zenoh on loopback.
 
-Owns the workers' processes: restarts those that die, stops all when it ends. Prints nothing; a listener is told.
+Owns the worker processes: restarts those that exit with an error, and stops all when the run ends. Prints nothing;
+a callback receives the progress.
 """
 
 from __future__ import annotations
@@ -40,43 +41,43 @@ _SPOOL = ".spool"
 _POLL_S = 0.25
 _LEAVE_S = 8.0
 _MOST_DEATHS = 8
-"""Deaths of one worker without an episode in between after which the run gives up."""
+"""Maximum number of worker crashes without a new episode; after more, the run stops with an error."""
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class LocalRun:
-    """What to run here."""
+    """Settings of a run on this machine."""
 
     plan: Plan
     catalog: Catalog
     root: Path
-    """Dataset directory, or with `store` the home of what cannot lie there."""
+    """Dataset directory, or with `store` the local state directory."""
     workers: int
-    """Worker processes, one simulation each."""
+    """Number of worker processes, each with one simulation."""
     renderer: RendererKind = "auto"
     verbose: bool = False
     gate: tuple[GateOutcome, ...] = ()
-    """What the pilot found before the run."""
+    """Results of the acceptance gate before the run."""
     store: ObjectPath | None = None
-    """Where the dataset lies, when in object storage."""
+    """Location of the dataset in object storage; `None` for a dataset in `root`."""
 
 
 def run_locally(
     run: LocalRun, settings: CoordinatorSettings, stop: threading.Event, tell: Callable[[Progress], None]
 ) -> Progress:
-    """Makes the dataset, or goes on with it; returns when the run is finished or `stop` is set.
+    """Generates or resumes the dataset; returns when the run is finished or `stop` is set.
 
     Args:
-        run: plan, scenes, place and workers.
-        settings: of the coordinator.
-        stop: leave in good order.
-        tell: told the progress a few times a second.
+        run: Plan, scenes, location and number of workers.
+        settings: Settings of the coordinator.
+        stop: Event that stops the run gracefully.
+        tell: Progress callback, called a few times per second.
 
     Raises:
-        WorldError: the directory is taken or cannot be written, or workers die again and again.
-        UsageError: the directory holds another plan, or this version lacks the expert.
+        WorldError: Another process uses the directory, it cannot be written, or workers crash repeatedly.
+        UsageError: The directory holds another plan, or this version does not have the expert.
     """
     require_expert(run.plan.expert)
     require_room(run.root, settings.reserve_bytes)
@@ -105,15 +106,17 @@ def run_locally(
         progress = coordinator.progress()
         tell(progress)
         if progress.finished:
-            shutil.rmtree(run.root / _SPOOL, ignore_errors=True)  # nothing in it is wanted any more
+            shutil.rmtree(
+                run.root / _SPOOL, ignore_errors=True
+            )  # the run is finished; its bundles are no longer needed
         return progress
 
 
 def _require_work(run: LocalRun, progress: Progress) -> None:
-    """Ends a run in which nobody gets a job any more.
+    """Raises an error when no worker can receive a job.
 
     Raises:
-        WorldError: the host of all workers, this one, is barred.
+        WorldError: This host, which runs all workers, is barred.
     """
     barred = [host for host in progress.hosts if host.barred_at is not None]
     if not barred or progress.finished or progress.jobs.get("submitted", 0):
@@ -121,13 +124,13 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     host, site = barred[0], run.store or run.root
     raise WorldError(
         f"host {host.host} is barred after {host.strikes} failures, last: {host.reason}; {progress.missing} of "
-        f"{progress.planned} episodes are missing. Put the host right, then `factory jobs release {site} {host.host}` "
+        f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release {site} {host.host}` "
         f"and `factory run --out {site}`"
     )
 
 
 class _WorkerPool:
-    """The worker processes; each watches our end of its stdin and leaves when it closes, however we end."""
+    """Worker processes; each exits when its stdin closes, even if this process is killed."""
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
         self._command = [
@@ -140,10 +143,10 @@ class _WorkerPool:
         self._processes = [self._start() for _ in range(run.workers)]
 
     def restart_dead(self, archived: int) -> None:
-        """Starts a dead worker again; gives up when they only die.
+        """Restarts workers that exited with an error.
 
         Raises:
-            WorldError: too many deaths without a new episode.
+            WorldError: Too many crashes without a new episode.
         """
         if archived > self._archived:
             self._archived, self._deaths = archived, 0
@@ -154,11 +157,14 @@ class _WorkerPool:
             self._deaths += 1
             log.warning("worker_died", status=code, deaths=self._deaths)
             if self._deaths > _MOST_DEATHS:
-                raise WorldError(f"workers died {self._deaths} times without an episode, last with status {code}")
+                raise WorldError(
+                    f"workers crashed {self._deaths} times without a new episode, last with exit status {code}; see "
+                    "their messages above"
+                )
             self._processes[place] = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        # a session of its own: Ctrl-C reaches us, and we stop them in order
+        # in a separate session, so that Ctrl-C reaches this process only, which then stops the workers
         return subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,

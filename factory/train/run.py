@@ -1,7 +1,7 @@
-"""One training from a dataset to a folder: caches, epochs, checkpoints, logs. Resumes where it was.
+"""Runs a training from a dataset to a folder: caches, epochs, checkpoints, logs. Resumes an interrupted training.
 
-The folder holds `policy.pt` (what `--policy bc:OUT` drives with), `state.pt` (what a resumed training goes on from),
-`metrics.json`, and `tensorboard/`. Both checkpoints are written after every epoch, whole or not at all.
+The folder contains `policy.pt` (used by `--policy bc:OUT`), `state.pt` (the state to resume from), `metrics.json` and
+`tensorboard/`. Both checkpoints are written atomically after every epoch. Defines no network and no loss.
 """
 
 from __future__ import annotations
@@ -45,38 +45,38 @@ _METRICS = "metrics.json"
 
 @dataclass(frozen=True)
 class TrainOrder:
-    """What is wanted of a training beside what decides its outcome."""
+    """Training request: dataset, output folder and limits, with the options that determine the result."""
 
     dataset: Dataset
-    """Filtered by scene and tier where that is wanted; the splits are taken from it here."""
+    """Dataset, filtered by scene and tier if required, but not by split."""
     out: Path
     options: BcOptions
     split: Split = Split.TRAIN_ID
     device: str = "auto"
     minutes: float | None = None
-    """No epoch is begun that would end later than this."""
+    """Time limit, minutes: no epoch starts that would end later. `None` means no limit."""
 
 
 @dataclass(frozen=True)
 class TrainCallbacks:
-    """Whom to tell and whom to ask on the way."""
+    """Callbacks of a training."""
 
     caching: Callable[[int, int], None]
-    """Episodes decoded and to decode."""
+    """Called with decoded and total episodes."""
     learning: Callable[[int, int, int, float], None]
-    """Epochs done; batches done and to do in this one; its loss."""
+    """Called with finished epochs, finished and total batches of the current epoch, and its mean loss."""
     measured: Callable[[EpochMeasures], None]
     is_stopped: Callable[[], bool]
 
 
 def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
-    """Trains until the epochs are done, the minutes are used up or the callbacks stops; continues what the folder holds.
+    """Trains until all epochs are done, the time limit is reached or the caller stops it; resumes from the folder.
 
     Raises:
-        UsageError: torch is missing, the folder holds a training with other options or episodes, or there is nothing
-            to learn from.
-        ArchiveCorrupt: an episode is damaged.
-        WorldError: the disk refuses, or the losses are no numbers any more.
+        UsageError: PyTorch is not installed, the folder contains a training with other options or episodes, or the
+            split has no episodes.
+        ArchiveCorrupt: An episode is damaged.
+        WorldError: A file cannot be written, or the loss is NaN.
     """
     device = choose_device(order.device)
     require_logs()
@@ -112,10 +112,10 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
 
 
 def _check_folder(order: TrainOrder) -> Checkpoint | None:
-    """Returns the state of the training that the folder holds, if any; makes the folder.
+    """Returns the training state in the folder, if any; creates the folder.
 
     Raises:
-        UsageError: that training has other options.
+        UsageError: The training in the folder has other options.
     """
     found = read_checkpoint(order.out / STATE) if (order.out / STATE).exists() else None
     if found is not None:
@@ -123,8 +123,8 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
         different = [f"{name} {then[name]}, now {now[name]}" for name in now if then[name] != now[name]]
         if different:
             raise UsageError(
-                f"{order.out} holds a training with other options ({'; '.join(different)}): give the same options to "
-                "continue it, or choose another --out"
+                f"{order.out} contains a training with other options ({'; '.join(different)}): use the same options to "
+                "resume it, or choose another --out"
             )
     with translated("write", order.out):
         order.out.mkdir(parents=True, exist_ok=True)
@@ -135,8 +135,8 @@ def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> No
     then = found.meta
     if (then.train_digest, then.words) != (meta.train_digest, meta.words):
         raise UsageError(
-            f"{out} holds a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): give the same "
-            "dataset, --split, --scene and --tier to continue it, or choose another --out"
+            f"{out} contains a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): "
+            "use the same dataset, --split, --scene and --tier to resume it, or choose another --out"
         )
 
 
@@ -149,7 +149,7 @@ def _caches(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[FrameCache, F
     part = order.dataset.filter(split=order.split)
     if not len(part):
         found = ", ".join(sorted(set(order.dataset.metadata["split"].to_pylist()))) or "none"
-        raise UsageError(f"{order.dataset.root} has no episodes of {order.split} here; splits there: {found}")
+        raise UsageError(f"{order.dataset.root} has no episodes of split {order.split}; available splits: {found}")
 
     def tell(done: int, of: int) -> None:
         callbacks.caching(done, of)
@@ -181,25 +181,25 @@ def _meta(order: TrainOrder, train: FrameCache) -> CheckpointMeta:
 
 
 def _restore(order: TrainOrder, training: BcTraining, found: Checkpoint) -> list[EpochMeasures]:
-    """Continues from the folder's state and returns the epochs it has."""
+    """Restores the state of the folder and returns the measures of its finished epochs."""
     try:
         training.restore(found.tensors)
         report = TrainReport.model_validate_json((order.out / _METRICS).read_bytes())
     except (KeyError, ValueError, RuntimeError, OSError, ValidationError) as error:
         first = (str(error).splitlines() or ["no reason given"])[0]
-        raise WorldError(f"{order.out} cannot be continued ({first}): choose another --out") from error
+        raise WorldError(f"the training in {order.out} cannot be resumed ({first}): choose another --out") from error
     return [measured for measured in report.epochs if measured.epoch <= training.epochs_done]
 
 
 def _require_sound(measured: EpochMeasures) -> None:
     if measured.train_loss != measured.train_loss:  # NaN
-        raise WorldError(f"the loss of epoch {measured.epoch} is no number: try a lower --rate")
+        raise WorldError(f"the loss of epoch {measured.epoch} is NaN: use a lower --rate")
 
 
 def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport) -> None:
     done = meta.model_copy(update={"epochs_done": training.epochs_done})
     state = training.state()
-    # metrics first: a resumed training drops epochs that its state does not know
+    # metrics first: a resumed training discards epochs that are newer than its state
     write_atomically(out / _METRICS, report.model_dump_json(indent=2).encode())
     write_checkpoint(out / POLICY, Checkpoint(done, {"model": state["model"]}))
     write_checkpoint(out / STATE, Checkpoint(done, state))

@@ -73,7 +73,7 @@ def test_unknown_episodes_are_named(shared: Path) -> None:
     data = Dataset(shared)
     with pytest.raises(KeyError, match="ep_000009 is not one of these 3 episodes"):
         data["ep_000009"]
-    with pytest.raises(IndexError, match="position 3 is out of range; .* has 3 episodes here"):
+    with pytest.raises(IndexError, match=r"position 3 is out of range; .* has 3 episodes here"):
         data[3]
 
 

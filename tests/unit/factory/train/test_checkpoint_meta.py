@@ -39,13 +39,13 @@ def test_metadata_survives_its_file() -> None:
 @pytest.mark.parametrize("changes", [{"format": 2}, {"look": 99}])
 def test_other_versions_are_refused_by_number(changes: dict[str, int]) -> None:
     text = json.dumps(json.loads(meta().model_dump_json()) | changes)
-    with pytest.raises(UsageError, match=r"another version .*(format 2|version 99)"):
+    with pytest.raises(UsageError, match=r"another version .*(format 2|preprocessing 99)"):
         parse_meta(text, PATH)
 
 
 @pytest.mark.parametrize("text", [None, 7, "", "{}", '{"kind": "other"}'])
 def test_what_is_no_metadata_is_refused(text: object) -> None:
-    with pytest.raises(UsageError, match=r"policy\.pt is no checkpoint"):
+    with pytest.raises(UsageError, match=r"policy\.pt is not a checkpoint"):
         parse_meta(text, PATH)
 
 
