@@ -1,7 +1,7 @@
-"""Whether a simulation's memory stays flat: many short episodes in all scenes by turns, simulation one by one.
+"""Benchmarks the memory growth of a simulation over many short episodes in all scenes.
 
-The process is the one that a worker starts. Most episodes are cut short after a few frames, for a leak shows at starts
-and ends; some are driven to their end.
+Runs the simulation process of a worker. Most episodes are limited to a few frames, because leaks occur at the start and
+end of an episode; some run to their end. Archives nothing.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from workers.process.simulation import Death, Simulation
 __all__ = ["bench_memory"]
 
 _WHOLE_EVERY = 41
-"""One in so many episodes is driven to its end, after one of every scene; a prime, so that all scenes get a turn."""
+"""Interval of episodes that run to their end, after the first of each scene; a prime, so that all scenes occur."""
 _STEPS = 5
-"""Of all others."""
+"""Step limit of all other episodes."""
 _TENTH = 10
 _HANG_S = 120.0
 _ENDS = {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}
@@ -35,17 +35,17 @@ _ENDS = {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}
 def bench_memory(
     jobs: Sequence[Job], catalog: Catalog, command: Sequence[str], episodes: int, tell: Callable[[], None]
 ) -> MemoryBench:
-    """Has a simulation do short episodes of the jobs in turn and returns what it held along the way.
+    """Runs short episodes of the jobs in turn in one simulation and returns its memory over time.
 
     Args:
-        jobs: of all scenes, in the order in which they take turns.
-        catalog: their scenes.
-        command: how to start it.
-        episodes: how many, at least 20.
-        tell: told after every episode.
+        jobs: Jobs of all scenes, in the order of execution.
+        catalog: Scenes of the jobs.
+        command: Command line of the simulation.
+        episodes: Number of episodes, at least 20.
+        tell: Progress callback, called after every episode.
 
     Raises:
-        WorldError: the simulation died, or broke on a job.
+        WorldError: The simulation process died, or failed on a job.
     """
     machine, held, frames, done = describe_machine(), [], 0, 0
     with TemporaryDirectory() as folder, closing(_SimulationUnderTest(Simulation(command, _HANG_S))) as simulation:
@@ -76,7 +76,7 @@ def bench_memory(
 
 
 class _SimulationUnderTest:
-    """A running simulation that must not die."""
+    """Running simulation process; its death is an error."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -89,7 +89,7 @@ class _SimulationUnderTest:
         self._simulation.order(order)
         report = self._receive(_ENDS)
         if report.reason is FailReason.CRASH:
-            raise WorldError(f"the simulation could not do {order.job.scene}: {report.detail}")
+            raise WorldError(f"the simulation failed in scene {order.job.scene}: {report.detail}")
         return report
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
-"""The whole loop in one scene, as a simulation process runs it: physics, control, rendering, encoding, bundle.
+"""Benchmarks the complete loop of a simulation process: physics, control, rendering, encoding, bundle.
 
-The same jobs in every repeat; what an attempt makes is thrown away. The plain pipeline drives along the same poses.
+Every repetition runs the same jobs; the bundles are discarded. The plain PyBullet pipeline uses the same poses.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from factory.bench.baseline import run_baseline
 from factory.bench.deliver import time_delivery
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
-from factory.bench.stage_times import StageClock, StageTimes, stage_costs
+from factory.bench.stage_times import StageRecorder, StageTimes, stage_costs
 from schemas.bundle import BundleReader
 from schemas.errors import WorldError
 from schemas.job import Job
@@ -30,45 +30,44 @@ from workers.sim.scene_renderer import SceneRenderer
 __all__ = ["bench_rollout"]
 
 StepCallback = Callable[[], None]
-"""Is told after every attempt."""
+"""Called after every attempt."""
 
 
 @dataclass(frozen=True)
 class _Run:
-    """One attempt, timed."""
+    """Timed attempt."""
 
     frames: int
-    """0 when it failed."""
+    """Number of frames; 0 for a failed attempt."""
     wall_s: float
     cpu_s: float
     stages: StageTimes
     poses: NDArray[np.float32]
-    """(frames, 7) of the episode."""
+    """(frames, 7) poses of the episode: x, y, z, qw, qx, qy, qz."""
 
 
 def bench_rollout(
     jobs: Sequence[Job],
     entry: SceneEntry,
     stage: SceneRenderer,
-    watch: StageClock,
+    recorder: StageRecorder,
     repeats: int,
     plain_frames: int,
     tell: StepCallback,
 ) -> SceneRollout:
-    """Runs every job `repeats` times, after one run that warms up, and returns the figures.
+    """Runs every job `repeats` times, after one warm-up run, and returns the measurements.
 
     Args:
-        jobs: of one scene.
-        entry: that scene.
-        stage: opened with `watch` as its lap.
-        watch: keeps the time of the stages.
-        repeats: how often all jobs are timed.
-        plain_frames: frames that the plain pipeline makes for comparison, at poses spread over all episodes; 0 leaves
-            it out.
-        tell: told after every attempt, the first of all included.
+        jobs: Jobs of one scene.
+        entry: Scene of the jobs.
+        stage: Scene renderer opened with `recorder` as its stage timer.
+        recorder: Recorder of the stage times.
+        repeats: Number of timed repetitions of all jobs.
+        plain_frames: Number of frames of the plain PyBullet pipeline, at poses spread over all episodes; 0 skips it.
+        tell: Progress callback, called after every attempt, including the warm-up.
 
     Raises:
-        WorldError: no job succeeds, so that there is nothing to time.
+        WorldError: No job succeeded.
     """
     forget_peak()
     stage.load(entry.path, entry.sha256)
@@ -77,13 +76,13 @@ def bench_rollout(
         delivery = time_delivery(file, repeats)
         tell()
         start_mib = resident_mib()
-        rounds = [[_timed(job, stage, watch, file, tell) for job in jobs] for _ in range(repeats)]
+        rounds = [[_timed(job, stage, recorder, file, tell) for job in jobs] for _ in range(repeats)]
         memory = measure_memory(start_mib)
     return _summarise(rounds, delivery, sizes, memory, jobs, entry, stage, plain_frames)
 
 
 def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[str, float]:
-    """Runs jobs until one succeeds; returns the kB a frame of its members."""
+    """Runs jobs until one succeeds; returns its stored kB per frame by kind of member."""
     details = []
     for job in jobs:
         _rewind(file)
@@ -92,19 +91,17 @@ def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[
             bundle = BundleReader(file)
             return {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
         details.append(outcome.detail)
-    raise WorldError(
-        f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so there is nothing to time: {details[0]}"
-    )
+    raise WorldError(f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded: {details[0]}; try more --episodes")
 
 
-def _timed(job: Job, stage: SceneRenderer, watch: StageClock, file: BinaryIO, tell: StepCallback) -> _Run:
+def _timed(job: Job, stage: SceneRenderer, recorder: StageRecorder, file: BinaryIO, tell: StepCallback) -> _Run:
     _rewind(file)
     wall, cpu = time.perf_counter(), time.process_time()
-    watch.start()
+    recorder.start()
     outcome = run_attempt(job, stage, file, "bench", _ignore)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     tell()
-    stages = watch.take()
+    stages = recorder.take()
     if isinstance(outcome, Success):
         return _Run(outcome.meta.rollout.num_steps, wall, cpu, stages, BundleReader(file).arrays.poses)
     return _Run(0, wall, cpu, stages, np.empty((0, 7), np.float32))

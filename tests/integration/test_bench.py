@@ -16,7 +16,7 @@ from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import BenchSample
-from factory.bench.stage_times import StageClock
+from factory.bench.stage_times import StageRecorder
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job
@@ -55,9 +55,9 @@ def job_in(room: Path, **changes: object) -> Job:
 
 @pytest.mark.gl
 def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
-    watch, told = StageClock(), []
-    with SceneRenderer("gl", watch) as stage:
-        found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))
+    recorder, told = StageRecorder(), []
+    with SceneRenderer("gl", recorder) as stage:
+        found = bench_rollout([job_in(room)], read_entry(room), stage, recorder, 2, 2, lambda: told.append(1))
     assert [cost.stage for cost in found.stages] == LOOP
     assert len(told) == 3
     assert (found.episodes, found.failed_attempts, found.wall.runs) == (1, 0, 2)
@@ -77,19 +77,19 @@ def test_the_loop_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -
 @pytest.mark.gl
 def test_a_scene_in_which_nothing_succeeds_is_said_so(room: Path) -> None:
     hasty = job_in(room, task=TaskConfig(max_steps=3))
-    watch = StageClock()
+    recorder = StageRecorder()
     with (
-        SceneRenderer("gl", watch) as stage,
+        SceneRenderer("gl", recorder) as stage,
         pytest.raises(WorldError, match=r"none of 1 jobs in box_room succeeded.*timeout"),
     ):
-        bench_rollout([hasty], read_entry(room), stage, watch, 1, 0, lambda: None)
+        bench_rollout([hasty], read_entry(room), stage, recorder, 1, 0, lambda: None)
 
 
 @pytest.mark.gl
 def test_rendering_is_timed_apart_from_reading_back() -> None:
-    watch = StageClock()
-    with open_renderer("gl", lap=watch) as renderer:
-        found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
+    recorder = StageRecorder()
+    with open_renderer("gl", lap=recorder) as renderer:
+        found = bench_render(box_room(), renderer, recorder, CameraConfig(), 3, 2)
     assert [cost.stage for cost in found.stages] == ["render", "read-back"]
     assert [cost.stage for cost in found.without_colour] == ["render", "read-back"]
     assert 0 < found.triangles_in_view <= found.triangles

@@ -76,8 +76,9 @@ class BcPolicy:
         mine, found = (self.meta.control_hz, self.meta.fov_deg), (info.control_hz, info.fov_deg)
         if mine != found:
             raise UsageError(
-                f"the policy was trained at {mine[0]} Hz with a camera of {mine[1]:g} degrees, the episode has {found[0]} Hz "
-                f"and {found[1]:g} degrees: train on episodes with the settings of the evaluation"
+                f"the policy was trained at {mine[0]} Hz with a camera of {mine[1]:g} degrees, "
+                f"the episode has {found[0]} Hz and {found[1]:g} degrees: "
+                "train on episodes with the settings of the evaluation"
             )
         words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
         self._words = self._torch.from_numpy(words[None])

@@ -1,4 +1,4 @@
-"""The parts of the benchmarks that need no simulation: the watch, spreads, the choice of work, the machine."""
+"""The parts of the benchmarks that need no simulation: the recorder, spreads, the choice of work, the machine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from factory.bench.machine import describe_machine, forget_peak, measure_memory,
 from factory.bench.model import Spread
 from factory.bench.read import bench_read
 from factory.bench.render import poses_in
-from factory.bench.stage_times import StageClock, stage_costs
+from factory.bench.stage_times import StageRecorder, stage_costs
 from factory.bench.work import narrow
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
@@ -22,20 +22,20 @@ from tests.builders.scene import box_room
 
 
 def test_a_watch_gives_every_stage_the_time_since_the_stage_before() -> None:
-    watch = StageClock()
-    watch.start()
+    recorder = StageRecorder()
+    recorder.start()
     begun = time.perf_counter()
     for stage in ("slow", "quick", "slow"):
         if stage == "slow":
             time.sleep(0.02)
-        watch(stage)
-    times = watch.take()
+        recorder(stage)
+    times = recorder.take()
     assert list(times) == ["slow", "quick"]
     assert times["slow"][0] >= 0.04
     assert times["slow"][0] + times["quick"][0] <= time.perf_counter() - begun
     assert times["slow"][1] < times["slow"][0]  # asleep is no CPU time
-    watch.start()
-    assert watch.take() == {}
+    recorder.start()
+    assert recorder.take() == {}
 
 
 def test_costs_are_milliseconds_a_frame_over_the_runs() -> None:
