@@ -95,7 +95,7 @@ def test_an_error_of_the_server_is_the_policys_failure_with_its_last_words() -> 
 def test_rubbish_is_an_invalid_answer() -> None:
     with server(lambda connection, _: connection.send(b"\xc1")) as address:
         policy = begin(address)
-        with pytest.raises(PolicyFailure, match="no msgpack message") as caught:
+        with pytest.raises(PolicyFailure, match="not a msgpack message") as caught:
             policy.act(VIEW)
         policy.close()
     assert caught.value.fault is PolicyFault.INVALID
@@ -168,7 +168,7 @@ def test_a_server_that_is_gone_is_nobodys_failure() -> None:
         policy = begin(address)
         with pytest.raises(PolicyFailure):
             policy.act(VIEW)
-    with pytest.raises(ServerAway, match=r"no policy server at ws://127.0.0.1:\d+ for 0.3 s"):
+    with pytest.raises(ServerAway, match=r"no policy server responded at ws://127.0.0.1:\d+ for 0.3 s"):
         policy.reset("Go to the chair.", INFO)
     with pytest.raises(ServerAway):
         begin(address)
@@ -208,7 +208,7 @@ def test_arrays_are_packed_as_openpi_packs_them() -> None:
 def test_an_array_that_contradicts_itself_is_refused_before_it_is_made(fake: dict[bytes, Any]) -> None:
     import msgpack
 
-    with pytest.raises(WireError, match="holds an array"):
+    with pytest.raises(WireError, match="contains an array"):
         unpack(msgpack.packb(fake))
     with pytest.raises(WireError):
         pack(np.array([object()]))

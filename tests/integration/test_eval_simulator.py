@@ -112,7 +112,7 @@ def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: SceneRe
     spec = specs.specs[0].model_copy(update={"spawn_pose": (-3.95, 0.0, 0.0)})
     with (
         Simulator(stage, specs.settings) as simulator,
-        pytest.raises(WorldError, match=r"ep_000001.*stand firm in office"),
+        pytest.raises(WorldError, match=r"ep_000001.*not stable in office"),
     ):
         simulator.reset(spec, place)
 

@@ -1,4 +1,7 @@
-"""One episode with one policy, from reset to result. Whatever the policy does, a result comes of it."""
+"""Runs one episode with one policy, from reset to result. Returns a result for every failure of the policy.
+
+Starts no processes and writes no files.
+"""
 
 from __future__ import annotations
 
@@ -45,33 +48,33 @@ TRACK_HZ = 10
 
 
 class PolicyCallObserver(Protocol):
-    """Is told what goes on, so that somebody outside can tell a policy that hangs from a simulation that does."""
+    """Observer of policy calls, which allows a monitoring process to distinguish a hanging policy from a simulation."""
 
     def before_call(self, simulator: Simulator, view: Observation) -> None:
-        """The policy is about to be asked about a view; the first call of an episode is its reset."""
+        """Called before a call of the policy, with the current view; the first call of an episode is its reset."""
 
     def after_call(self) -> None:
-        """The policy has answered, or failed to."""
+        """Called after a call of the policy returned or raised."""
 
 
 def run_episode(
-    order: EvalOrder, policy: Policy, simulator: Simulator, loaded: LoadedScene, watch: PolicyCallObserver
+    order: EvalOrder, policy: Policy, simulator: Simulator, loaded: LoadedScene, observer: PolicyCallObserver
 ) -> EpisodeResult:
-    """Drives an episode to its end and measures it.
+    """Runs an episode to its end and computes its metrics.
 
     Args:
-        order: what is asked, and of whom.
-        policy: who drives; an `PrivilegedPolicy` is let in.
-        simulator: open, with the settings of the set.
-        loaded: the scene of the spec.
-        watch: told before and after each call of the policy.
+        order: Episode, instruction and policy name.
+        policy: Policy to run; a built-in `PrivilegedPolicy` receives the privileged state.
+        simulator: Open simulator with the settings of the spec set.
+        loaded: Scene of the spec.
+        observer: Observer of the policy calls.
 
     Raises:
-        WorldError: the spec does not fit its scene.
-        ServerAway: the policy's server cannot be reached; nothing is known about the episode.
+        WorldError: The spec does not match its scene.
+        ServerAway: The server of the policy cannot be reached; the episode has no result.
     """
     start_s = time.monotonic()
-    drive = _EpisodeRun(order, policy, simulator, watch)
+    drive = _EpisodeRun(order, policy, simulator, observer)
     view = simulator.reset(order.question.spec, loaded)
     end, detail = drive.run(view)
     return _measured(order, simulator, end, detail, drive, time.monotonic() - start_s)
@@ -79,23 +82,23 @@ def run_episode(
 
 @dataclass
 class _EpisodeRun:
-    """A policy at the wheel; keeps the clock and the count of its answers."""
+    """One run of an episode; measures the time and the number of the policy's outputs."""
 
     order: EvalOrder
     policy: Policy
     simulator: Simulator
-    watch: PolicyCallObserver
+    observer: PolicyCallObserver
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
 
     @property
-    def question(self) -> EvalRequest:
-        """What is asked."""
+    def request(self) -> EvalRequest:
+        """Evaluation request of the episode."""
         return self.order.question
 
     def run(self, view: Observation) -> tuple[EvalEnd, str]:
-        """Returns how the episode ended."""
+        """Runs the episode; returns its end and a description of it."""
         try:
             self._begin(view)
             while view.end is None:
@@ -103,11 +106,11 @@ class _EpisodeRun:
         except PolicyFailure as failure:
             return EvalEnd(failure.fault), failure.detail
         end = EvalEnd(view.end)
-        words = f"{end} after {self.simulator.steps} steps, {view.distance_m:.2f} m from {self.question.spec.target_id}"
+        words = f"{end} after {self.simulator.steps} steps, {view.distance_m:.2f} m from {self.request.spec.target_id}"
         return end, words
 
     def _begin(self, view: Observation) -> None:
-        settings, spec = self.simulator.settings, self.question.spec
+        settings, spec = self.simulator.settings, self.request.spec
         info = EpisodeInfo(
             episode=spec.spec_id,
             seed=spec.seed,
@@ -120,12 +123,12 @@ class _EpisodeRun:
         with self._policy_call(view):
             if is_insider(self.policy):
                 expert = getattr(self.policy, "expert", ExpertName.PROPORTIONAL)
-                situation = PrivilegedState(self.simulator, spec.job(settings, expert), self.order.actions)
-                cast(PrivilegedPolicy, self.policy).enter(situation)
-            self.policy.reset(self.question.instruction, info)
+                state = PrivilegedState(self.simulator, spec.job(settings, expert), self.order.actions)
+                cast(PrivilegedPolicy, self.policy).enter(state)
+            self.policy.reset(self.request.instruction, info)
 
     def _act_once(self, view: Observation) -> Observation:
-        """Asks once and carries the answer out."""
+        """Calls `act` once and executes the returned actions."""
         observation = self._observation(view)
         with self._policy_call(view):
             answer = self.policy.act(observation)
@@ -140,18 +143,18 @@ class _EpisodeRun:
         return view
 
     def _observation(self, view: Observation) -> PolicyInput:
-        words, step = self.question.instruction, self.simulator.steps
+        words, step = self.request.instruction, self.simulator.steps
         if not looks(self.policy):
-            return cast(PolicyInput, {"instruction": words, "step": step})  # it would not look at pictures
+            return cast(PolicyInput, {"instruction": words, "step": step})  # the policy does not use images
         seen = PolicyInput(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
-        if self.question.with_pose:
+        if self.request.with_pose:
             seen["pose"] = odometry(self.simulator.track)
         return seen
 
     @contextmanager
     def _policy_call(self, view: Observation) -> Iterator[None]:
-        """Around a call of the policy: watched, timed, and every exception of it turned into its failure."""
-        self.watch.before_call(self.simulator, view)
+        """Wraps a policy call: notifies the observer, measures the time, converts exceptions to `PolicyFailure`."""
+        self.observer.before_call(self.simulator, view)
         start_s = time.monotonic()
         try:
             yield
@@ -161,18 +164,18 @@ class _EpisodeRun:
             raise PolicyFailure(PolicyFault.RAISED, describe_error(error)) from error
         finally:
             self.act_s += time.monotonic() - start_s
-            self.watch.after_call()
+            self.observer.after_call()
 
 
 def describe_error(error: BaseException) -> str:
-    """Returns an exception in one line, with the place it came from."""
+    """Returns an exception in one line, with the file and line that raised it."""
     where = traceback.extract_tb(error.__traceback__)[-1:]
     place = "".join(f" ({Path(frame.filename).name}:{frame.lineno})" for frame in where)
     return (traceback.format_exception_only(error)[-1].strip() + place)[:500]
 
 
 def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float, float, float], ...]:
-    """Returns x, y, yaw of a (frames, 7) track ten times a second, and of its last frame."""
+    """Returns x, y, yaw of a (frames, 7) track, sampled at 10 Hz and at the last frame."""
     every = max(1, round(control_hz / TRACK_HZ))
     rows = [*range(0, len(track) - 1, every), len(track) - 1]
     yaws = yaws_of(track[rows])
@@ -219,14 +222,14 @@ def _measured(
 
 
 def request_fields(order: EvalOrder) -> dict[str, Any]:
-    """Returns the fields of a result that are known before the drive."""
-    question, spec = order.question, order.question.spec
+    """Returns the result fields that are known before the rollout."""
+    request, spec = order.question, order.question.spec
     return {
         "spec_id": spec.spec_id,
-        "spec_digest": question.spec_digest,
+        "spec_digest": request.spec_digest,
         "policy": order.policy,
-        "variant": question.variant,
-        "instruction": question.instruction,
+        "variant": request.variant,
+        "instruction": request.instruction,
         "split": spec.split,
         "scene": spec.scene,
         "tier": spec.tier,
@@ -239,7 +242,7 @@ def request_fields(order: EvalOrder) -> dict[str, Any]:
 
 
 def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig) -> dict[str, Any]:
-    """Returns the three measures of progress (DESIGN 3.15) from distances to the target's centroid."""
+    """Returns the three progress metrics (DESIGN 3.15) from distances to the target's centroid."""
     radius_m = task.success_radius_m
     normalised = measure.progress(start_m - radius_m, max(0.0, least_m - radius_m)) if start_m > radius_m else 1.0
     return {

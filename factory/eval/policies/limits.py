@@ -1,4 +1,4 @@
-"""What policies may need of their surroundings: the time limits. Holds values only."""
+"""Time limits of policies. Measures no times."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ __all__ = ["PolicyLimits"]
 
 @dataclass(frozen=True)
 class PolicyLimits:
-    """Given to every policy when it is made."""
+    """Time limits, passed to every policy on construction."""
 
     act_timeout_s: float = 10.0
-    """Longest time for any other answer."""
+    """Timeout of each action except the first, seconds."""
     load_timeout_s: float = 300.0
-    """Longest time for a reset, and for the first answer, in which models are compiled."""
+    """Timeout of a reset, and of the first action, which may compile models, seconds."""
     reconnect_s: float = 30.0
-    """How long a server that went away is waited for."""
+    """Timeout of reconnecting to a policy server, seconds."""

@@ -1,6 +1,6 @@
-"""Arrays in msgpack as openpi's client packs them: a map of data, dtype and shape; never pickle. Bytes to values, pure.
+"""Encodes arrays in msgpack as openpi's client does: a map of data, dtype and shape, without pickle. Does no I/O.
 
-The keys are those of `openpi_client.msgpack_numpy`, so that its servers and ours understand each other.
+The keys are those of `openpi_client.msgpack_numpy`, for compatibility with its servers.
 """
 
 from __future__ import annotations
@@ -16,38 +16,38 @@ __all__ = ["MAX_ANSWER_BYTES", "WireError", "pack", "unpack"]
 
 MAX_ANSWER_BYTES = 16 << 20
 _KINDS = "biuf"
-"""Kinds of dtype that may travel: no objects, no records, no complex numbers."""
+"""Supported dtype kinds: bool, integers, unsigned integers and floats; no objects, records or complex numbers."""
 
 
 class WireError(Exception):
-    """Bytes that are no message, or a value that cannot travel."""
+    """Invalid message bytes, or a value that cannot be encoded."""
 
 
 def pack(message: Any) -> bytes:
-    """Returns a message as msgpack.
+    """Encodes a message as msgpack.
 
     Raises:
-        WireError: it holds something that cannot travel.
+        WireError: The message contains a value that cannot be encoded.
     """
     try:
         data: bytes = _msgpack().packb(message, default=_pack_numpy)
     except (TypeError, ValueError, OverflowError) as error:
-        raise WireError(f"cannot be packed: {error}") from error
+        raise WireError(f"cannot be encoded: {error}") from error
     return data
 
 
 def unpack(data: bytes) -> Any:
-    """Returns the message in msgpack bytes; arrays share the memory of `data` and are read-only.
+    """Decodes a msgpack message; arrays share the memory of `data` and are read-only.
 
     Raises:
-        WireError: it is no message, or an array in it contradicts itself.
+        WireError: The bytes are not a valid message, or an array in it is inconsistent.
     """
     try:
         return _msgpack().unpackb(data, object_hook=_unpack_numpy, strict_map_key=False)
     except WireError:
         raise
-    except Exception as error:  # the extension raises a dozen types of its own
-        raise WireError(f"is no msgpack message: {type(error).__name__}: {error}") from error
+    except Exception as error:  # the extension raises many exception types
+        raise WireError(f"is not a msgpack message: {type(error).__name__}: {error}") from error
 
 
 def _pack_numpy(value: Any) -> Any:
@@ -62,9 +62,9 @@ def _unpack_numpy(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
         dtype, shape, data = _dtype(found), tuple(found.get(b"shape", ())), found.get(b"data", b"")
         if not all(isinstance(side, int) and side >= 0 for side in shape) or not isinstance(data, bytes):
-            raise WireError(f"holds an array of shape {shape!r}")
+            raise WireError(f"contains an array with the invalid shape {shape!r}")
         if math.prod(shape) * dtype.itemsize != len(data):
-            raise WireError(f"holds an array {dtype.str} {shape} in {len(data)} bytes")
+            raise WireError(f"contains an array {dtype.str} {shape} with {len(data)} bytes")
         return np.frombuffer(data, dtype).reshape(shape)
     if b"__npgeneric__" in found:
         return _dtype(found).type(found.get(b"data"))
@@ -78,7 +78,7 @@ def _dtype(found: dict[Any, Any]) -> np.dtype[Any]:
     except TypeError:
         dtype = None
     if dtype is None or dtype.kind not in _KINDS:
-        raise WireError(f"holds an array of dtype {name!r}")
+        raise WireError(f"contains an array with the unsupported dtype {name!r}")
     return dtype
 
 

@@ -1,6 +1,6 @@
-"""The evaluating process's handle on one driving process: order, hear, and end it when its policy hangs.
+"""Manages one driver process: sends orders, receives reports, and kills the process when its policy hangs.
 
-Knows no set of episodes and no results on disk.
+Does not select episodes and does not store results.
 """
 
 from __future__ import annotations
@@ -27,53 +27,53 @@ __all__ = ["CHILD", "DriverEnded", "DriverProcess"]
 CHILD = python_module("factory.eval.process.child")
 _SIMULATION_S = 120.0
 _GRACE_S = 5.0
-"""What a policy that keeps its own time limit is given beyond it."""
+"""Additional time for a policy that enforces its own time limit, seconds."""
 _TAIL_BYTES = 4000
 _REAP_S = 3.0
 
 
 class DriverEnded(NamedTuple):
-    """A driving process is no more; it has been reaped."""
+    """End of a driver process, which has been reaped."""
 
     fault: PolicyFault | None
-    """What the policy did, or `None` where it was not being asked."""
+    """Kind of the policy failure; `None` if no policy call was in progress."""
     detail: str
     state: DriverStatus
-    """What it was at."""
+    """Last shared status of the process."""
 
 
 class DriverProcess:
-    """One driving process, started again when needed."""
+    """Driver process, restarted when needed."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        """What it was made with."""
+        """Setup sent to the process."""
         self._renders_apart = False
         self._process: subprocess.Popen[bytes] | None = None
         self._reports: queue.Queue[EvalReport | None] = queue.Queue()
         self._sheet: SharedStatus | None = None
         self._stderr: IO[bytes] | None = None
         self.current_order: EvalOrder | None = None
-        """What it is driving."""
+        """Order in progress; `None` when idle."""
         self.made: dict[str, str] = {}
-        """What the policies that could be made here go by."""
+        """Policy name -> description of the information it uses, for policies created in this process."""
         self.renderer = ""
-        """What draws here, once it is known."""
+        """Description of the renderer; empty until the process reports it."""
 
     @property
     def pid(self) -> int | None:
-        """Of the process, if there is one."""
+        """Process id; `None` without a running process."""
         return self._process.pid if self._process is not None else None
 
     @property
     def steps(self) -> int:
-        """Of the episode that is being driven."""
+        """Number of steps of the current episode."""
         return self._sheet.read().steps if self._sheet is not None else 0
 
     def give(self, order: EvalOrder) -> None:
-        """Hands an order over, to a fresh process where there is none; its death is heard from `hear`.
+        """Sends an order; starts the process if it is not running. `hear` reports a death of the process.
 
-        A process that renders by itself is replaced where the policy's libraries must not meet OpenGL's.
+        Restarts a process that renders by itself if the libraries of the policy conflict with those of OpenGL.
         """
         if renders_apart(order.policy) and not self._renders_apart:
             self.kill()
@@ -84,7 +84,7 @@ class DriverProcess:
         self._write(to_line(order))
 
     def hear(self, timeout_s: float) -> EvalReport | DriverEnded | None:
-        """Returns what came of its order, its end, or `None` after `timeout_s` or news on the way."""
+        """Returns the report of the current order, the end of the process, or `None` after a timeout or progress."""
         if self._process is None:
             return None
         try:
@@ -96,7 +96,7 @@ class DriverProcess:
         return report if self._is_outcome(report) else None
 
     def kill(self) -> None:
-        """Ends the process at once, if there is one."""
+        """Kills the process immediately, if it is running."""
         process, self._process = self._process, None
         if process is not None:
             with contextlib.suppress(ProcessLookupError):
@@ -126,7 +126,7 @@ class DriverProcess:
             stderr=self._stderr,
             pass_fds=(self._sheet.descriptor,),
             env=one_core(_environment()),
-            start_new_session=True,  # Ctrl-C is for the caller
+            start_new_session=True,  # Ctrl-C must reach the parent only
         )
         self._reports = queue.Queue()
         threading.Thread(target=_read, args=(self._process.stdout, self._reports), daemon=True).start()
@@ -160,7 +160,7 @@ class DriverProcess:
         words = self._last_output()
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
-        who = "no answer from the policy" if is_policy else "no progress of the simulation"
+        who = "the policy did not respond" if is_policy else "the simulation made no progress"
         return DriverEnded(PolicyFault.HUNG if is_policy else None, f"{who} within {limit_s:g} s, killed{words}", state)
 
     @property
@@ -170,16 +170,16 @@ class DriverProcess:
     def _reap(self) -> DriverEnded:
         process, sheet = self._process, self._sheet
         if process is None or sheet is None:
-            raise RuntimeError("no process to bury")
+            raise RuntimeError("no process to reap")
         state, words = sheet.read(), self._last_output()
         try:
             status = process.wait(_REAP_S)
         except subprocess.TimeoutExpired:
-            status = -signal.SIGKILL  # closed its stdout and lives on: not ours any more
+            status = -signal.SIGKILL  # the process closed its stdout but did not exit; kill it
         self.kill()
         how = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
-        whom = "the process died in the policy" if is_policy else "the driving process died"
+        whom = "the process died in a policy call" if is_policy else "the driver process died"
         return DriverEnded(PolicyFault.DIED if is_policy else None, f"{whom}: {how}{words}", state)
 
     def _last_output(self) -> str:
@@ -188,16 +188,16 @@ class DriverProcess:
         end = self._stderr.seek(0, os.SEEK_END)
         self._stderr.seek(max(0, end - _TAIL_BYTES))
         lines = self._stderr.read().decode(errors="replace").strip().splitlines()
-        return f"; last words: {lines[-1].strip()[:300]}" if lines else ""
+        return f"; last output: {lines[-1].strip()[:300]}" if lines else ""
 
 
 def _environment() -> dict[str, str]:
-    """Returns the surroundings of a process that may run a policy of the user's, whose own scripts import as usual."""
+    """Returns the environment of a process that can run a user's policy, whose imports must work as in a script."""
     return {name: value for name, value in child_environment(os.environ).items() if name != SAFE_PATH}
 
 
 def _read(stream: IO[bytes], reports: queue.Queue[EvalReport | None]) -> None:
-    with contextlib.suppress(ValueError, OSError):  # closed under our hands when killed
+    with contextlib.suppress(ValueError, OSError):  # `kill` closes the stream
         for line in stream:
             report = read_report(line)
             if report is not None:

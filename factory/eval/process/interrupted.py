@@ -1,4 +1,4 @@
-"""The result of an episode whose process had to be ended: measured by what stood on its sheet, worth nothing. Pure."""
+"""Builds the result of an episode whose driver process was killed or died, from its last shared status. Pure."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["interrupted_result"]
 def interrupted_result(
     order: EvalOrder, detail: str, fault: PolicyFault, state: DriverStatus, task: TaskConfig
 ) -> EpisodeResult:
-    """Returns the result of an episode whose driving process had to be ended.
+    """Returns the failed result of an episode whose driver process was killed or died.
 
     Args:
-        order: what it drove.
-        detail: the end in words.
-        fault: what the policy did.
-        state: what stood on its sheet.
-        task: rules of the episode.
+        order: Order of the episode.
+        detail: Description of the end.
+        fault: Kind of the policy failure.
+        state: Last shared status of the driver process.
+        task: Task settings of the episode.
     """
     spec = order.question.spec
     start_m = state.start_m or spec.spawn_dist_m

@@ -1,6 +1,6 @@
-"""A campaign on one machine: policies x variants x episodes over driving processes, kept as they finish.
+"""Runs a campaign on one machine: policies x variants x episodes on driver processes; stores results as they finish.
 
-Owns the processes and ends them all when it ends; prints nothing, a listener is told.
+Owns the driver processes and kills them at the end. Prints nothing; a callback receives the progress.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ __all__ = ["Pace", "run_campaign"]
 
 _POLL_S = 0.05
 _TRIES = 2
-"""How often an episode is begun when the simulation, not the policy, dies."""
+"""Number of attempts at an episode when the simulation, not the policy, dies."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How far a campaign is."""
+    """Progress of one policy in a campaign."""
 
     policy: str
     done: int
-    """Of the policy, earlier runs included."""
+    """Finished episodes of the policy, including earlier runs."""
     total: int
     successes: int
 
@@ -43,17 +43,17 @@ PaceCallback = Callable[[Pace], None]
 
 
 def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: PaceCallback) -> bool:
-    """Drives every episode that is not finished yet; returns whether all are done, or `stop` was set before.
+    """Runs every unfinished episode; returns whether all are finished, which is false when `stop` was set earlier.
 
     Args:
-        campaign: what to do.
-        store: holds the finished episodes and takes the new ones.
-        stop: leave at once; nothing finished is lost.
-        tell: told after every episode.
+        campaign: Campaign to run.
+        store: Store of the finished episodes; receives the new results.
+        stop: Event that stops the campaign immediately; finished episodes are kept.
+        tell: Progress callback, called after every episode.
 
     Raises:
-        UsageError: a policy cannot be made, or the specs do not fit the dataset.
-        WorldError: a policy's server is away, or simulations die.
+        UsageError: A policy cannot be created, or the specs do not match the dataset.
+        WorldError: The server of a policy cannot be reached, or simulations die repeatedly.
     """
     places = Places(campaign.root)
     with ExitStack() as stack:
@@ -67,7 +67,7 @@ def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: 
 
 
 class _PolicyCampaign:
-    """All episodes of one policy."""
+    """Runs all episodes of one policy."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class _PolicyCampaign:
         self._deaths: dict[int, int] = {}
 
     def run(self) -> bool:
-        """Returns whether all are done."""
+        """Runs the unfinished episodes; returns whether all are finished."""
         orders = self._orders
         done = {result.key: result.success for result in self._store.results(self._policy)}
         waiting = deque(order for order in orders if order.question.key not in done)
@@ -99,7 +99,7 @@ class _PolicyCampaign:
         return pace.done >= pace.total
 
     def _poll_drivers(self, waiting: deque[EvalOrder]) -> Iterator[EpisodeResult]:
-        """Gives every idle driver an order and hears every busy one once."""
+        """Sends an order to every idle driver, polls every busy one once, and yields the results."""
         busy = 0
         for driver in self._drivers:
             if driver.current_order is None and waiting:
@@ -125,7 +125,7 @@ class _PolicyCampaign:
             kept = f"results so far are kept in {self._store.root}"
             raise WorldError(f"{report.detail}; {kept}: start the server and run the same command again")
         if report.kind is EvalReportKind.DEFECT:
-            raise RuntimeError(f"a driving process broke: {report.detail}")
+            raise RuntimeError(f"internal error in a driver process: {report.detail}")
         return report.result
 
     def _after_end(self, driver: DriverProcess, ended: DriverEnded, waiting: deque[EvalOrder]) -> EpisodeResult | None:
@@ -136,7 +136,7 @@ class _PolicyCampaign:
             task = self._campaign.specs.settings.task
             return interrupted_result(order, ended.detail, ended.fault, ended.state, task)
         if ended.fault is not None:
-            raise WorldError(f"policy {order.policy} cannot be made: {ended.detail}")
+            raise WorldError(f"policy {order.policy} cannot be created: {ended.detail}")
         self._deaths[order.number] = self._deaths.get(order.number, 0) + 1
         if self._deaths[order.number] >= _TRIES:
             raise WorldError(f"{order.question.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")
@@ -145,7 +145,7 @@ class _PolicyCampaign:
         return None
 
     def _made(self) -> DriverProcess | None:
-        """A driver in which the policy could be made."""
+        """Returns a driver that has created the policy, or `None`."""
         return next((driver for driver in self._drivers if self._policy in driver.made), None)
 
     def _keep(self, result: EpisodeResult) -> None:

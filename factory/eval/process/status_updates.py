@@ -1,6 +1,6 @@
-"""Notes on the sheet what an episode is at: who is waited for, under which limit, and how far the robot has come.
+"""Updates the shared status during an episode: the current activity, its time limit, and the progress of the robot.
 
-Knows no process and no policy but for what it is told of it.
+Starts no process and calls no policy.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ __all__ = ["StatusWriter"]
 
 
 class StatusWriter:
-    """Writes every turn down; a `Watch` of the rollout."""
+    """Observer of policy calls that writes every change to the shared status."""
 
-    def __init__(self, sheet: SharedStatus) -> None:
-        self._sheet = sheet
+    def __init__(self, shared: SharedStatus) -> None:
+        self._shared = shared
         self._state = DriverStatus()
         self._last: tuple[float, float] | None = None
         self._calls = 0
         self.is_warm = False
-        """Whether the policy has given an answer; the first one may take long."""
+        """Whether the policy has returned an action; the first one has a longer timeout."""
         self.is_insider = False
-        """Whether it is one of ours that draws and plans for itself: simulation, as far as time goes."""
+        """Whether the policy is a built-in privileged one, whose time counts as simulation."""
 
     def note(self, busy: Activity) -> None:
-        """Writes down what is being done from now on."""
+        """Writes the current activity."""
         self._state = self._state._replace(busy=busy, since_s=time.monotonic())
-        self._sheet.write(self._state)
+        self._shared.write(self._state)
 
     def begin(self, busy: Activity) -> None:
-        """The same, with the distances of a new episode."""
+        """Writes the current activity and resets the distances for a new episode."""
         self._state, self._last, self._calls = DriverStatus(), None, 0
         self.note(busy)
 
     def before_call(self, simulator: Simulator, view: Observation) -> None:
-        """The policy is about to be asked."""
+        """Writes the progress before a policy call."""
         self._calls += 1
         here, state = (view.pose.x, view.pose.y), self._state
         moved = 0.0 if self._last is None else math.dist(self._last, here)
@@ -57,6 +57,6 @@ class StatusWriter:
             self.note(Activity.ASKING if self.is_warm and not is_reset else Activity.MAKING)
 
     def after_call(self) -> None:
-        """The policy has answered."""
+        """Writes the activity after a policy call."""
         self.is_warm = self.is_warm or self._calls > 1  # the first one is the reset
         self.note(Activity.SIMULATING)
