@@ -97,9 +97,7 @@ class RemotePolicy:
             except (OSError, TimeoutError, EOFError) as error:
                 reason = f"{type(error).__name__}: {error}"
             if time.monotonic() >= deadline:
-                raise ServerAway(
-                    f"the policy server at {self._address} did not respond within {patience_s:g} s ({reason})"
-                )
+                raise ServerAway(f"no policy server responded at {self._address} for {patience_s:g} s ({reason})")
             time.sleep(_RETRY_S)
 
     def _open(self) -> Any:

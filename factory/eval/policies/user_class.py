@@ -79,9 +79,7 @@ def _class_of(module: ModuleType, class_name: str, name: str) -> object:
         if not hasattr(found, part):
             own = [key for key, value in vars(module).items() if _is_public_class(key, value, module)]
             there = f"{module.__file__ or module.__name__} has {', '.join(own) or 'no public class'}"
-            raise UsageError(
-                f"policy {name}: no class {class_name!r}; {there}{did_you_mean(class_name, own)}")
-            )
+            raise UsageError(f"policy {name}: no class {class_name!r}; {there}{did_you_mean(class_name, own)}")
         found = getattr(found, part)
     return found
 

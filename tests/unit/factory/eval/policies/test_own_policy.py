@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_missing_module_is_told_where_it_was_looked_for(folder: Path) -> None:
-    said = f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH .*docs/evaluation/my_policy.py is an example"
+    said = f"module 'nowhere_pilot' was not found; searched {folder}, PYTHONPATH .*docs/evaluation/my_policy.py is an example"
     for judge in (require_available, load_class):
         with pytest.raises(UsageError, match=said) as caught:
             judge("nowhere_pilot:Policy")
@@ -48,8 +48,8 @@ def test_a_missing_class_is_told_those_that_the_module_has(folder: Path) -> None
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("import nowhere_torch", r"cannot be made: ModuleNotFoundError: .*'nowhere_torch' \(broken_pilot.py:1\)"),
-        ("class Policy:\n  def act(self) return 1\n", r"cannot be made: SyntaxError: .*\(broken_pilot.py:2\)"),
+        ("import nowhere_torch", r"cannot be created: ModuleNotFoundError: .*'nowhere_torch' \(broken_pilot.py:1\)"),
+        ("class Policy:\n  def act(self) return 1\n", r"cannot be created: SyntaxError: .*\(broken_pilot.py:2\)"),
     ],
 )
 def test_a_module_that_cannot_be_imported_is_told_by_its_own_line(folder: Path, text: str, said: str) -> None:
