@@ -1,14 +1,17 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long |
-# ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit. Everything is in .venv.
+# ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit | docs | quickstart.
+# Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 JUDGE  := .venv-judge
 TRAIN  := .venv-train
 AUDIT  := .venv-audit
+JOBS   ?= 2
+DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long ledger-accidents scenes-check test-formats test-install test-lerobot
-.PHONY: test-train fuzz audit clean
+.PHONY: test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -25,8 +28,9 @@ $(READY): requirements.txt pyproject.toml
 run: $(READY)
 	$(VENV)/bin/factory run demo --out dataset --workers 2
 
+# JOBS tests at a time, each file in one process, the slowest folders first; JOBS=0 runs them one by one in one process
 test: $(READY)
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 check: $(READY)
 	$(VENV)/bin/ruff check .
@@ -104,7 +108,7 @@ $(JUDGE)-readers/.ready: requirements.txt
 # the wheel in fresh environments of Python 3.11, 3.12 and 3.13, as far as they are on PATH or in PYENV_ROOT: what the base
 # install reads and shows, what the extra `sim` adds, and what happens beside factory_boy; minutes, installs packages
 test-install: $(READY)
-	$(VENV)/bin/python -m pytest tests/install --install
+	$(VENV)/bin/python -m pytest tests/install --install -n $(JOBS) --dist loadgroup
 
 # training, recipes and their tests, in an environment of their own: PyTorch is large. Triton comes with PyTorch's default
 # wheels for Linux, not with the CPU build
@@ -138,5 +142,21 @@ $(AUDIT)/.ready:
 	$(AUDIT)/bin/python -m pip install --quiet "pip-audit==2.10.1"
 	touch $(AUDIT)/.ready
 
+# the documents and the API reference as a site in build/site, which needs no network to be read; fails on a broken link
+docs: $(DOCS)/.ready
+	$(DOCS)/bin/python -m mkdocs build --strict --site-dir build/site
+
+# runs docs/quickstart.ipynb from an empty folder and stores its outputs: two episodes are simulated
+quickstart: $(DOCS)/.ready
+	$(DOCS)/bin/python docs/site/quickstart.py docs/quickstart.ipynb
+
+$(DOCS)/.ready: requirements.txt
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
+	$(DOCS)/bin/python -m pip install --quiet mkdocs==1.6.1 mkdocs-material==9.8.1 "mkdocstrings[python]==1.0.8" \
+	    nbconvert==7.17.2 nbclient==0.11.0 ipykernel==7.4.0
+	$(DOCS)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	touch $(DOCS)/.ready
+
 clean:
-	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) $(AUDIT) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) $(AUDIT) $(DOCS) build .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,4 +1,4 @@
-"""The bundle: one attempt's frames, arrays and metadata in one file of stored members (DESIGN 5).
+"""The bundle: one attempt's frames, arrays and metadata in one file of stored members (docs/design/data.md#bundle).
 
 Writes and reads open binary files with deterministic bytes and bounded decoding; never touches a path.
 """
@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from types import TracebackType
-from typing import BinaryIO, Self, cast
+from typing import BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from schemas.encoding.ndarray import decode_npy, decode_npy_zst, encode_npy, enc
 from schemas.encoding.png import decode_png, encode_png
 from schemas.episode import BUNDLE_FORMAT, MAX_FRAMES, EpisodeMeta
 from schemas.errors import InvalidBundle
+from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 
 __all__ = ["MAX_BUNDLE_BYTES", "MAX_FRAMES", "BundleReader", "BundleWriter", "EpisodeArrays", "member_names"]
@@ -117,7 +117,7 @@ class BundleWriter:
         self._out.close()
 
 
-class BundleReader:
+class BundleReader(Closing):
     """Random access to an episode in a seekable file; frames are decoded when asked for.
 
     Args:
@@ -202,13 +202,8 @@ class BundleReader:
             sizes[kind] = sizes.get(kind, 0) + self._in.size(name)
         return sizes
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """The file belongs to the caller and stays open."""
+    def close(self) -> None:
+        """Does nothing: the file belongs to the caller and stays open."""
 
 
 def _keep_freed_memory() -> None:

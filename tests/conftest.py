@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 
 from tests.builders.object_server import ENVIRONMENT, ObjectServer, object_server
 from tests.builders.postgres import Postgres, postgres, why_no_postgres
+from tests.builders.process_state import unchanged_process
+from tests.builders.shared import session_folder
 from tests.builders.tools import find_system_tools
 
 find_system_tools()  # before test modules look for tools
@@ -27,9 +30,15 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 @pytest.fixture(scope="session")
-def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compiled scenes shared by the tests of one session."""
-    return tmp_path_factory.mktemp("scenes")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of all processes of the session, for what `build_once` builds."""
+    return session_folder(tmp_path_factory.getbasetemp())
+
+
+@pytest.fixture(scope="session")
+def cache(shared: Path) -> Path:
+    """Cache (`MINIVLA_CACHE`) shared by the tests of one session: each built-in scene is compiled once."""
+    return shared / "cache"
 
 
 @pytest.fixture(scope="session")
@@ -58,9 +67,24 @@ def bucket_url(object_store: ObjectServer, monkeypatch: pytest.MonkeyPatch) -> C
 
 
 @pytest.fixture(autouse=True)
-def guarded_home(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+def guarded_process() -> Iterator[None]:
+    """Restores what all tests of a process share, and fails the test that left it changed."""
+    with unchanged_process():
+        yield
+
+
+@pytest.fixture(scope="session")
+def homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Names of the tests' homes; numbered here, since `mktemp` lists all former ones for each new one."""
+    folder = tmp_path_factory.mktemp("homes")
+    return (folder / str(number) for number in itertools.count(1))
+
+
+@pytest.fixture(autouse=True)
+def guarded_home(guarded_process: None, monkeypatch: pytest.MonkeyPatch, homes: Iterator[Path]) -> None:
     """Points HOME and every cache at a folder that only the test sees."""
-    home = tmp_path_factory.mktemp("home")
+    home = next(homes)
+    home.mkdir()
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.setenv("MINIVLA_CACHE", str(home / "cache"))
     monkeypatch.setenv("MINIVLA_STATE", str(home / "state"))

@@ -1,4 +1,6 @@
-"""The archive: what the one writer of a dataset promises, wherever the dataset lies (DESIGN 5). Keeps nothing itself.
+"""The archive: what the one writer of a dataset promises, wherever the dataset is stored. Keeps nothing itself.
+
+Design: docs/design/data.md#archive.
 
 `open_archive` opens one; `tests/contract/test_archives.py` holds every kind of archive to this page.
 """
@@ -9,8 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 from coordinator.archive.staged import Staged
 from schemas.job import episode_id
@@ -40,7 +41,7 @@ def index_of_file(name: str) -> int | None:
     return index if index >= 1 and name == f"{episode_id(index)}.zip" else None
 
 
-class Archive(Protocol):
+class Archive(AbstractContextManager["Archive", None], Protocol):
     """An opened dataset; while it is open no other coordinator can open it."""
 
     @property
@@ -106,9 +107,3 @@ class Archive(Protocol):
 
     def close(self) -> None:
         """Lets another coordinator open the dataset."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...

@@ -6,15 +6,14 @@ import hashlib
 import os
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from schemas.storage.disk import world_error
+from schemas.support.closing import Closing
 
 __all__ = ["Staged"]
 
 
-class Staged:
+class Staged(Closing):
     """A part file that grows and is hashed as it grows; it becomes an episode only by `Archive.publish`."""
 
     def __init__(self, path: Path, file: FileIO) -> None:
@@ -87,10 +86,6 @@ class Staged:
             self._file.close()
             self.path.unlink(missing_ok=True)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Abandons the part file unless it is published."""
         self.abandon()

@@ -6,6 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import Any
+
+import yaml
 
 from schemas.dataset_files import SPLITS_FOLDER
 from schemas.storage.place import Place, children
@@ -48,11 +51,12 @@ def splits_at(root: Place) -> tuple[str, ...]:
 
 def spell_configs(configs: Configs) -> str:
     """Returns the lines of a card's front matter."""
-    lines = ["configs:" if configs else "configs: []"]
-    for number, (name, files) in enumerate(configs.items()):
-        lines += [f"- config_name: {name}", *(["  default: true"] if number == 0 else []), "  data_files:"]
-        lines += [line for split, path in files.items() for line in (f"  - split: {split}", f"    path: {path}")]
-    return "\n".join(lines) + "\n"
+    entries: list[dict[str, Any]] = []
+    for name, files in configs.items():
+        first = {} if entries else {"default": True}
+        data_files = [{"split": split, "path": path} for split, path in files.items()]
+        entries.append({"config_name": name, **first, "data_files": data_files})
+    return yaml.safe_dump({"configs": entries}, sort_keys=False)
 
 
 def with_configs(card: str, configs: Configs) -> str:

@@ -5,23 +5,26 @@ Every repetition runs the same jobs; the bundles are discarded. The plain PyBull
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import SceneEntry
+from coordinator.validation.validate import validate
 from factory.bench.baseline import run_baseline
-from factory.bench.deliver import time_delivery
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
 from factory.bench.stage_times import StageRecorder, StageTimes, stage_costs
 from schemas.bundle import BundleReader
-from schemas.errors import WorldError
+from schemas.errors import InvalidBundle, WorldError
 from schemas.job import Job
 from workers.geometry.pose import Pose
 from workers.sim.attempt import Success, run_attempt
@@ -160,3 +163,30 @@ def _add(runs: Iterable[StageTimes]) -> StageTimes:
             before = total.get(stage, (0.0, 0.0))
             total[stage] = (before[0] + wall, before[1] + cpu)
     return total
+
+
+def time_delivery(file: BinaryIO, repeats: int) -> tuple[StageCost, ...]:
+    """Validates and archives the bundle in `file` `repeats` times and returns the cost of both stages per frame.
+
+    Raises:
+        InvalidBundle: The bundle is not valid, so that its validation time would not be representative.
+    """
+    return stage_costs([_deliver(file) for _ in range(repeats)])
+
+
+def _deliver(file: BinaryIO) -> tuple[int, StageTimes]:
+    recorder = StageRecorder()
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder, open_archive(Path(folder)) as archive:
+        recorder.start()
+        bundle = BundleReader(file)
+        findings = validate(bundle)
+        recorder("validate")
+        index = bundle.meta.job.index
+        file.seek(0)
+        with archive.stage(index) as staged:
+            shutil.copyfileobj(file, staged, 1 << 20)
+            archive.publish(staged, index)
+        recorder("archive")
+    if findings:
+        raise InvalidBundle("the bundle of the benchmark is invalid", findings)
+    return bundle.length, recorder.take()

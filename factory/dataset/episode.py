@@ -7,7 +7,6 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
-from types import TracebackType
 from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
@@ -18,6 +17,7 @@ from schemas.dataset import EpisodeSummary
 from schemas.episode import EpisodeMeta
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.storage.place import Place
+from schemas.support.closing import Closing
 
 __all__ = ["Episode", "Frame"]
 
@@ -33,7 +33,7 @@ class Frame(NamedTuple):
     """(640, 640) instance ids, described by `Episode.meta.instances`; 0 is background."""
 
 
-class Episode:
+class Episode(Closing):
     """Archived episode of T steps: T frames, T actions, T poses; frame t and pose t precede action t.
 
     Construction and pickling read no file; each process opens the file at its first access. Instances are thread-safe.
@@ -137,14 +137,6 @@ class Episode:
         if self._opened is not None:
             self._opened.close()
             self._opened = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __reduce__(self) -> tuple[type[Self], tuple[Place, EpisodeSummary]]:
         return type(self), (self.path, self.summary)

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+import pickle
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from PIL import Image
 from pydantic import Field
@@ -18,7 +21,6 @@ from pydantic import Field
 from factory.dataset.episode import Episode
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish
 from factory.export.card import CARD_FILE, export_card
-from factory.export.gnm_pickle import pickle_arrays
 from factory.export.options import Decimated, stride_of
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
@@ -29,6 +31,7 @@ __all__ = ["DATASET_NAME", "GnmExporter", "GnmFacts", "GnmOptions"]
 
 DATASET_NAME = "minivla_nav"
 """Name of the dataset in `data_config.yaml` and `data_splits`."""
+_PICKLE_PROTOCOL = 2
 _LOADER_SPLITS = ("train", "test")
 _TEST_SPLITS = frozenset(split for split in Split if split not in (Split.TRAIN_ID, Split.VAL_ID))
 _CARD = """
@@ -74,6 +77,7 @@ class GnmExporter(Exporter[GnmOptions, GnmFacts]):
 
     name = "gnm"
     about = "JPEG folders with positions and headings, for GNM, ViNT and NoMaD"
+    version = 2
     options = GnmOptions
     facts = GnmFacts
 
@@ -137,21 +141,32 @@ def _spacing(pieces: Sequence[ExportPiece[GnmFacts]]) -> float:
 def _config(camera: CameraConfig, spacing_m: float) -> str:
     focal = FRAME_SIZE_PX / 2 / math.tan(math.radians(camera.fov_deg) / 2)
     centre = FRAME_SIZE_PX / 2 - 0.5
-    return f"""\
-{DATASET_NAME}:
-  metric_waypoint_spacing: {spacing_m:.6f}  # average spacing between waypoints (meters)
-  camera_metrics:
-    camera_height: {camera.z_m}
-    camera_x_offset: {camera.x_m}
-    camera_matrix:
-      fx: {focal:.6f}
-      fy: {focal:.6f}
-      cx: {centre}
-      cy: {centre}
-    dist_coeffs:
-      k1: 0.0
-      k2: 0.0
-      p1: 0.0
-      p2: 0.0
-      k3: 0.0
-"""
+    entry = {
+        "metric_waypoint_spacing": round(spacing_m, 6),  # mean distance between waypoints, metres
+        "camera_metrics": {
+            "camera_height": camera.z_m,
+            "camera_x_offset": camera.x_m,
+            "camera_matrix": {"fx": round(focal, 6), "fy": round(focal, 6), "cx": centre, "cy": centre},
+            "dist_coeffs": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+        },
+    }
+    return yaml.safe_dump({DATASET_NAME: entry}, sort_keys=False)
+
+
+def pickle_arrays(arrays: Mapping[str, NDArray[np.float64]]) -> bytes:
+    """Returns the pickle of a dictionary of float64 arrays; equal arrays give equal bytes."""
+    buffer = io.BytesIO()
+    _PortablePickler(buffer, _PICKLE_PROTOCOL).dump(dict(arrays))
+    return buffer.getvalue()
+
+
+class _PortablePickler(pickle.Pickler):
+    """Pickles an array as a call of `numpy.array` on a list of floats.
+
+    numpy's own pickles name `numpy._core`, which numpy 1.x, as those projects pin it (Python 3.8), does not have.
+    """
+
+    def reducer_override(self, item: Any) -> Any:
+        if isinstance(item, np.ndarray):
+            return np.array, (item.tolist(), "float64")
+        return NotImplemented

@@ -111,7 +111,8 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
 
     name = "mcap"
     about = "one MCAP file an episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
-    requires = ("mcap",)
+    version = 2
+    requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     options = McapOptions
     facts = EpisodeFacts
 

@@ -13,11 +13,10 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from schemas.errors import WorldError
 from schemas.storage.disk import sync_directory, sync_file, translated, world_error
+from schemas.support.closing import Closing
 
 __all__ = ["WORK_FOLDER", "Output", "sync_tree"]
 
@@ -26,7 +25,7 @@ _PIECES, _FACTS, _STAGING, _JOURNAL = "pieces", "facts", "staging", "finished"
 _FEW_FILES = 16
 
 
-class Output:
+class Output(Closing):
     """An opened export directory; while it is open no other export can open it.
 
     Raises:
@@ -156,14 +155,6 @@ class Output:
                 self._clear_staging()
             os.close(self._lock)
             self._lock = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _clear_staging(self) -> None:
         if (self._work / _STAGING).exists():

@@ -52,6 +52,8 @@ class VlnceExporter(Exporter[Options, EpisodeFacts]):
 
     name = "vlnce"
     about = "VLN-CE / Habitat episodes (json.gz) of every split, in Habitat's axes; no frames"
+    version = 2
+    requires = ("trimesh",)
     assembles = True
     options = Options
     facts = EpisodeFacts

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from coordinator.archive.staging import is_held
+from coordinator.ledger.engine import has_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.reading.look import Connection, look_into
 from coordinator.ledger.reading.progress import read_progress
@@ -79,12 +80,13 @@ def _described_plan(place: Place) -> Plan | None:
 def progress_of(site: Site, url: str | None = None) -> Progress:
     """Returns the progress of the run of a dataset; without a running coordinator, no worker counts as alive.
 
-    A ledger in another database can belong to a coordinator on another host; heartbeats decide whether its workers are
-    alive.
+    A PostgreSQL server reports whether a coordinator writes to the ledger, on any host. An SQLite ledger in another
+    location does not; there, heartbeats decide whether workers are alive.
     """
     with read_ledger(site, url) as connection:
         progress = read_progress(connection, datetime.now(UTC))
-    if url is not None or is_held(site.home) is not False:
+        has_coordinator = is_held(site.home) if url is None else has_writer(connection)
+    if has_coordinator is not False:
         return progress
     gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)
     return progress.model_copy(update={"workers": gone})

@@ -14,8 +14,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import structlog
 
@@ -29,6 +27,7 @@ from schemas.plan import Plan
 from schemas.storage.disk import require_room
 from schemas.storage.object_path import ObjectPath
 from schemas.support.child import child_environment, python_module
+from schemas.support.closing import Closing
 from schemas.terms import RendererKind
 from schemas.wire import Progress
 from workers.client.spool import find_bundle, folder_of
@@ -129,7 +128,7 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     )
 
 
-class _WorkerPool:
+class _WorkerPool(Closing):
     """Worker processes; each exits when its stdin closes, even if this process is killed."""
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
@@ -173,12 +172,8 @@ class _WorkerPool:
             start_new_session=True,
         )
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Closes the stdin of the workers, waits for them to exit, and kills those that do not."""
         for process in self._processes:
             if process.stdin is not None:
                 process.stdin.close()

@@ -1,4 +1,7 @@
-"""Simulates the job of an archived episode again and compares both episodes (DESIGN 3.14). Archives nothing."""
+"""Simulates the job of an archived episode again and compares both episodes. Archives nothing.
+
+Design: docs/design/reproducibility.md.
+"""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy  # loads `scipy.stats`, a second, at its first use
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from factory.stats.model import Fit, Share
 
@@ -48,7 +48,7 @@ def share_of(count: int, of: int) -> Share:
     """Returns a proportion with its Wilson score interval (Wilson, 1927); all `None` when `of` is 0."""
     if of == 0:
         return Share(count=count, of=0, share=None, low=None, high=None)
-    interval = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
+    interval = scipy.stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
     low, high = (min(1.0, max(0.0, float(end))) for end in (interval.low, interval.high))
     return Share(count=count, of=of, share=count / of, low=low, high=high)
 
@@ -66,7 +66,7 @@ def fit_line(group: str, x: Sequence[float], y: Sequence[float]) -> Fit:
     flat = [name for name, values in (("spawn distances", x), ("trajectory lengths", y)) if _is_flat(values)]
     if flat:
         return _no_fit(group, len(x), f"all {' and '.join(flat)} are equal")
-    line = stats.linregress(x, y)
+    line = scipy.stats.linregress(x, y)
     low, high = _fisher_interval(float(line.rvalue), len(x))
     return Fit(
         group=group,
@@ -87,7 +87,7 @@ def _fisher_interval(r: float, n: int) -> tuple[float, float]:
         return r, r
     if n <= _FEWEST_FOR_FIT:
         return -1.0, 1.0
-    half = float(stats.norm.ppf(0.5 + CONFIDENCE / 2)) / np.sqrt(n - 3)
+    half = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)) / np.sqrt(n - 3)
     return float(np.tanh(np.arctanh(r) - half)), float(np.tanh(np.arctanh(r) + half))
 
 

@@ -90,10 +90,10 @@ def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
     limits = TrainingLimits(meta.max_speed_mps, meta.max_yaw_rate_rps)
     training = BcTraining(order.options, meta.words, limits, device)
     epochs = _restore(order, training, resumed) if resumed is not None else []
-    begun, longest = time.monotonic(), 0.0
+    start_s, longest = time.monotonic(), 0.0
     with closing(summary_writer(str(order.out / "tensorboard"), training.epochs_done + 1)) as log:
         while training.epochs_done < order.options.epochs and not callbacks.is_stopped():
-            spent = time.monotonic() - begun
+            spent = time.monotonic() - start_s
             if order.minutes is not None and longest and spent + longest > 60 * order.minutes:
                 break
 

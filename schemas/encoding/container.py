@@ -8,12 +8,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from threading import Lock
-from types import TracebackType
-from typing import BinaryIO, NamedTuple, Self
+from typing import BinaryIO, NamedTuple
 
 from isal.isal_zlib import crc32
 
 from schemas.errors import InvalidBundle
+from schemas.support.closing import Closing
 
 __all__ = ["ContainerLimits", "ContainerReader", "ContainerWriter"]
 
@@ -47,7 +47,7 @@ class ContainerLimits(NamedTuple):
     """The largest member, bytes."""
 
 
-class ContainerWriter:
+class ContainerWriter(Closing):
     """Appends members to a file opened for writing; the bytes depend only on names, data and order.
 
     Writes the records itself: `zipfile` takes longer over a frame than its depth image takes to compress.
@@ -89,14 +89,6 @@ class ContainerWriter:
     def _write(self, data: bytes) -> None:
         self._file.write(data)
         self._offset += len(data)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class ContainerReader:

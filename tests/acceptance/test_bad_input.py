@@ -9,7 +9,7 @@ import signal
 import pytest
 
 from tests.acceptance.factory_cli import episodes_in, wait_for
-from tests.acceptance.test_run import free_endpoint
+from tests.builders.ports import free_endpoint
 
 
 def test_an_unknown_plan_names_the_known_ones(factory, tmp_path):
@@ -85,18 +85,18 @@ def test_listening_beyond_loopback_is_refused(factory, plan, tmp_path):
     assert "factory keys" in factory(*words, expect=2).stderr
 
 
-def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, calm, plan, tmp_path):
+def test_two_coordinators_on_one_directory_or_one_port_are_refused(factory, own_calm, plan, tmp_path):
     endpoint = free_endpoint()
-    first = factory.start("coordinator", "start", "--out", calm, "--listen", endpoint, "--stay")
-    wait_for(lambda: (calm / ".coordinator.json").exists())
-    err = factory("run", "--out", calm, expect=1).stderr
+    first = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
+    wait_for(lambda: (own_calm / ".coordinator.json").exists())
+    err = factory("run", "--out", own_calm, expect=1).stderr
     assert "another coordinator works on" in err
     words = ("coordinator", "start", plan, "--out", tmp_path / "x", "--listen", endpoint)
     err = factory(*words, expect=1).stderr
     assert endpoint in err
     assert "--listen" in err
     first.send_signal(signal.SIGTERM)
-    assert first.wait(10) == 0
+    assert first.wait(60) == 0
 
 
 def test_a_dataset_of_a_newer_format_is_refused_by_name(factory, calm, tmp_path):

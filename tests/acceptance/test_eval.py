@@ -11,13 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.acceptance.factory_cli import FactoryCli, wait_for
-from tests.builders.evaluation import archive_drives
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of two drives in a room of boxes."""
-    return archive_drives(tmp_path_factory.mktemp("drives") / "dataset", episodes=2)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,16 +10,10 @@ from typing import Any
 import pytest
 
 from tests.acceptance.factory_cli import FactoryCli, kill_group, wait_for
-from tests.builders.evaluation import archive_drives
+from tests.builders.ports import free_endpoint
 
 SLOW = "tests.builders.policies:Dawdles"  # last, so that the kill of the coordinator comes before the end
 POLICIES = ("expert", "replay", "random", SLOW)
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of two drives in a room of boxes."""
-    return archive_drives(tmp_path_factory.mktemp("drives") / "dataset", episodes=2)
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +30,7 @@ def specs(factory: FactoryCli, drives: Path, tmp_path_factory: pytest.TempPathFa
 @pytest.fixture
 def endpoint() -> str:
     """An address that stays the same when the evaluation is started again."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return free_endpoint()
 
 
 def rows_in(out: Path) -> Iterator[dict[str, Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.acceptance.factory_cli import FactoryCli, wait_for
-from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.ports import free_endpoint
 
 
 def test_what_two_gateways_keep_is_gathered_into_the_dataset_that_one_worker_makes(

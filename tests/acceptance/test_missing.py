@@ -22,5 +22,5 @@ def test_missing_episodes_end_a_run_with_1_and_the_reason(factory: FactoryCli, p
         assert "5 of 5 episodes are missing" in factory(*words, expect=1).stderr
 
 
-def test_a_whole_run_ends_with_0(factory: FactoryCli, calm: Path) -> None:
-    assert "missing" not in factory("coordinator", "start", "--out", calm, *ENDPOINT).stderr
+def test_a_whole_run_ends_with_0(factory: FactoryCli, own_calm: Path) -> None:
+    assert "missing" not in factory("coordinator", "start", "--out", own_calm, *ENDPOINT).stderr

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import signal
-import socket
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
 from tests.acceptance.factory_cli import FactoryCli, episodes_in, kill_group, wait_for
+from tests.builders.ports import free_endpoint
 
 
 def digest_of(factory: FactoryCli, root: Path) -> str:
@@ -16,12 +16,6 @@ def digest_of(factory: FactoryCli, root: Path) -> str:
     assert report["ok"], report["findings"]
     assert report["complete"]
     return report["digest"]
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def test_a_finished_run_has_a_table_with_thumbnails_for_each_split_that_has_episodes(calm):
@@ -60,7 +54,7 @@ def test_killed_coordinator_and_worker_lose_and_change_nothing(factory, plan, ca
     kill_group(worker)
     worker = start_worker()
     assert coordinator.wait(180) == 0
-    assert worker.wait(30) == 0
+    assert worker.wait(60) == 0
     assert digest_of(factory, root) == digest_of(factory, calm)
 
 
@@ -69,7 +63,7 @@ def test_an_interrupted_run_goes_on_where_it_was_and_makes_nothing_twice(factory
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
     running.send_signal(signal.SIGINT)
-    assert running.wait(30) == 130
+    assert running.wait(60) == 130
     before = {name: (root / "episodes" / name).stat().st_ino for name in episodes_in(root)}
     assert 0 < len(before) < 5
     factory("run", "--out", root, "--workers", 2)
@@ -83,8 +77,8 @@ def test_a_killed_run_takes_its_workers_with_it_and_can_be_resumed(factory, plan
     running = factory.start("run", plan, "--out", root, "--workers", 2)
     wait_for(lambda: len(episodes_in(root)) >= 1)
     running.kill()
-    running.wait(30)
-    wait_for(lambda: not processes_that_name(root), 30)
+    running.wait(60)
+    wait_for(lambda: not processes_that_name(root), 60)
     factory("run", plan, "--out", root, "--workers", 2)
     assert digest_of(factory, root) == digest_of(factory, calm)
 
@@ -115,13 +109,13 @@ def test_status_agrees_with_what_lies_on_disk(factory, calm):
     assert len(status["workers"]) == 1
 
 
-def test_status_can_be_asked_of_a_running_coordinator(factory, calm):
+def test_status_can_be_asked_of_a_running_coordinator(factory, own_calm):
     endpoint = free_endpoint()
-    coordinator = factory.start("coordinator", "start", "--out", calm, "--listen", endpoint, "--stay")
-    wait_for(lambda: factory.start("status", "--connect", endpoint).wait(30) == 0, 60)
+    coordinator = factory.start("coordinator", "start", "--out", own_calm, "--listen", endpoint, "--stay")
+    wait_for(lambda: factory.start("status", "--connect", endpoint).wait(60) == 0, 60)
     assert factory.json("status", "--connect", endpoint)["jobs"]["archived"] == 5
     coordinator.send_signal(signal.SIGTERM)
-    assert coordinator.wait(10) == 0
+    assert coordinator.wait(60) == 0
 
 
 def test_held_out_categories_are_only_in_their_split(factory, calm):

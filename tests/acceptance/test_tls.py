@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.acceptance.factory_cli import FactoryCli, wait_for
-from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.ports import free_endpoint
 
 
 def test_a_run_behind_tls_is_finished_by_the_admitted_only(factory: FactoryCli, plan, tmp_path):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import queue
-import socket
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -35,21 +34,15 @@ from schemas.wire import (
     Refusal,
 )
 from tests.builders.bundle import job_for
+from tests.builders.ports import free_endpoint
 
-__all__ = ["SCENE", "FakeCoordinator", "free_endpoint", "jobs_saying"]
+__all__ = ["SCENE", "FakeCoordinator", "jobs_saying"]
 
 SCENE = bytes(range(256)) * 10_000
 """Stands for a compiled scene; takes three chunks."""
 RUN = "test-00000000"
 _CHUNK = 1 << 20
 _MESSAGES = {Verb.HELLO: Hello, Verb.CLAIM: Claim, Verb.BEAT: Beat, Verb.DONE: Done, Verb.FAIL: Fail}
-
-
-def free_endpoint() -> str:
-    """Returns a loopback endpoint nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def jobs_saying(*instructions: str) -> tuple[Job, ...]:
@@ -125,7 +118,7 @@ class FakeCoordinator:
     def wait_until(self, holds: Callable[[], bool], what: str) -> None:
         """Waits for something to become true; fails with `what` after half a minute."""
         with self.changed:
-            assert self.changed.wait_for(holds, 30), f"never came: {what}; heard {self.heard[-5:]}"
+            assert self.changed.wait_for(holds, 120), f"never came: {what}; heard {self.heard[-5:]}"
 
     def of(self, kind: type[Model]) -> list[Model]:
         """Returns the messages of one kind."""

@@ -6,8 +6,7 @@ import hashlib
 import secrets
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import zenoh
 
@@ -16,6 +15,7 @@ from schemas.base import Model
 from schemas.identity import TlsFiles
 from schemas.job import Job
 from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_key
+from schemas.support.closing import Closing
 from schemas.terms import FailReason
 from schemas.wire import (
     Ack,
@@ -43,15 +43,15 @@ def bundle_for(job: Job) -> bytes:
     return parts_for(job).write()
 
 
-def until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
-    """Waits for something that happens in another thread."""
+def until(condition: Callable[[], bool], within_s: float = 120.0) -> None:
+    """Waits for something that happens in another thread; the limit ends a hang and measures nothing."""
     end = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.02)
 
 
-class WireWorker:
+class WireWorker(Closing):
     """A client session with a spool in memory; a context manager."""
 
     def __init__(
@@ -148,14 +148,6 @@ class WireWorker:
 
     def close(self) -> None:
         self._session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _serve(self, query: zenoh.Query) -> None:
         with query:

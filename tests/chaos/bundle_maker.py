@@ -5,9 +5,8 @@ from __future__ import annotations
 import secrets
 import socketserver
 import threading
-from types import TracebackType
-from typing import Self
 
+from schemas.support.closing import Closing
 from tests.builders.bundle import parts_for
 from workers.process.messages import SimulationOrder
 
@@ -32,7 +31,7 @@ class _Server(socketserver.ThreadingUnixStreamServer):
         """A simulation was killed while it was served."""
 
 
-class BundleMaker:
+class BundleMaker(Closing):
     """Answers each order, a line of JSON, with a bundle; a context manager."""
 
     def __init__(self) -> None:
@@ -42,12 +41,8 @@ class BundleMaker:
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="kitchen")
         self._thread.start()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Ends the server."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import os
 import random
 import signal
@@ -17,9 +15,9 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from schemas.support.closing import Closing
+from tests.builders.ports import free_endpoint
 from tests.chaos.bundle_maker import BundleMaker
 from tests.chaos.disk import Disk
 from tests.chaos.fault_span import FaultSpan
@@ -38,9 +36,6 @@ _LEAVES_WITHIN_S = 30.0
 """Generous: how quickly a worker leaves is tested elsewhere, and many cores are harassed here."""
 _SERVES_WITHIN_S = 120.0
 _CALM_S, _EPISODE_S = 300.0, 10.0
-_LOWEST_PORT = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
-_PORTS = itertools.cycle(range(max(_LOWEST_PORT, 20_000) - 2 - os.getpid() % 8000, 10_000, -1))
-"""Below those of outgoing connections: none of these takes the port of somebody who is away for a moment."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +119,7 @@ def _module(name: str, *words: object) -> list[str]:
     return [sys.executable, "-m", name, *map(str, words)]
 
 
-class ChaosCluster:
+class ChaosCluster(Closing):
     """Everybody who works for one run; a context manager whose exit leaves nobody behind.
 
     Args:
@@ -145,8 +140,8 @@ class ChaosCluster:
         self.violations: list[str] = []
         self.restarts: Counter[str] = Counter()
         self._started: list[subprocess.Popen[bytes]] = []
-        self._endpoint = _free_endpoint()
-        self._doors = [_free_endpoint() for _ in range(cast.gateways)]
+        self._endpoint = free_endpoint()
+        self._doors = [free_endpoint() for _ in range(cast.gateways)]
         self._thaw: dict[_Process, float] = {}
         """Who is frozen -> until when."""
         self._back: dict[_Process, float] = {}
@@ -308,12 +303,8 @@ class ChaosCluster:
         if self.coordinator.poll() != 0:
             self.violations.append(f"the coordinator ends with {self.coordinator.poll()}")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Closes what was opened."""
         self._stack.close()
 
     def _thaw_due(self, *, everybody: bool = False) -> None:
@@ -415,12 +406,3 @@ def _lives(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
-
-
-def _free_endpoint() -> str:
-    """Returns a loopback endpoint that nobody listens on, nor takes while its owner is away."""
-    for port in _PORTS:
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return f"tcp/127.0.0.1:{port}"
-    raise AssertionError("itertools.cycle ended")

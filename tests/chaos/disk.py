@@ -11,9 +11,8 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from schemas.support.closing import Closing
 from tests.chaos.fault_span import FaultSpan
 
 __all__ = ["Disk"]
@@ -31,7 +30,7 @@ with open(sys.argv[1], "wb") as file:
 """
 
 
-class Disk:
+class Disk(Closing):
     """A tmpfs of some megabytes where root may mount one, else a plain folder; a context manager.
 
     Args:
@@ -97,14 +96,6 @@ class Disk:
             subprocess.run(["umount", "--lazy", str(self.path)], check=True)
             self._is_mounted = False
         shutil.rmtree(self.path, ignore_errors=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _mount(self, megabytes: int) -> bool:
         command = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "chaos", str(self.path)]

@@ -17,8 +17,9 @@ import sys
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn
+
+from schemas.support.closing import Closing
 
 __all__ = ["Child", "ForkServer", "main"]
 
@@ -57,7 +58,7 @@ class Child:
         self._ended.set()
 
 
-class ForkServer:
+class ForkServer(Closing):
     """Starts processes quickly; a context manager whose exit kills all that are left.
 
     Args:
@@ -98,14 +99,6 @@ class ForkServer:
         self._process.wait()
         self._thread.join()
         self._process.stdout.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _listen(self) -> None:
         assert self._process.stdout is not None

@@ -6,8 +6,8 @@ import os
 import secrets
 import shutil
 import subprocess
-from types import TracebackType
-from typing import Self
+
+from schemas.support.closing import Closing
 
 __all__ = ["Hosts", "why_not"]
 
@@ -26,7 +26,7 @@ def why_not() -> str:
     return ""
 
 
-class Hosts:
+class Hosts(Closing):
     """A few hosts on one network, the first at 10.231.x.1; a context manager.
 
     Args:
@@ -79,14 +79,6 @@ class Hosts:
         for command in reversed(self._made):
             subprocess.run(command, capture_output=True)
         self._made = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _add(self, number: int) -> None:
         space, cable = self._space(number), self._cable(number)

@@ -8,9 +8,8 @@ import socket
 import struct
 import threading
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Self
 
+from schemas.support.closing import Closing
 from tests.chaos.fault_span import FaultSpan
 
 __all__ = ["Wires"]
@@ -92,7 +91,7 @@ class _Wire:
             await sink.drain()
 
 
-class Wires:
+class Wires(Closing):
     """A relay for each door of each worker, all in one thread; a context manager.
 
     Args:
@@ -153,14 +152,6 @@ class Wires:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _begin(self, number: int, seconds: float) -> FaultSpan | None:
         wires, spell = self._wires[number], FaultSpan()

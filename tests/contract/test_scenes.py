@@ -13,6 +13,7 @@ from factory.scenes.rules import load_rules
 from schemas.config import CameraConfig, SpawnConfig
 from schemas.scene import CompiledScene, decode_scene
 from schemas.terms import BUILTIN_CATEGORIES, Tier
+from tests.builders.shared import locked
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.grid import CONNECT_CLEARANCE_M, Grid
 from workers.geometry.pose import Pose
@@ -28,9 +29,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.fixture(scope="module")
-def package(request: pytest.FixtureRequest, scene_cache: Path) -> Path:
+def package(request: pytest.FixtureRequest, shared: Path, cache: Path) -> Path:
     name, seed = request.param
-    return build_scene(name, seed, scene_cache)
+    with locked(shared / f"{name}-{seed}.lock"):
+        return build_scene(name, seed, cache / "scenes")
 
 
 @pytest.fixture(scope="module")

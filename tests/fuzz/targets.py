@@ -5,10 +5,13 @@ from __future__ import annotations
 import functools
 import io
 import random
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
@@ -20,6 +23,8 @@ from factory.dataset.reader import Dataset
 from factory.scenes.importer import extract_stage
 from factory.verify.dataset import verify
 from schemas.dataset_files import EPISODES
+from schemas.encoding.container import ContainerLimits, ContainerReader, ContainerWriter
+from schemas.errors import InvalidBundle
 from schemas.keys import Verb
 from schemas.scene import decode_scene, read_scene_info
 from tests.builders.bundle import bundle_bytes, job_for
@@ -33,6 +38,17 @@ __all__ = ["CORPUS", "TARGETS", "Target"]
 CORPUS = Path(__file__).parent / "corpus"
 Mutate = Callable[[random.Random, bytes, Sequence[bytes]], bytes]
 _VERBS = tuple(Verb)
+_ZIPFILE_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    ValueError,
+    NotImplementedError,
+    RuntimeError,
+    OSError,
+    EOFError,
+    struct.error,
+)
+"""What `zipfile` raises on damaged files."""
 
 
 class Target(NamedTuple):
@@ -64,8 +80,40 @@ def _read_plan(data: bytes, folder: Path) -> None:
 
 
 def _plans(_folder: Path) -> list[bytes]:
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
-    return [readme.partition("```toml\n")[2].partition("```")[0].encode()]
+    page = (Path(__file__).parents[2] / "docs" / "plans.md").read_text()
+    return [page.partition("```toml\n")[2].partition("```")[0].encode()]
+
+
+def _read_container(data: bytes, _folder: Path) -> None:
+    """Reads every member; where `zipfile` reads the file too, both must have found the same bytes."""
+    reader = ContainerReader(io.BytesIO(data), ContainerLimits(members=16, member_bytes=1 << 16))
+    ours = [_or_none(reader.read, name) for name in reader.names]
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as other:
+            theirs = [_or_none(other.read, info) for info in other.infolist()]
+    except _ZIPFILE_ERRORS:
+        return
+    assert len(ours) == len(theirs), f"{len(ours)} members, zipfile finds {len(theirs)}"
+    for name, one, two in zip(reader.names, ours, theirs, strict=True):
+        assert one is None or two is None or one == two, f"{name!r} differs from what zipfile reads"
+
+
+def _or_none(read: Callable[[Any], bytes], member: object) -> bytes | None:
+    try:
+        return read(member)
+    except (InvalidBundle, *_ZIPFILE_ERRORS):
+        return None
+
+
+def _containers(_folder: Path) -> list[bytes]:
+    """One of ours, and the same members by `zipfile`."""
+    members = {"meta.json": b"{}", "rgb_front/000000.png": bytes(range(64)), "ö.npy": b"", "last": b"PK\x05\x06" * 4}
+    ours, theirs = io.BytesIO(), io.BytesIO()
+    with ContainerWriter(ours) as writer, zipfile.ZipFile(theirs, "w") as stored:
+        for name, data in members.items():
+            writer.add(name, data)
+            stored.writestr(zipfile.ZipInfo(name), data)
+    return [ours.getvalue(), theirs.getvalue()]
 
 
 def _read_bundle(data: bytes, folder: Path) -> None:
@@ -127,6 +175,7 @@ TARGETS: Mapping[str, Target] = MappingProxyType(
     {
         "messages": Target(_read_message, _messages),
         "plans": Target(_read_plan, _plans),
+        "containers": Target(_read_container, _containers),
         "bundles": Target(_read_bundle, _bundles, mutate_members),
         "scenes": Target(_read_scene, lambda _folder: [office_package()], mutate_members),
         "tables": Target(_read_tables, _tables),

@@ -1,6 +1,7 @@
 """The wheel in fresh environments of each supported Python: what the base install does, and what the extras add.
 
-Runs with `make test-install`; it installs packages, which takes minutes.
+Runs with `make test-install`; it installs packages, which takes minutes. The tests of one environment are a group: one
+process runs them in this order, since the last one installs a foreign package there.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import pytest
 
 from schemas.support.extras import EXTRA_OF
 from tests.builders.dataset import make_dataset
+from tests.builders.shared import build_once
 from tests.install.interpreters import VERSIONS, Installed, build_wheel, find_python, install
 
 READER = Path(__file__).with_name("reader.py")
@@ -29,8 +31,9 @@ pytestmark = pytest.mark.timeout(1200)
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_wheel(tmp_path_factory.mktemp("wheel"))
+def wheel(shared: Path) -> Path:
+    (path,) = build_once(shared / "wheel", build_wheel).glob("*.whl")
+    return path
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +59,10 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-every_version = pytest.mark.parametrize("version", VERSIONS)
+every_version = pytest.mark.parametrize(
+    "version", [pytest.param(version, marks=pytest.mark.xdist_group(version)) for version in VERSIONS]
+)
+with_base_of_311 = pytest.mark.xdist_group("3.11")
 
 
 @every_version
@@ -89,6 +95,7 @@ def test_commands_that_simulate_name_the_command_that_installs_what_they_need(
     assert not (folder / "made").exists()
 
 
+@with_base_of_311
 @pytest.mark.parametrize("name", ["schemas", "workers", "coordinator", "factory"])
 def test_foreign_package_on_the_path_is_named(base: Callable[[str], Installed], folder: Path, name: str) -> None:
     mine = folder / "project" / name
@@ -125,6 +132,7 @@ def test_sim_on_a_python_without_pybullet_says_which_python_to_use(wheel: Path, 
     assert not (tmp_path / "made").exists()
 
 
+@with_base_of_311
 def test_each_extra_that_a_message_names_is_declared(wheel: Path, base: Callable[[str], Installed]) -> None:
     code = "from importlib.metadata import metadata; print(*metadata('minivla-factory').get_all('Provides-Extra'))"
     declared = base("3.11").run("python", "-c", code, cwd=wheel.parent).stdout.split()

@@ -7,10 +7,8 @@ import dataclasses
 import itertools
 import random
 import shutil
-import signal
 import sqlite3
 import sys
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -44,7 +42,6 @@ OPENING = (
     ("report", "{}"),
 )
 WRONG = ("'x'", "-1", "1e300", "x'fffe'", "9223372036854775807", "''", "NULL", "1.5")
-LIMIT_S = 60
 
 
 @pytest.fixture(scope="module")
@@ -59,18 +56,10 @@ def harmed(whole: ArchivedRun, tmp_path: Path) -> Path:
     return Path(shutil.copytree(whole.root, tmp_path / "out"))
 
 
-@pytest.fixture(autouse=True)
-def _no_hang() -> Iterator[None]:
-    signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"no answer within {LIMIT_S} s a step"))
-    yield
-    signal.alarm(0)
-
-
 def call(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], root: Path, words: tuple[str, ...]
 ) -> int:
     """Returns the exit code of a verb; fails at a traceback."""
-    signal.alarm(LIMIT_S)
     monkeypatch.setattr(sys, "argv", ["factory", *(word.format(root) for word in words)])
     try:
         code = _run()

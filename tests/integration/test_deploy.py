@@ -253,7 +253,7 @@ def test_a_slurm_task_that_is_told_to_stop_lets_its_worker_leave_and_queues_agai
         assert task.stdout is not None
         assert task.stdout.readline() == "up\n"
         task.send_signal(signal.SIGTERM)
-        assert task.wait(20) == 0
+        assert task.wait(60) == 0
     assert left.exists(), "the worker was given its time"
     assert cluster.told.read_text() == "requeue 15_2\n"
 
@@ -262,7 +262,7 @@ def test_a_slurm_task_that_is_told_before_its_worker_has_a_name_stops_it_too(tmp
     cluster = Cluster(tmp_path, "while :; do sleep 0.05; done")
     cluster.before(r"worker=\$!", "kill -TERM $$")
     with cluster.task() as task:
-        assert task.wait(20) == 0
+        assert task.wait(60) == 0
     assert cluster.told.read_text() == "requeue 15_2\n"
 
 
@@ -273,7 +273,7 @@ def test_a_slurm_task_ends_as_its_worker_does(tmp_path, status, looks):
     if looks == "late":
         cluster.before(r'wait*|"kill -0"*', "sleep 1")
     with cluster.task() as task:
-        out, _ = task.communicate(timeout=20)
+        out, _ = task.communicate(timeout=60)
     assert task.returncode == status
     assert out == f"{tmp_path}/minivla-me worker --connect tls/hub:7447 --tls /pki --cores 4 --connect-timeout 600\n"
     assert not cluster.told.exists()

@@ -21,8 +21,8 @@ from factory.eval.remote.fleet import FleetAccess, run_fleet
 from factory.eval.specs.campaign import Campaign
 from schemas.errors import TransientError, UsageError, WorldError
 from tests.builders.evaluation import open_store, standing_still
-from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, settings_for
 
 COLLECT = (sys.executable, "-m", "tests.builders.small_simulation", "0.2")

@@ -80,10 +80,10 @@ def is_answered(hub: Coordinator, pki: Path) -> bool:
 
 def test_the_workers_of_a_collection_behind_tls_drive_an_evaluation_and_go_back(drives, hub, pki, tmp_path):
     with working(hub.endpoints[0], pki, tmp_path):
-        until(lambda: hub.progress().jobs["archived"] > 0, 120)
+        until(lambda: hub.progress().jobs["archived"] > 0)
         assert evaluates(drives, hub, pki, tmp_path) == [("timeout", 10)] * 2
         before = hub.progress().jobs["archived"]
-        until(lambda: hub.progress().jobs["archived"] > before, 120)
+        until(lambda: hub.progress().jobs["archived"] > before)
 
 
 def test_workers_behind_a_gateway_are_lent_too(drives, hub, pki, tmp_path):
@@ -92,13 +92,13 @@ def test_workers_behind_a_gateway_are_lent_too(drives, hub, pki, tmp_path):
         Gateway(tmp_path / "gw1", "gw1", hub.endpoints, ANY_PORT, SETTINGS, guard=guard) as gateway,
         working(gateway.endpoints[0], pki, tmp_path),
     ):
-        until(lambda: hub.progress().jobs["archived"] > 0, 120)
+        until(lambda: hub.progress().jobs["archived"] > 0)
         assert evaluates(drives, hub, pki, tmp_path) == [("timeout", 10)] * 2
 
 
 def test_an_evaluation_that_is_not_admitted_says_where_to_look(drives, hub, pki, tmp_path):
     revoke(pki, "desk")
-    until(lambda: not is_answered(hub, pki), 120)
+    until(lambda: not is_answered(hub, pki))
     with pytest.raises(TransientError, match=r"does not admit 'desk' \(its hosts\.txt\)"):
         evaluates(drives, hub, pki, tmp_path)
 
@@ -144,5 +144,5 @@ def test_an_evaluator_hears_and_answers_nothing_of_the_collection(hub, pki):
         curious.declare_queryable(bundle_key(hub.run, worker.sid), lie)
         time.sleep(0.3)
         assert worker.deliver(lease, bundle_for(job))
-        until(lambda: hub.progress().jobs["archived"] == 1, 60)
+        until(lambda: hub.progress().jobs["archived"] == 1)
     assert heard == []

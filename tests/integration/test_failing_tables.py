@@ -29,7 +29,7 @@ def test_tables_that_cannot_be_written_are_told_once_and_written_when_they_can_b
         threading.Event().wait(ENOUGH_S)
         obstacle.rmdir()
         obstacle.parent.rmdir()
-        until(lambda: any(line["event"] == "chore_failed_recovered" for line in lines), 60)
+        until(lambda: any(line["event"] == "chore_failed_recovered" for line in lines))
     told = [line for line in lines if line["event"] == "chore_failed"]
     assert len(told) == 1
     assert "exc_info" not in told[0]

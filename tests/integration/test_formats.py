@@ -15,8 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
 from coordinator.archive.opening import open_archive
@@ -25,10 +27,10 @@ from factory.dataset.reader import Dataset
 from factory.export.registry import find_exporter
 from factory.export.run import ExportOrder, run_export
 from factory.export.vlnce_episode import from_habitat
+from schemas.scene import decode_scene
 from schemas.terms import Split
 from tests.builders.dataset import NOW, archive_episode, episode_of, office_package
 from tests.builders.plan import small_plan
-from tests.builders.wire_reader import read_fields
 
 SPLITS = (Split.TRAIN_ID, Split.TEST_ID, Split.TRAIN_ID)
 
@@ -206,24 +208,26 @@ def test_mcap_images_and_poses_are_those_of_the_episode(dataset, mcap):
     episode = Dataset(dataset)[1]
     seen = Counter()
     with (mcap / f"episodes/{episode.episode_id}.mcap").open("rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
             t = round(message.log_time * 60 / 1e9)
-            fields = read_fields(message.data)
             seen[channel.topic] += 1
+            assert schema.encoding == "protobuf"
             if channel.topic == "/camera/rgb":
-                assert (schema.name, schema.encoding) == ("foxglove.CompressedImage", "protobuf")
-                assert fields[3] == [b"png"]
-                np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(fields[2][0]))), episode.rgb(t))
+                assert (schema.name, decoded.format) == ("foxglove.CompressedImage", "png")
+                np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(decoded.data))), episode.rgb(t))
             elif channel.topic == "/camera/depth":
-                assert (fields[2], fields[3], fields[4], fields[5]) == ([640], [640], [b"32FC1"], [2560])
-                depth = np.frombuffer(fields[6][0], "<f4").reshape(640, 640)
+                assert (decoded.width, decoded.height, decoded.encoding, decoded.step) == (640, 640, "32FC1", 2560)
+                depth = np.frombuffer(decoded.data, "<f4").reshape(640, 640)
                 np.testing.assert_array_equal(depth, episode.depth(t))
             elif channel.topic == "/camera/ids":
-                ids = np.frombuffer(fields[6][0], "<u2").reshape(640, 640)
+                ids = np.frombuffer(decoded.data, "<u2").reshape(640, 640)
                 np.testing.assert_array_equal(ids, episode.ids(t))
             elif channel.topic == "/odom":
-                place = read_fields(read_fields(fields[4][0])[1][0])
-                assert place.get(1, [0.0])[0] == float(episode.poses[t, 0])
+                assert decoded.pose.position.x == float(episode.poses[t, 0])
+            elif channel.topic == "/action":
+                assert (decoded.v_mps, decoded.w_rps) == tuple(map(float, episode.actions[t]))
+                assert (decoded.v_token, decoded.w_token) == tuple(episode.tokens[t])
     assert seen["/camera/rgb"] == 6
 
 
@@ -301,18 +305,9 @@ def test_vlnce_files_parse_as_habitats_and_turn_back(dataset, vlnce):
 
 
 def test_vlnce_scenes_are_binary_gltf_with_every_triangle(vlnce):
-    data = (vlnce / "scene_datasets/minivla/office/office.glb").read_bytes()
-    assert data[:4] == b"glTF"
-    assert int.from_bytes(data[8:12], "little") == len(data)
-    size = int.from_bytes(data[12:16], "little")
-    document, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
-    from schemas.scene import decode_scene
-
+    loaded = trimesh.load(vlnce / "scene_datasets/minivla/office/office.glb", process=False)
     scene = decode_scene(io.BytesIO(office_package()))
-    accessors = [document["accessors"][item["attributes"]["POSITION"]] for item in document["meshes"][0]["primitives"]]
-    assert sum(accessor["count"] for accessor in accessors) == scene.part_count.sum()
-    view = document["bufferViews"][accessors[0]["bufferView"]]
-    raw = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-    points = np.frombuffer(raw, "<f4").reshape(-1, 3)
-    first = scene.positions[scene.part_first[np.argmin(scene.part_texture)]]
-    assert from_habitat(points[0].tolist()) == pytest.approx(tuple(first))
+    (mesh,) = loaded.dump()
+    assert mesh.faces.size == scene.part_count.sum()
+    points = [from_habitat(point) for point in mesh.vertices[mesh.faces.ravel()].tolist()]
+    np.testing.assert_allclose(points, scene.positions, atol=1e-6)

@@ -22,8 +22,8 @@ from coordinator.validation.validator import Validator
 from schemas.errors import UsageError, WorldError
 from schemas.job import Job
 from schemas.terms import FailReason
-from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ports import free_endpoint
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
 ANY_PORT = ("tcp/127.0.0.1:0",)
@@ -116,7 +116,7 @@ def bring_home(worker: WireWorker, site: Site, count: int = 1) -> list[Job]:
     """Brings episodes and waits until the ledger owns them."""
     before = site.core.progress().jobs["archived"]
     jobs = bring(worker, count)
-    until(lambda: site.core.progress().jobs["archived"] == before + count, 60)
+    until(lambda: site.core.progress().jobs["archived"] == before + count)
     return jobs
 
 
@@ -146,7 +146,7 @@ def test_a_gateway_refuses_a_bundle_that_is_not_what_was_asked_for(site):
     worker = site.open_worker(site.open_gateway("gw1").endpoints)
     job, lease = worker.job()
     worker.deliver(lease, bundle_for(job.model_copy(update={"index": 9})))
-    until(lambda: site.core.progress().attempts.get(FailReason.INVALID) == 1, 60)
+    until(lambda: site.core.progress().attempts.get(FailReason.INVALID) == 1)
     assert site.files("gw1") == []
 
 
@@ -224,7 +224,7 @@ def test_what_a_gateway_published_before_it_died_is_adopted_as_long_as_the_job_i
     (bundle,) = (data for _, data in worker.spool.values())
     if lease == "lost":
         worker.close()
-        until(lambda: site.core.progress().attempts.get("expired", 0) == 1, 60)
+        until(lambda: site.core.progress().attempts.get("expired", 0) == 1)
     (site.folder / "gw1" / "episodes" / name_of(job)).write_bytes(bundle)
     site.open_gateway("gw1")
     progress = site.core.progress()
@@ -266,7 +266,7 @@ def test_two_who_pull_one_bundle_end_with_one_owner(site):
         worker.knows_router = False
         worker.beat()  # and now the core's too, as after a restart in which it has not heard of gateways yet
         worker.knows_router = True
-        until(lambda: site.core.progress().jobs["archived"] == number, 60)  # noqa: B023 - waited for within the round
+        until(lambda: site.core.progress().jobs["archived"] == number)  # noqa: B023 - waited for within the round
     worker.close()
     until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the loser takes its copy away
     with look_into(site.url) as ledger:

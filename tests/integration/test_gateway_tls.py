@@ -68,7 +68,7 @@ def test_a_worker_behind_a_gateway_goes_the_whole_way(hub, gateway, pki, tmp_pat
         for _ in range(2):
             job, lease = worker.job()
             assert worker.deliver(lease, bundle_for(job))
-        until(hub.is_finished, 60)
+        until(hub.is_finished)
         assert len(worker.beat().drop) == 2
     assert hub.progress().by_gateway == {"gw1": 2}
     assert hub.progress().workers[0].host == "node"
@@ -119,7 +119,7 @@ def test_a_gateway_cannot_answer_for_the_core_or_serve_bundles(hub, gateway, pki
             (answer,) = asks(hub, pki, "gw1", Verb.HOLD, Hold(lease=lease, seconds=1.0))
             assert Ack.model_validate_json(answer).accepted
             assert worker.deliver(lease, b"nothing that is an episode")
-            until(lambda: hub.progress().attempts.get("invalid") == 1, 60)  # judged by what the worker itself served
+            until(lambda: hub.progress().attempts.get("invalid") == 1)  # judged by what the worker itself served
     assert lies == []
 
 
@@ -138,7 +138,7 @@ def test_a_revoked_gateway_is_out(pki, tmp_path):
                 return asks(hub, mine, "gw1", Verb.JOIN, join) == []
             return False
 
-        until(lambda: is_out() and hub_is_up(hub, mine) and is_out(), 60)  # the session reopens meanwhile
+        until(lambda: is_out() and hub_is_up(hub, mine) and is_out())  # the session reopens meanwhile
         assert asks(hub, mine, "gw2", Verb.JOIN, join)
 
 

@@ -16,8 +16,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.status import HttpAddress, StatusServer, parse_address
-from coordinator.status.address import is_own_name
+from coordinator.status.address import HttpAddress, is_own_name, parse_address
+from coordinator.status.server import StatusServer
+from factory.dataset.site import site_of
+from factory.runs.ledger import progress_of
 from schemas.errors import UsageError, WorldError
 from schemas.terms import FailReason
 from tests.builders.ledger import room_catalog, room_plan
@@ -42,7 +44,7 @@ def server(opened: Coordinator) -> Iterator[StatusServer]:
 
 
 def ask(server: StatusServer, path: str, method: str = "GET", **headers: str) -> tuple[int, str]:
-    connection = http.client.HTTPConnection(server.url.removeprefix("http://"), timeout=10)
+    connection = http.client.HTTPConnection(server.url.removeprefix("http://"), timeout=60)
     connection.request(method, path, headers=headers)
     reply = connection.getresponse()
     return reply.status, reply.read().decode()
@@ -55,6 +57,22 @@ def figures(page: str) -> dict[tuple[str, str], float]:
         for family in text_string_to_metric_families(page)
         for sample in family.samples
     }
+
+
+def test_status_and_metrics_tell_what_confines_the_validator_after_the_first_bundle(opened, server, tmp_path):
+    assert opened.progress().sandbox == ()
+    assert not any(name == "minivla_validator_sandbox" for name, _ in figures(ask(server, "/metrics")[1]))
+    with WireWorker(opened.endpoints, opened.run) as worker:
+        job, lease = worker.job()
+        assert worker.deliver(lease, bundle_for(job))
+        until(lambda: opened.progress().sandbox != ())
+    layers = opened.progress().sandbox
+    assert layers[0] == "rlimits"
+    until(lambda: ("minivla_validator_sandbox", "rlimits") in figures(ask(server, "/metrics")[1]))
+    found = figures(ask(server, "/metrics")[1])
+    assert found["minivla_validator_sandbox", "rlimits"] == 1
+    assert found["minivla_validator_sandbox", "seccomp"] == int("seccomp" in layers)
+    assert progress_of(site_of(str(tmp_path / "out"))).sandbox == layers
 
 
 def test_a_running_coordinator_is_healthy_and_ready(server):
@@ -72,7 +90,7 @@ def test_figures_follow_the_run(opened, server):
         bundle = bundle_for(job)
         assert worker.deliver(lease, bundle)
         until(lambda: opened.progress().jobs["archived"] == 1)
-        until(lambda: figures(ask(server, "/metrics")[1])[("minivla_episodes", "")] == 1, 5)
+        until(lambda: figures(ask(server, "/metrics")[1])[("minivla_episodes", "")] == 1)
         found = figures(ask(server, "/metrics")[1])
     assert found[("minivla_jobs", "archived")] == found[("minivla_jobs", "pending")] == 1
     assert found[("minivla_scene_jobs", "room,archived")] == 1

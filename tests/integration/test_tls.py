@@ -26,9 +26,9 @@ from schemas.identity import Role, TlsFiles
 from schemas.keys import Chunk, Verb, alive_key, bundle_key, scene_selector, verb_key, verb_pattern
 from schemas.wire import AdminAction, AdminReply, AdminRequest, Claim, ClaimReply, HelloReply
 from tests.builders.bundle import parts_for
-from tests.builders.fake_coordinator import free_endpoint
 from tests.builders.keys import files_of, make_authority
 from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.ports import free_endpoint
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 from tests.builders.worker import WorkerThread, settings_for
 
@@ -100,7 +100,7 @@ def test_the_real_worker_finds_its_run_and_brings_every_episode(hub, pki, tmp_pa
         command=(sys.executable, "-m", "tests.builders.small_simulation", "0.0"),
     )
     with WorkerThread(settings) as worker:
-        until(hub.is_finished, 60)
+        until(hub.is_finished)
         assert worker.join() == 0
     assert hub.progress().workers[0].host == "node"
 
@@ -235,14 +235,14 @@ def test_a_revoked_host_is_out_while_the_others_work_on(pki, tmp_path):
         assert isinstance(bad.hello(version("minivla-factory")), HelloReply)
         job, lease = good.job()
         revoke(mine, "node")
-        until(lambda: bad.hello(version("minivla-factory")) is None, 60)
-        until(lambda: good.hello(version("minivla-factory")) is not None, 60)
+        until(lambda: bad.hello(version("minivla-factory")) is None)
+        until(lambda: good.hello(version("minivla-factory")) is not None)
         good.spool.clear()
         assert good.deliver(lease, parts_for(job).write())
         until(lambda: hub.progress().jobs["archived"] == 1)
         assert bad.hello(version("minivla-factory")) is None
         admit(mine, "late", Role.WORKER, (), 1, datetime.now(UTC))
-        until(lambda: ask_hello(hub, mine, "late"), 60)
+        until(lambda: ask_hello(hub, mine, "late"))
 
 
 def ask_hello(hub: Coordinator, pki: Path, name: str) -> bool:
@@ -264,14 +264,14 @@ def test_the_job_of_a_host_revoked_at_work_goes_to_another_and_what_it_brings_is
         bad.hello(version("minivla-factory"))
         job, lease = bad.job()
         revoke(mine, "node")
-        until(lambda: bad.hello(version("minivla-factory")) is None, 60)
+        until(lambda: bad.hello(version("minivla-factory")) is None)
         assert not bad.deliver(lease, bundle_for(job))
-        until(lambda: good.hello(version("minivla-factory")) is not None, 60)
+        until(lambda: good.hello(version("minivla-factory")) is not None)
         done = set()
         while len(done) < 2:
             given, under = good.job()
             assert good.deliver(under, bundle_for(given))
             done.add(given.index)
-        until(hub.is_finished, 60)
+        until(hub.is_finished)
         assert job.index in done
         assert hub.progress().jobs["archived"] == 2

@@ -190,20 +190,23 @@ def test_what_is_no_checkpoint_is_refused_unread(tmp_path: Path) -> None:
 class Evil:
     """Would write a file when unpickled."""
 
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
     def __reduce__(self) -> tuple[Any, tuple[str]]:
         import os
 
-        return os.system, ("touch /tmp/minivla-evil-checkpoint",)
+        return os.system, (f"touch '{self._file}'",)
 
 
 @needs_torch
 def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
     import torch
 
-    torch.save({"meta": "{}", "model": Evil()}, tmp_path / "policy.pt")
+    torch.save({"meta": "{}", "model": Evil(tmp_path / "written")}, tmp_path / "policy.pt")
     with pytest.raises(WorldError, match="damaged or not a checkpoint"):
         make_policy(f"bc:{tmp_path}", PolicyLimits())
-    assert not Path("/tmp/minivla-evil-checkpoint").exists()
+    assert not (tmp_path / "written").exists()
 
 
 @needs_torch

@@ -15,8 +15,9 @@ from schemas.errors import WorldError
 from schemas.keys import Verb
 from schemas.terms import FailReason
 from schemas.wire import MAX_LEASES, Beat, Claim, Done, Fail, Hello, Lease
-from tests.builders.fake_coordinator import RUN, FakeCoordinator, free_endpoint, jobs_saying
+from tests.builders.fake_coordinator import RUN, FakeCoordinator, jobs_saying
 from tests.builders.fake_simulation import bundle_for
+from tests.builders.ports import free_endpoint
 from tests.builders.worker import WorkerThread, fake_command, settings_for, started_worker
 from workers.client.spool import Spool, folder_of
 

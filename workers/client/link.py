@@ -1,4 +1,6 @@
-"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool (DESIGN 9).
+"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool.
+
+Design: docs/design/protocol.md.
 
 Never decides what to do about silence: an answer that did not come is `None`, whatever the reason.
 """
@@ -10,8 +12,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import structlog
 import zenoh
@@ -30,7 +31,8 @@ from schemas.keys import (
     scene_selector,
     verb_key,
 )
-from schemas.support.repeated import Repeated
+from schemas.support.closing import Closing
+from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
 __all__ = ["Link", "ReadChunk"]
@@ -46,9 +48,10 @@ _ASK_TIMEOUT_S = 2.0
 _CHUNK_FIELDS = ("job", "fence", "off", "n")
 
 log = structlog.get_logger(__name__)
+_LIMIT = LogLimit(1.0, 60.0)
 
 
-class Link:
+class Link(Closing):
     """A session that can be opened again and again; a context manager.
 
     Args:
@@ -155,14 +158,6 @@ class Link:
         if session is not None and not session.is_closed():
             session.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _declare(self) -> None:
         session = self._session
         if session is None or self._serving is None:
@@ -221,7 +216,7 @@ def _parse(payload: zenoh.ZBytes, kind: type[R]) -> R | Refusal | None:
             return model.model_validate_json(data)
         except ValidationError:
             continue
-    log.warning("reply_unintelligible", expected=kind.__name__, size=len(data))
+    _LIMIT.write(log.warning, "reply_unintelligible", expected=kind.__name__, size=len(data))
     return None
 
 
@@ -238,7 +233,7 @@ def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",
-        "transport/shared_memory/enabled": "false",  # loses queries under load (notes/zenoh.md A7)
+        "transport/shared_memory/enabled": "false",  # loses queries under load
         "transport/link/tx/lease": str(_LEASE_MS),
         "transport/link/rx/max_message_size": str(_MAX_PACKET_BYTES),
         "queries_default_timeout": "5000",

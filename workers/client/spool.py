@@ -13,15 +13,15 @@ import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Self
+from typing import Annotated
 
 import structlog
 from pydantic import Field, ValidationError
 
 from schemas.base import Bytes, Model, Sha256
 from schemas.errors import WorldError
-from schemas.support.repeated import Repeated
+from schemas.support.closing import Closing
+from schemas.support.log_limit import Repeated
 from schemas.wire import Lease
 
 __all__ = ["Spool", "Spooled", "find_bundle", "folder_of"]
@@ -56,7 +56,7 @@ class Spooled(Model):
     size: Annotated[Bytes, Field(ge=1)]
 
 
-class Spool:
+class Spool(Closing):
     """A locked folder of bundles; a context manager.
 
     Takes the first folder under `root` that no living worker uses, and with it what dead workers left in the others.
@@ -189,14 +189,6 @@ class Spool:
     def __len__(self) -> int:
         with self._guard:
             return len(self._entries)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _forget(self, entry: Spooled, why: str) -> None:
         with self._guard:

@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+import scipy  # loads a submodule at its first use: commands that only read need none
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt, label
 
 from schemas.scene import CompiledScene, Target
 from schemas.support import portable
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 DISC_OFFSETS_M = (-0.46, -0.2335, -0.01)
-"""Centres of the three discs that cover the footprint, x in base_link (notes/scenes.md 5.1)."""
+"""Centres of the three discs that cover the footprint, x in base_link (docs/design/robot.md#footprint-on-the-grid)."""
 DISC_RADIUS_M = 0.29
 BODY_CENTRE_M = -0.2335
 """Centre of the footprint, x in base_link."""
@@ -63,7 +63,7 @@ class Grid:
     def clearance(self) -> Floats:
         """(H, W) distance in metres from each cell's centre to the nearest occupied cell's centre; 0 on those."""
         walled = np.pad(self.occupancy == FREE, 1)
-        field: Floats = distance_transform_edt(walled)[1:-1, 1:-1] * self.resolution_m
+        field: Floats = scipy.ndimage.distance_transform_edt(walled)[1:-1, 1:-1] * self.resolution_m
         return field
 
     def cell_of(self, xy: ArrayLike) -> NDArray[np.int64]:
@@ -180,7 +180,7 @@ class Grid:
             seed_xy: a point of the wanted component; `None`, or a seed on no floor, takes the largest component.
             clearance_m: clearance that the body centre needs, metres.
         """
-        parts, count = label(self.clearance >= clearance_m, structure=np.ones((3, 3)))
+        parts, count = scipy.ndimage.label(self.clearance >= clearance_m, structure=np.ones((3, 3)))
         if count == 0:
             return np.zeros(self.occupancy.shape, bool)
         wanted = 0 if seed_xy is None else int(self.values_at(parts, seed_xy, 0))

@@ -13,13 +13,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType, TracebackType
-from typing import NamedTuple, Self
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import WorldError
+from schemas.support.closing import Closing
 from schemas.support.extras import require_package
 from workers.physics.mesh_lists import MeshLists, as_lists, take_back
 
@@ -97,7 +98,7 @@ def bullet_version() -> str:
     return version("pybullet")
 
 
-class BulletClient:
+class BulletClient(Closing):
     """One physics server within this process; bodies, shapes and textures belong to it and die with it."""
 
     def __init__(self) -> None:
@@ -105,14 +106,6 @@ class BulletClient:
         if self._id < 0:
             raise WorldError("PyBullet gave no physics client; close worlds that are no longer used")
         self._inertial: dict[int, tuple[Vector, tuple[float, float, float, float]]] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the client; closing twice is harmless."""

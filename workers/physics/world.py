@@ -10,11 +10,11 @@ import math
 import weakref
 from contextlib import ExitStack
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from schemas.config import RobotConfig
 from schemas.scene import CompiledScene
+from schemas.support.closing import Closing
 from workers.geometry.pose import Pose
 from workers.physics.bullet import BulletClient, ShapePlacement
 from workers.physics.mesh_lists import MeshLists, mesh_lists, recycle
@@ -51,7 +51,7 @@ class ColliderMesh:
         return mesh
 
 
-class World:
+class World(Closing):
     """A floor, obstacles and one robot that follows commanded twists; the same calls give the same bits."""
 
     def __init__(self, scene: CompiledScene, collider: ColliderMesh, robot: RobotConfig, control_hz: int) -> None:
@@ -68,14 +68,6 @@ class World:
         self._stance = _resting_stance(robot, control_hz)
         self._rig = _Rig(robot, control_hz, collider, self._floor_height)
         self.place(0.0, 0.0, 0.0)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the physics client; closing twice is harmless."""

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+import scipy  # loads a submodule at its first use: commands that only read need none
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from schemas.scene import Target
 from workers.geometry.grid import HALF_WIDTH_M, Grid
@@ -43,7 +42,7 @@ class FloorGraph:
 
     numbers: NDArray[np.int32]
     """(H, W) number of the cell's node, -1 for cells that may not be crossed."""
-    edges: coo_array
+    edges: scipy.sparse.coo_array
     """Length of the way between neighbours times the mean weight of the two cells, metres."""
 
     @classmethod
@@ -60,7 +59,7 @@ class FloorGraph:
             ends.append((here[both], there[both], mean[both] * math.hypot(row, column) * resolution_m))
         starts, stops, lengths = (np.concatenate(column) for column in zip(*ends, strict=True))
         count = int(passable.sum())
-        return cls(numbers, coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr())
+        return cls(numbers, scipy.sparse.coo_array((lengths, (starts, stops)), shape=(count, count)).tocsr())
 
     def distances(self, sources: Bools) -> DistanceField:
         """Returns the distance from every cell to the nearest of the source cells (H, W)."""
@@ -70,7 +69,9 @@ class FloorGraph:
         if len(nodes) == 0:
             return DistanceField(metres, nearer)
         passable = self.numbers >= 0
-        found, before, _ = dijkstra(self.edges, directed=False, indices=nodes, min_only=True, return_predecessors=True)
+        found, before, _ = scipy.sparse.csgraph.dijkstra(
+            self.edges, directed=False, indices=nodes, min_only=True, return_predecessors=True
+        )
         cells = np.flatnonzero(passable)
         metres[passable] = found
         nearer[passable] = np.where(before >= 0, cells[np.maximum(before, 0)], -1)

@@ -5,9 +5,9 @@ Says what a renderer and a frame are; it never draws and imports no graphics lib
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class DepthAndIds:
     """As `Frame.ids`."""
 
 
-class Renderer(Protocol):
+class Renderer(AbstractContextManager["Renderer", None], Protocol):
     """Something that can show a compiled scene from the robot's camera; opened once, closed once."""
 
     @property
@@ -72,9 +72,3 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Frees everything; closing twice is harmless."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...

@@ -7,8 +7,7 @@ the process that opens it, before it is opened.
 from __future__ import annotations
 
 import os
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -18,6 +17,7 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError, WorldError
 from schemas.scene import CompiledScene
+from schemas.support.closing import Closing
 from schemas.support.portable import product
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
@@ -38,7 +38,7 @@ _used_by: set[int] = set()
 """The process that has opened a context; after a fork, its number is not that of this process."""
 
 
-class GlRenderer:
+class GlRenderer(Closing):
     """A `Renderer` on an OpenGL 4.5 context of its own; every call makes that context current."""
 
     def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
@@ -67,14 +67,6 @@ class GlRenderer:
             self._targets = {size: GlTarget(self._context, size)}
             self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
             self._context.front_face = "cw"  # because `onto_target` mirrors the image
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the context and all in it; closing twice is harmless."""

@@ -7,13 +7,11 @@ A process that has not loaded the driver has neither problem. This module loads 
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Self
-
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene, encode_scene
+from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
@@ -27,7 +25,7 @@ __all__ = ["ProcessRenderer"]
 _KEPT_SCENES = 2
 
 
-class ProcessRenderer:
+class ProcessRenderer(Closing):
     """A `Renderer` whose frames equal, bit for bit, those of the renderer that its process opens."""
 
     def __init__(
@@ -48,14 +46,6 @@ class ProcessRenderer:
         self._process = RenderingProcess(kind, size)
         self._shelf = SceneShelf(_Storage(self._process).store, _KEPT_SCENES)
         self.description = self._process.description
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Ends the process; closing twice is harmless."""

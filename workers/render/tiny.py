@@ -8,8 +8,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +17,7 @@ from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene
+from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
 from workers.geometry.pose import Pose
@@ -34,7 +33,7 @@ _TEXTURE_PX = 128
 """Textures are shrunk to this: TinyRenderer picks single texels, which flicker at full resolution."""
 
 
-class TinyRenderer:
+class TinyRenderer(Closing):
     """A `Renderer` in software that runs wherever PyBullet does."""
 
     def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
@@ -50,14 +49,6 @@ class TinyRenderer:
         self._lap = lap
         self._shelf = SceneShelf(TinyScene, _KEPT_SCENES)
         self._scene: TinyScene | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Frees the physics clients that hold the scenes; closing twice is harmless."""

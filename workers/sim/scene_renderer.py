@@ -9,14 +9,13 @@ import functools
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.fingerprint import Fingerprint
 from schemas.scene import CompiledScene, decode_scene
+from schemas.support.closing import Closing
 from schemas.support.stage_timer import StageTimer, no_stage_timer
 from schemas.terms import RendererKind
 from workers.geometry.grid import Grid, body_centre
@@ -48,7 +47,7 @@ class LoadedScene:
         return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
 
 
-class SceneRenderer:
+class SceneRenderer(Closing):
     """Opens the renderer; loads scenes on demand and keeps the few used last."""
 
     def __init__(
@@ -80,12 +79,8 @@ class SceneRenderer:
         """Returns a scene that `load` has brought; `KeyError` when it has not."""
         return self._loaded[sha256]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Closes the renderer."""
         self.renderer.close()
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import click
 from pydantic import ValidationError
@@ -22,6 +21,7 @@ from factory.train.preprocess import SIZES
 from factory.train.run import TrainCallbacks, TrainOrder, train_bc
 from schemas.errors import UsageError
 from schemas.storage.place import Place
+from schemas.support.closing import Closing
 from schemas.terms import Split
 from workers.client.stopping import stop_on_signals
 
@@ -167,7 +167,7 @@ def _options(**chosen: Any) -> BcOptions:
         raise UsageError(f"{error.errors()[0]['loc'][0]}: {error.errors()[0]['msg']}") from error
 
 
-class _TrainBar:
+class _TrainBar(Closing):
     """The bars of a training on stderr, and a line an epoch."""
 
     def __init__(self, epochs: int) -> None:
@@ -175,14 +175,10 @@ class _TrainBar:
         self._bar = Bars()
         self._decoding: Any = None
         self._task: Any = None
-
-    def __enter__(self) -> Self:
         self._bar.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Removes the bars."""
         self._bar.stop()
 
     def caching(self, done: int, of: int) -> None:

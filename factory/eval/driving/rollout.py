@@ -242,7 +242,7 @@ def request_fields(order: EvalOrder) -> dict[str, Any]:
 
 
 def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig) -> dict[str, Any]:
-    """Returns the three progress metrics (DESIGN 3.15) from distances to the target's centroid."""
+    """Returns the three progress metrics (docs/design/task.md#measures) from distances to the target's centroid."""
     radius_m = task.success_radius_m
     normalised = measure.progress(start_m - radius_m, max(0.0, least_m - radius_m)) if start_m > radius_m else 1.0
     return {

@@ -6,8 +6,6 @@ The caller supplies the actions: experts, policies and the Gymnasium environment
 from __future__ import annotations
 
 from contextlib import ExitStack
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +14,7 @@ from factory.eval.models.spec import EvalSettings, EvalSpec
 from schemas.bundle import EpisodeArrays
 from schemas.errors import WorldError
 from schemas.scene import Target
+from schemas.support.closing import Closing
 from workers.experts.observation import Observation
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
@@ -31,7 +30,7 @@ class NoFirmStand(WorldError):
     """The robot is not stable at the start pose of a spec."""
 
 
-class Simulator:
+class Simulator(Closing):
     """Simulator of one episode at a time: call `reset`, then `step` until the view has an end. A context manager."""
 
     def __init__(self, stage: SceneRenderer, settings: EvalSettings) -> None:
@@ -40,14 +39,6 @@ class Simulator:
         self.settings = settings
         self._held = ExitStack()
         self._loop: ClosedLoop | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Closes the simulation of the last episode; the scene renderer stays open."""

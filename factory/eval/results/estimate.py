@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
+import scipy  # loads `scipy.stats`, a second, at its first use
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy import stats
 
 from schemas.base import Model
 
@@ -63,7 +63,7 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
         only_second: pairs in which only the second did.
     """
     discordant = only_first + only_second
-    return 1.0 if discordant == 0 else float(stats.binomtest(only_first, discordant, 0.5).pvalue)
+    return 1.0 if discordant == 0 else float(scipy.stats.binomtest(only_first, discordant, 0.5).pvalue)
 
 
 def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
@@ -78,8 +78,8 @@ def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
 def _resampled(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, IntervalEstimate]:
     data = np.stack(list(columns.values()))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # told by NaN, which becomes None
-        interval = stats.bootstrap(
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)  # told by NaN, which becomes None
+        interval = scipy.stats.bootstrap(
             (data,),
             np.mean,
             axis=-1,

@@ -10,8 +10,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Self
+from typing import IO
 
 from pydantic import ValidationError
 
@@ -21,6 +20,7 @@ from factory.eval.models.spec_file import read_specs, write_specs
 from factory.eval.policies.note import PolicyNote
 from schemas.base import Model, NonNegative, Sha256
 from schemas.errors import UsageError, WorldError
+from schemas.support.closing import Closing
 
 __all__ = ["EvalManifest", "Store", "folder_name", "read_policy_folder"]
 
@@ -38,7 +38,7 @@ class EvalManifest(Model):
     act_timeout_s: NonNegative
 
 
-class Store:
+class Store(Closing):
     """An evaluation directory, open for writing."""
 
     def __init__(self, root: Path, specs: SpecSet, manifest: EvalManifest) -> None:
@@ -57,12 +57,8 @@ class Store:
         except OSError as error:
             raise WorldError(f"cannot write {root}: {error.strerror}") from error
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Closes the logs."""
         for log in self._logs.values():
             log.close()
 

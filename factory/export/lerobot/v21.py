@@ -1,6 +1,6 @@
 """`lerobot-v2.1`: LeRobotDataset v2.1, one data file and one video an episode; for GR00T, openpi and older LeRobots.
 
-`meta/modality.json` is what Isaac-GR00T asks for beside it (its getting_started/data_preparation.md).
+`meta/modality.json` is what Isaac-GR00T asks for beside it (its guide "data preparation").
 """
 
 from __future__ import annotations

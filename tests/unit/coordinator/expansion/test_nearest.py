@@ -132,3 +132,12 @@ def test_a_plan_spelled_as_toml_is_read_back_as_the_same(plan: Plan, tmp_path: P
     path.write_text(spell_plan(plan))
     assert load_plan(str(path)) == plan
     assert load_plan(str(path)).digest == plan.digest
+
+
+@pytest.mark.parametrize("sign", ["\x7f", "\t", "\x1f", '"', "\\", "ö", "\U0001f916"], ids=ascii)
+def test_a_path_with_any_sign_is_read_back_from_the_toml_of_a_plan(sign: str, tmp_path: Path) -> None:
+    plan = own_plan()
+    named = plan.scenes[1].model_copy(update={"usd": f"/data/lab{sign}1.usda"})
+    path = tmp_path / "plan.toml"
+    path.write_text(spell_plan(plan.model_copy(update={"scenes": (plan.scenes[0], named)})), encoding="utf-8")
+    assert load_plan(str(path)).scenes[1].usd == named.usd

@@ -41,7 +41,7 @@ def keys(engine: Engine) -> list[str]:
 def held_back(writer: Writer) -> threading.Event:
     """Keeps the writer busy until the event is set, so that what follows shares one commit."""
     gate = threading.Event()
-    writer.submit(lambda _: gate.wait(10))
+    writer.submit(lambda _: gate.wait(60))
     return gate
 
 
@@ -67,7 +67,7 @@ def test_an_answer_comes_after_its_commit(engine):
 
     with Writer(engine) as writer:
         writer.submit(put("a")).add_done_callback(look)
-        assert seen.wait(10)
+        assert seen.wait(60)
     assert found == ["a"]
 
 

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from coordinator.archive.opening import open_archive
 from coordinator.protocol.protocol import Pull
@@ -22,6 +23,7 @@ from schemas.errors import TransientError
 from schemas.keys import Chunk
 from schemas.wire import Lease
 from tests.builders.bundle import job_for
+from tests.builders.wire_worker import until
 
 BUNDLE = b"0123456789" * 1000
 LEASE = Lease(job_id=1, fence=1, token="0" * 32)
@@ -71,7 +73,7 @@ def brought(root: Path, nearby: Nearby) -> Iterator[tuple[House, Path]]:
         with Pullers(archive, house, house.fetch, house, settings, house.done.set, nearby=nearby) as pullers:
             target: Any = None
             pullers.offer(Pull(LEASE, "worker", sha256, len(BUNDLE), job_for(7), target))
-            assert house.done.wait(10)
+            assert house.done.wait(60)
         place = archive.path_of(7)
         assert isinstance(place, Path)
         assert list((root / "data" / ".staging").iterdir()) == []
@@ -123,6 +125,24 @@ def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: 
     with brought(tmp_path, vanished) as (house, place):
         assert place.read_bytes() == BUNDLE
         assert len(house.fetched) == 3
+
+
+def test_refused_bundles_of_one_host_fill_no_log(tmp_path: Path) -> None:
+    house, count = House(), 60
+    settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
+    target: Any = None
+    with (
+        capture_logs() as lines,
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, house, house.fetch, house, settings, house.done.set) as pullers,
+    ):
+        for index in range(1, count + 1):
+            pullers.offer(Pull(LEASE, "host.1", "0" * 64, len(BUNDLE), job_for(index), target))
+        pullers.offer(Pull(LEASE, "other.1", "0" * 64, len(BUNDLE), job_for(count + 1), target))
+        until(lambda: len(house.refused) == count + 1)
+    hosts = [line["worker"] for line in lines if line["event"] == "bundle_refused"]
+    assert 1 <= hosts.count("host.1") < 10
+    assert hosts.count("other.1") == 1
 
 
 class Crowd(House):
@@ -194,7 +214,7 @@ def test_a_worker_that_serves_too_slowly_is_refused(tmp_path: Path) -> None:
         Pullers(archive, crowd, crowd.fetch, crowd, settings, crowd.done.set) as pullers,
     ):
         pullers.offer(pull_of("slow-1.1", 1))
-        assert crowd.done.wait(30)
+        assert crowd.done.wait(60)
     assert crowd.owned == []
     assert "too slow" in crowd.refused[0]
 

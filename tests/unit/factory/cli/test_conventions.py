@@ -257,6 +257,15 @@ def test_help_and_completion_import_no_verb_and_nothing_heavy(body: str) -> None
     } & loaded == set()
 
 
+def test_no_verb_imports_the_parts_of_scipy_before_it_computes_with_them() -> None:
+    body = "import importlib\nfrom factory.cli.verbs import VERBS\n"
+    body += "for name in VERBS: importlib.import_module(f'factory.cli.{name}')"
+    command = [sys.executable, "-c", IMPORTED.format(body=body)]
+    loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stderr.split())
+    assert "factory.stats.measures" in loaded
+    assert {"scipy.stats", "scipy.ndimage", "scipy.sparse", "scipy.spatial"} & loaded == set()
+
+
 def test_a_module_of_every_verb_is_there_and_none_is_left_out() -> None:
     folder = Path(cli.callback.__code__.co_filename).parent if cli.callback else Path()
     found = {

@@ -84,12 +84,12 @@ def test_two_threads_fetch_one_scene_once(tmp_path):
 
     def slow(chunk: Chunk) -> bytes:
         begun.set()
-        assert goes_on.wait(20)
+        assert goes_on.wait(60)
         return source.fetch(chunk)
 
     first = threading.Thread(target=cache.ensure, args=(source.sha256, 5, slow, never_wait))
     first.start()
-    assert begun.wait(20)
+    assert begun.wait(60)
     other = SceneCache(tmp_path, 1 << 30)  # as another process would
     path = other.ensure(source.sha256, 5, source.fetch, goes_on.set)
     first.join()

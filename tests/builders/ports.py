@@ -1,0 +1,43 @@
+"""Loopback addresses of servers that tests start, close and start again at the same address; opens no server."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+from collections import deque
+from pathlib import Path
+
+__all__ = ["free_endpoint", "free_port"]
+
+_LOWEST_OUTGOING = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+_PORTS = itertools.cycle(range(max(_LOWEST_OUTGOING, 20_000) - 2 - os.getpid() % 8000, 10_000, -1))
+"""Below those of outgoing connections: none of these takes the port of a server that is closed for a moment."""
+_RESERVED = deque[int]()
+_MOST_RESERVED = 256
+
+
+def free_endpoint() -> str:
+    """Returns a zenoh endpoint on loopback that nobody listens on; see `free_port`."""
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+def free_port() -> int:
+    """Returns a port of 127.0.0.1 that nobody listens on, and that no other test process gets from here.
+
+    The reservation is a socket in the abstract namespace: it ends with this process, or after 256 further ports.
+    """
+    for port in _PORTS:
+        with socket.socket() as probe:
+            mark = socket.socket(socket.AF_UNIX)
+            try:
+                mark.bind(f"\0minivla-test-port-{port}")
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                mark.close()
+                continue
+        _RESERVED.append(mark.detach())
+        if len(_RESERVED) > _MOST_RESERVED:
+            os.close(_RESERVED.popleft())
+        return port
+    raise AssertionError("itertools.cycle ended")

@@ -1,0 +1,50 @@
+"""What the processes of one test session share: a folder, and things in it that are built once."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["build_once", "locked", "session_folder"]
+
+
+def session_folder(own: Path) -> Path:
+    """Returns the folder of all processes of a session.
+
+    Args:
+        own: pytest's base folder of this process; of a worker of pytest-xdist it is in the folder of the session.
+    """
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Holds the lock of a file; the lock of a process that was killed is free."""
+    with path.open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def build_once(folder: Path, build: Callable[[Path], object]) -> Path:
+    """Builds a folder in the first process that asks; the others wait for it. Tests only read it.
+
+    Args:
+        folder: where to build; what a failed build left there is removed.
+        build: builds into the folder that it is given, which is not there yet.
+
+    Returns:
+        `folder`.
+    """
+    done = folder.with_name(f"{folder.name}.done")
+    with locked(folder.with_name(f"{folder.name}.lock")):
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            build(folder)
+            done.touch()
+    return folder

@@ -1,0 +1,102 @@
+"""Repeated events in the log: once, seldom, and over."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import pytest
+import structlog
+from structlog.testing import capture_logs
+
+from schemas.errors import WorldError
+from schemas.support.log_limit import LogLimit, Repeated
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def failing(clock: Clock) -> Repeated:
+    return Repeated(structlog.get_logger("test"), "write_failed", clock=clock)
+
+
+ERRORS = [
+    OSError(code, os.strerror(code)) for code in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.EIO)
+]
+
+
+@pytest.mark.parametrize("error", [*ERRORS, WorldError("no inodes")], ids=str)
+def test_an_hour_of_failures_gives_a_line_at_once_a_few_later_and_one_at_the_end(
+    clock: Clock, error: Exception
+) -> None:
+    trouble = failing(clock)
+    with capture_logs() as lines:
+        for clock.now in range(3600):
+            trouble.fail(error)
+        trouble.succeed()
+        trouble.succeed()
+    assert lines[0] == {"event": "write_failed", "log_level": "warning", "error": str(error)}
+    assert len(lines) < 15
+    assert lines[-2]["failures"] > 3000
+    assert lines[-1] == {"event": "write_failed_recovered", "log_level": "warning", "failures": 3600, "after_s": 3599}
+
+
+def test_lines_of_a_kind_become_rare_while_it_lasts_and_name_what_was_left_out(clock: Clock) -> None:
+    limit, log = LogLimit(1.0, 60.0, clock), structlog.get_logger("test")
+    with capture_logs() as lines:
+        for clock.now in range(3600):
+            limit.write(log.warning, "refused", "bad", host="bad")
+        limit.write(log.warning, "refused", "good", host="good")
+        clock.now = 10_000
+        limit.write(log.warning, "refused", "bad", host="bad")
+    assert len(lines) < 80
+    assert lines[0] == {"event": "refused", "log_level": "warning", "host": "bad"}
+    assert sum(1 + line.get("left_out", 0) for line in lines if line["host"] == "bad") == 3601
+    assert lines[-2] == {"event": "refused", "log_level": "warning", "host": "good"}
+
+
+def test_failures_that_come_and_go_are_bounded_too(clock: Clock) -> None:
+    trouble = failing(clock)
+    with capture_logs() as lines:
+        for clock.now in range(3600):
+            trouble.fail("refused")
+            trouble.succeed()
+    assert 2 <= len(lines) < 30
+
+
+def test_the_next_failure_after_a_quiet_time_is_logged_at_once(clock: Clock) -> None:
+    trouble = failing(clock)
+    with capture_logs() as lines:
+        for clock.now in (0, 5000, 10000):
+            trouble.fail("refused")
+            trouble.succeed()
+    assert [line["event"] for line in lines] == ["write_failed", "write_failed_recovered"] * 3
+
+
+def test_what_nobody_expects_brings_its_traceback_once(clock: Clock) -> None:
+    trouble = failing(clock)
+    with capture_logs() as lines:
+        for clock.now in (0, 20, 60):
+            trouble.fail(KeyError("x"))
+    assert [("exc_info" in line, line["log_level"]) for line in lines] == [
+        (True, "error"),
+        (False, "warning"),
+        (False, "warning"),
+    ]
+
+
+def test_an_error_is_one_line(clock: Clock) -> None:
+    trouble = failing(clock)
+    with capture_logs() as lines:
+        trouble.fail(WorldError("no room\nand a page of explanation"))
+    assert lines[0]["error"] == "no room"
