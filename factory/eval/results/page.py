@@ -1,4 +1,4 @@
-"""The page of an evaluation: what `evaluation.html` shows, as text and films. Pure; writes no markup."""
+"""Builds the content of the evaluation page: tables, texts and films for `evaluation.html`. Writes no files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _DASH = "–"
 
 @dataclass(frozen=True)
 class FailureExample:
-    """A failed episode, its film (MP4) and the last picture of it (JPEG)."""
+    """Failed episode with its film (MP4) and its last picture (JPEG)."""
 
     row: EpisodeResult
     film: bytes
@@ -47,32 +47,32 @@ class FailureExample:
 
 @dataclass(frozen=True)
 class _Cell:
-    """A number, its interval and, for a rate, where both are on a scale of 0 to 100."""
+    """Table cell: a value, its interval and, for a rate, both in per cent for the bar."""
 
     value: str
     interval: str = ""
     ends: tuple[float, float, float] | None = None
-    """Low, value and high in per cent; `None` where no bar is drawn."""
+    """Lower end, value and upper end, per cent; `None` without a bar."""
 
 
 @dataclass(frozen=True)
 class _Table:
-    """Rows of several policies, group by group."""
+    """Table of several policies, grouped."""
 
     anchor: str
     title: str
     head: Sequence[str]
     groups: Sequence[tuple[str, Sequence[Sequence[_Cell]]]]
-    """Name of a group and its rows; the first cell of a row names it."""
+    """Group names with their rows; the first cell of a row is its name."""
     note: str = ""
 
 
 def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureExample]]) -> str:
-    """Returns the page.
+    """Returns the evaluation page as HTML.
 
     Args:
-        evaluation: all tables.
-        failures: for each policy, the failures to show.
+        evaluation: All tables.
+        failures: Policy name -> failures to show.
     """
     policies = evaluation.policies
     films = [(policy, failures[policy.policy]) for policy in policies if failures.get(policy.policy)]

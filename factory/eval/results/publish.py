@@ -1,4 +1,4 @@
-"""From finished episodes to what people read: results.json, episodes.parquet and the page. Writes beside the log."""
+"""Writes the results of an evaluation: results.json, episodes.parquet and the page. Runs no episodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index
 _VIDEOS = "videos"
 
 ProgressCallback = Callable[[int, int], None]
-"""Is told (videos drawn, videos in all)."""
+"""Called with the number of finished videos and the total."""
 
 
 def publish(
@@ -34,13 +34,13 @@ def publish(
     """Writes all results of an evaluation and returns them.
 
     Args:
-        campaign: what was evaluated.
-        store: with the finished episodes.
-        videos: how many failures of each policy the page shows.
-        tell: told the progress of drawing them.
+        campaign: Evaluated campaign.
+        store: Store of the finished episodes.
+        videos: Number of failures of each policy to show on the page.
+        tell: Progress callback of the videos.
 
     Raises:
-        WorldError: the directory cannot be written.
+        WorldError: The directory cannot be written.
     """
     evaluation = evaluation_of(campaign, store)
     try:
@@ -49,12 +49,14 @@ def publish(
         page = write_page(evaluation, _failures(campaign, store, videos, tell))
         _write(store.root / PAGE_FILE, page.encode())
     except OSError as error:
-        raise WorldError(f"cannot write to {store.root}: {error.strerror}; free space and run it again") from error
+        raise WorldError(
+            f"cannot write to {store.root}: {error.strerror}; free disk space and run the command again"
+        ) from error
     return evaluation
 
 
 def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallback) -> dict[str, list[FailureExample]]:
-    """The videos of each policy; those of an earlier run are taken as they are."""
+    """Returns the videos of each policy; reuses existing files."""
     chosen = {
         name: choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
         for name in campaign.policies
@@ -90,7 +92,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         results = [row for row in store.results(name) if row.variant in campaign.variants]
         note = store.note_of(name)
         if note is None:
-            raise WorldError(f"{store.root} has no note of policy {name}; run the same command again")
+            raise WorldError(f"{store.root} has no metadata of policy {name}; run the same command again")
         expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
         is_complete = is_complete and len(results) >= expected
         scores.append(score_policy(name, results, note))
@@ -117,9 +119,9 @@ def _remarks(campaign: Campaign) -> list[str]:
             "the software collected them; replay need not succeed there"
         )
     if ways:
-        remarks.append(f"{ways} of {len(specs)} episodes have no way along the floor and are left out of SPL")
+        remarks.append(f"{ways} of {len(specs)} episodes have no path on the floor and are excluded from SPL")
     if Variant.WRONG in campaign.variants:
-        remarks.append("policies that read no instruction are not driven again under other words")
+        remarks.append("policies that do not use the instruction are not run with other instructions")
     return remarks
 
 
@@ -136,7 +138,7 @@ def _write_table(path: Path, rows: Sequence[EpisodeResult]) -> None:
 
 
 def _flat(row: EpisodeResult) -> dict[str, object]:
-    """The row with its track as three lists, as tables like it."""
+    """Returns the row with its track as three list columns."""
     data = row.model_dump(mode="json", exclude={"track"})
     for number, name in enumerate(("track_x_m", "track_y_m", "track_yaw_rad")):
         data[name] = [pose[number] for pose in row.track]

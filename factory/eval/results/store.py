@@ -1,6 +1,6 @@
-"""The directory of an evaluation: its specs, what was asked, and every finished episode. The only writer of it.
+"""Directory of an evaluation: its specs, its options, and every finished episode. The only writer of these files.
 
-An episode is appended and synced when it is over, so that a killed run goes on where it was.
+Each finished episode is appended and synced, so that an interrupted evaluation can be resumed. Runs no episodes.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "po
 
 
 class EvalManifest(Model):
-    """What an evaluation directory is about; a run with another one is refused."""
+    """Options of an evaluation directory; a run with other options raises an error."""
 
     format: int = RESULTS_FORMAT
     run: str
-    """Name of the run whose dataset it is."""
+    """Run name of the dataset."""
     specs_digest: Sha256
     with_pose: bool
     act_timeout_s: NonNegative
 
 
 class Store(Closing):
-    """An evaluation directory, open for writing."""
+    """Evaluation directory, open for writing."""
 
     def __init__(self, root: Path, specs: SpecSet, manifest: EvalManifest) -> None:
-        """Opens or makes the directory.
+        """Opens or creates the directory.
 
         Raises:
-            UsageError: it holds an evaluation of other specs or other options.
-            WorldError: it cannot be written, or is of a newer format.
+            UsageError: The directory contains an evaluation with other specs or other options.
+            WorldError: The directory cannot be written, or its format is newer than this software.
         """
         self.root = root
         self._specs = specs
@@ -63,14 +63,14 @@ class Store(Closing):
             log.close()
 
     def results(self, policy: str) -> list[EpisodeResult]:
-        """Returns the finished episodes of a policy, in the order of the specs; a torn last line is cut off."""
+        """Returns the finished episodes of a policy in the order of the specs; truncates an incomplete last line."""
         return _in_order(_read_log(self.folder_of(policy) / _LOG, cut=True), self._specs)
 
     def add(self, result: EpisodeResult) -> None:
-        """Appends an episode, durably.
+        """Appends a result durably.
 
         Raises:
-            WorldError: the disk is full or away.
+            WorldError: The file cannot be written.
         """
         try:
             log = self._log(result.policy)
@@ -78,19 +78,21 @@ class Store(Closing):
             log.flush()
             os.fsync(log.fileno())
         except OSError as error:
-            raise WorldError(f"cannot write to {self.root}: {error.strerror}; free space and run it again") from error
+            raise WorldError(
+                f"cannot write to {self.root}: {error.strerror}; free disk space and run the command again"
+            ) from error
 
     def folder_of(self, policy: str) -> Path:
-        """Returns where the results of a policy are kept; without that folder it is driven anew."""
+        """Returns the folder of a policy's results; if it is deleted, the policy is evaluated again."""
         return self.root / _POLICIES / folder_name(policy)
 
     def note(self, note: PolicyNote) -> None:
-        """Writes down what a policy is."""
+        """Writes the metadata of a policy."""
         folder = self.folder(note.policy)
         _write(folder / _NOTE, note)
 
     def note_of(self, policy: str) -> PolicyNote | None:
-        """Returns what was written down of a policy, or `None`."""
+        """Returns the metadata of a policy, or `None`."""
         path = self.folder_of(policy) / _NOTE
         return PolicyNote.model_validate_json(path.read_bytes()) if path.exists() else None
 
@@ -100,7 +102,7 @@ class Store(Closing):
         return self._logs[policy]
 
     def folder(self, policy: str) -> Path:
-        """Returns the folder of a policy, made where it is missing."""
+        """Returns the folder of a policy; creates it if needed."""
         folder = self.folder_of(policy)
         folder.mkdir(parents=True, exist_ok=True)
         return folder
@@ -108,7 +110,7 @@ class Store(Closing):
     def _agree(self, manifest: EvalManifest) -> None:
         if not (self.root / _MANIFEST).exists():
             if any(self.root.iterdir()):
-                raise UsageError(f"{self.root} is not empty and holds no evaluation; give another -o")
+                raise UsageError(f"{self.root} is not empty and contains no evaluation; use another -o")
             self._begin(manifest)
             return
         found = read_manifest(self.root)
@@ -118,12 +120,12 @@ class Store(Closing):
             if name != "format" and getattr(found, name) != getattr(manifest, name)
         ]
         if different and self._has_results():
-            raise UsageError(f"{self.root} holds another evaluation ({'; '.join(different)}); give another -o")
+            raise UsageError(f"{self.root} contains another evaluation ({'; '.join(different)}); use another -o")
         if different:
             self._begin(manifest)
 
     def _has_results(self) -> bool:
-        """Whether anything was driven here, or given to others to drive."""
+        """Returns whether any episode was run here or by remote workers."""
         others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES}
         return bool(others) or any((self.root / _POLICIES).glob(f"*/{_LOG}"))
 
@@ -133,22 +135,22 @@ class Store(Closing):
 
 
 def _short(value: object) -> str:
-    """Returns how an entry of a manifest is told; of a digest, what tells it from others."""
+    """Returns the text of a manifest entry; shortens digests."""
     return f"{value[:12]}..." if isinstance(value, str) and len(value) == 64 else repr(value)
 
 
 def read_manifest(root: Path) -> EvalManifest:
-    """Reads what an evaluation directory is about.
+    """Reads the manifest of an evaluation directory.
 
     Raises:
-        WorldError: there is none, it is damaged, or of a newer format.
+        WorldError: The manifest is missing or damaged, or its format is newer than this software.
     """
     path = root / _MANIFEST
     try:
         found = EvalManifest.model_validate_json(path.read_bytes())
     except FileNotFoundError as error:
         raise WorldError(
-            f"{root} holds no evaluation ({_MANIFEST} is missing): give the -o of `factory eval`"
+            f"{root} contains no evaluation ({_MANIFEST} is missing): give the -o of `factory eval`"
         ) from error
     except (OSError, ValidationError) as error:
         raise WorldError(f"{path} is damaged: {error}") from error
@@ -160,34 +162,34 @@ def read_manifest(root: Path) -> EvalManifest:
 
 
 def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
-    """Returns the name and the results of one policy, for comparisons.
+    """Reads the results of one policy; returns its name and results.
 
     Args:
-        path: `OUT/policies/NAME`, or `OUT` where it holds one policy only.
+        path: `OUT/policies/NAME`, or `OUT` if it contains one policy only.
 
     Raises:
-        UsageError: there are several policies, or none.
-        WorldError: the results are damaged.
+        UsageError: The folder contains several policies, or none.
+        WorldError: The results are damaged.
     """
     folder = path
     if (path / _MANIFEST).exists():
         folders = sorted(entry.parent for entry in (path / _POLICIES).glob(f"*/{_LOG}"))
         if len(folders) != 1:
             there = ", ".join(str(entry) for entry in folders) or "none"
-            raise UsageError(f"{path} holds {len(folders)} policies; name one of them: {there}")
+            raise UsageError(f"{path} contains {len(folders)} policies; give one of these folders: {there}")
         folder = folders[0]
     if not (folder / _LOG).exists():
-        raise UsageError(f"{path} holds no results; give OUT or OUT/{_POLICIES}/NAME of `factory eval`")
+        raise UsageError(f"{path} contains no results; give OUT or OUT/{_POLICIES}/NAME of `factory eval`")
     out = folder.parent.parent
     read_manifest(out)
     results = _in_order(_read_log(folder / _LOG, cut=False), read_specs(out / _SPECS))
     if not results:
-        raise UsageError(f"{path} holds no finished episode yet")
+        raise UsageError(f"{path} contains no finished episodes; resume it with `factory eval`")
     return results[0].policy, results
 
 
 def folder_name(policy: str) -> str:
-    """Returns the folder of a policy: its name where that is a plain word, else a readable form and a digest."""
+    """Returns the folder name of a policy: its name if valid as a folder name, else a readable form and a digest."""
     plain = re.sub(r"[^a-z0-9_.]+", "-", policy.lower()).strip("-.")[:60]
     return plain if plain == policy else f"{plain}-{hashlib.sha256(policy.encode()).hexdigest()[:8]}"
 
@@ -211,7 +213,7 @@ def _read_log(path: Path, cut: bool) -> Iterator[EpisodeResult]:
             yield EpisodeResult.model_validate_json(line)
         except ValidationError as error:
             raise WorldError(
-                f"{path} is damaged in line {number}; take the line out and run the command again"
+                f"{path} is damaged in line {number}; delete that line and run the command again"
             ) from error
 
 
