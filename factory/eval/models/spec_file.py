@@ -1,4 +1,4 @@
-"""The file of specs on disk: JSON with a format version. Reads and writes one file."""
+"""Reads and writes the file of specs, JSON with a format version. Creates no specs."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ def read_specs(path: Path) -> SpecSet:
     """Reads a file of specs.
 
     Raises:
-        UsageError: there is no such file, it is no file of specs, or of a newer format.
+        UsageError: The file does not exist, is not a file of specs, or its format is newer than this software.
     """
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise UsageError(f"{path} is larger than {_MOST_BYTES >> 20} MiB: no file of specs")
+            raise UsageError(f"{path} is larger than {_MOST_BYTES >> 20} MiB, the maximum size of a file of specs")
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path} cannot be read ({error}); `factory eval specs` writes such a file") from error
+        raise UsageError(f"{path} cannot be read ({error}); create one with `factory eval specs`") from error
     _refuse_newer(path, text)
     try:
         return SpecSet.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the beginning"
-        raise UsageError(f"{path} is no file of specs: at {where}: {first['msg']}") from error
+        raise UsageError(f"{path} is not a valid file of specs: at {where}: {first['msg']}") from error
 
 
 def write_specs(specs: SpecSet, path: Path) -> None:
-    """Writes a file of specs, whole or not at all.
+    """Writes a file of specs atomically.
 
     Raises:
-        WorldError: it cannot be written.
+        WorldError: The file cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:

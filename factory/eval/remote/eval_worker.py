@@ -1,7 +1,7 @@
 """Evaluation worker (`python -m factory.eval.remote.eval_worker`), which a worker starts instead of a simulation.
 
-Takes the worker's orders, evaluates them in a driver process, and leaves results as bundles.
-Simulates nothing itself and ends with its worker.
+Receives orders from the worker, evaluates them in a driver process, and writes results as bundles.
+Runs no simulation itself; exits with its worker.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from workers.process.pipes import listen, take_stdout
 __all__ = ["main"]
 
 _HEAR_S, _TELL_S = 0.1, 1.0
-_NO_IMPORTS = "this worker imports no classes; start it with --import-policies where its coordinator is trusted"
+_NO_IMPORTS = "this worker does not import user classes; start it with --import-policies if its coordinator is trusted"
 
 
 def main() -> int:
     """Serves orders until stdin closes."""
     parser = argparse.ArgumentParser(
-        prog="factory.eval.remote.eval_worker", description="Drives policies for a worker."
+        prog="factory.eval.remote.eval_worker", description="Evaluates policies for a worker."
     )
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
     parser.add_argument("--import-policies", action="store_true")
@@ -54,7 +54,7 @@ def main() -> int:
         while True:
             station.serve(SimulationOrder.model_validate_json(lines.get()))
     except BrokenPipeError:
-        return 0  # nobody listens any more
+        return 0  # the worker has exited
 
 
 class _Station:
@@ -65,7 +65,7 @@ class _Station:
         self._seat: DriverProcess | None = None
 
     def tell(self, report: worker.SimulationReport) -> None:
-        """Tells the worker."""
+        """Sends a report to the worker."""
         self._out.write(worker.to_line(report))
 
     def serve(self, order: SimulationOrder) -> None:
@@ -73,7 +73,7 @@ class _Station:
         begun = time.monotonic()
         errand = EvalTask.model_validate_json(order.errand or "")
         if is_user_class(errand.policy) and not self._may_import:
-            # the name came over the network, and importing it runs whatever is there
+            # the name came over the network, and importing it would execute arbitrary code
             self.tell(failure(FailReason.CRASH, f"policy {errand.policy}: {_NO_IMPORTS}"))
             return
         seat = self._seat_for(errand)
@@ -124,7 +124,7 @@ def _result(
 
 
 def _seal(driven: Driven, path: Path, seconds: float) -> worker.SimulationReport:
-    """Leaves a bundle, whole or not at all."""
+    """Writes a bundle atomically."""
     part = Path(f"{path}.part")
     try:
         with part.open("w+b") as file:

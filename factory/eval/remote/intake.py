@@ -1,4 +1,4 @@
-"""Takes what workers have brought of a campaign out of the archive of its run and into the results, each once."""
+"""Transfers results of workers from the archive of the run to the results of the evaluation, each once."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Intake:
     """Knows which orders are done; those that an earlier run has finished are so from the start.
 
     Args:
-        store: of the results.
+        store: Store of the results.
         orders: all of the campaign, by job index.
-        tell: told how far each policy is.
+        tell: Progress callback, called for each policy.
     """
 
     def __init__(self, store: Store, orders: Mapping[int, EvalOrder], tell: Callable[[Pace], None]) -> None:
@@ -45,10 +45,10 @@ class Intake:
         return {index: order for index, order in self._orders.items() if index not in self._done}
 
     def take(self, root: Path) -> None:
-        """Takes over what has been archived since.
+        """Adds the results that were archived since the last call.
 
         Args:
-            root: directory of the run.
+            root: Directory of the run.
         """
         with look_into(ledger_url_of(root)) as connection:
             archived = read_archived(connection)

@@ -21,9 +21,9 @@ from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
 __all__ = ["attachments_of", "catalog_of", "number_orders", "plan_of", "planned_of", "text_of"]
 
 Attached = Mapping[str, tuple[Attachment, Path]]
-"""Policy -> the file that it is made of."""
+"""Policy name -> attachment and path of its file."""
 _BUDGET = Budget(attempts_per_draw=1, draws=1)
-"""A policy that does not arrive has a result too: no worker has a reason to report a failure of the world."""
+"""One attempt: an episode without success has a result, too, so workers report no failures of the task."""
 
 
 def number_orders(campaign: Campaign) -> Mapping[int, EvalOrder]:
@@ -37,24 +37,24 @@ def catalog_of(orders: Mapping[int, EvalOrder]) -> Catalog:
     """Returns the scenes of the orders.
 
     Raises:
-        UsageError: the specs do not fit them.
+        UsageError: The specs do not match the scenes.
     """
     found: dict[str, SceneEntry] = {}
     for order in orders.values():
         spec = order.question.spec
         entry = found.get(spec.scene) or found.setdefault(spec.scene, read_entry(order.package))
         if entry.sha256 != spec.scene_sha256:
-            raise UsageError(f"the specs name two packages of {spec.scene}; make new specs")
+            raise UsageError(f"the specs contain two packages of {spec.scene}; create new specs")
         if all(target.target_id != spec.target_id for target in entry.info.targets):
-            raise UsageError(f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; make new specs")
+            raise UsageError(f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; create new specs")
     return found
 
 
 def attachments_of(campaign: Campaign) -> Attached:
-    """Returns the files that policies are made of.
+    """Returns the files of the policies as attachments.
 
     Raises:
-        UsageError: one is not there, or too large.
+        UsageError: A file is missing or too large.
     """
     found: dict[str, tuple[Attachment, Path]] = {}
     for policy in campaign.policies:
@@ -62,7 +62,7 @@ def attachments_of(campaign: Campaign) -> Attached:
         if path is not None:
             size = path.stat().st_size
             if not 0 < size <= MAX_ATTACHMENT_BYTES:
-                raise UsageError(f"{path} has {size} bytes; 1 to {MAX_ATTACHMENT_BYTES} can be sent to workers")
+                raise UsageError(f"{path} has {size} bytes; 1 to {MAX_ATTACHMENT_BYTES} bytes can be sent to workers")
             with path.open("rb") as file:
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             found[policy] = Attachment(sha256=sha256, size=size), path
@@ -70,7 +70,7 @@ def attachments_of(campaign: Campaign) -> Attached:
 
 
 def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], attached: Attached) -> Plan:
-    """Returns the plan of the run: scenes and settings as those of the specs, named after all that is asked.
+    """Returns the plan of the run, with the scenes and settings of the specs; a digest of the campaign is its name.
 
     Args:
         campaign: what to do.
@@ -79,7 +79,7 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], att
         attached: files of its policies.
 
     Raises:
-        UsageError: a scene of the specs is none of the dataset's.
+        UsageError: A scene of the specs is not in the dataset.
     """
     counts = Counter(order.question.spec.scene for order in orders.values())
     scenes = tuple(
@@ -87,7 +87,7 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], att
     )
     strange = counts.keys() - {scene.name for scene in scenes}
     if strange:
-        raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; make new specs of it")
+        raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; create new specs from it")
     settings = campaign.specs.settings
     numbers = {name: getattr(settings, name) for name in type(settings).model_fields}
     name = f"{EVALUATION_PREFIX}{_digest(campaign, orders, attached)}"

@@ -1,6 +1,7 @@
-"""What else a policy can be told: another episode's words, the wrong category, nothing. Pure.
+"""Instruction variants for the language ablation: shuffled, wrong category, empty. Pure functions.
 
-A policy that drives as well by the wrong words has not listened (paper Sec. VII, language-ablation baseline).
+A policy that succeeds equally often with wrong instructions does not use them (paper Sec. VII, language-ablation
+baseline).
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ ABLATIONS = (Variant.SHUFFLED, Variant.WRONG, Variant.EMPTY)
 _WRONG_STREAM, _SHUFFLE_STREAM, _DONOR_STREAM = 11, 12, 13
 
 Scenes = Mapping[str, SceneInfo]
-"""Digest of a package -> what the scene holds."""
+"""SHA-256 of a scene package -> its contents."""
 
 
 def instructions(specs: SpecSet, variant: Variant, scenes: Scenes) -> dict[str, str]:
-    """Returns the instruction of each spec under a variant, by spec id; the same set gives the same words.
+    """Returns the instruction of each spec under a variant, by spec id; deterministic for a spec set.
 
     Args:
-        specs: the set.
-        variant: which words.
-        scenes: the scenes of the set, for categories that are there.
+        specs: Spec set.
+        variant: Instruction variant.
+        scenes: Scenes of the set, for their categories.
 
     Raises:
-        UsageError: the set has no two different instructions to shuffle, or a scene one category only.
+        UsageError: All instructions of the set are equal, or a scene has only one category.
     """
     if variant is Variant.SHUFFLED:
         return _shuffled(specs)
@@ -45,14 +46,14 @@ def instructions(specs: SpecSet, variant: Variant, scenes: Scenes) -> dict[str, 
 
 
 def donors(specs: SpecSet) -> dict[str, str]:
-    """Returns for each spec the archived episode that a playback carries out: another one, by spec id.
+    """Returns another archived episode for each spec id, whose actions a playback executes.
 
     Raises:
-        UsageError: fewer than two specs come from archived episodes.
+        UsageError: Fewer than two archived episodes are in the set.
     """
     recorded = [spec for spec in specs.specs if spec.source_episode is not None]
     if len({spec.source_episode for spec in recorded}) < 2:
-        raise UsageError("playback needs specs of at least two archived episodes; give more of --split or --episodes")
+        raise UsageError("playback needs specs of at least two archived episodes; use more of --split or --episodes")
     rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _DONOR_STREAM)))
     ring = [recorded[int(number)] for number in rng.permutation(len(recorded))]
     found: dict[str, str] = {}
@@ -64,7 +65,7 @@ def donors(specs: SpecSet) -> dict[str, str]:
 
 def _shuffled(specs: SpecSet) -> dict[str, str]:
     if len({spec.instruction for spec in specs.specs}) < 2:
-        raise UsageError("all episodes have one instruction, so that there is nothing to shuffle; take more episodes")
+        raise UsageError("all episodes have the same instruction, so it cannot be shuffled; use more episodes")
     rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _SHUFFLE_STREAM)))
     ring = [specs.specs[int(number)] for number in rng.permutation(len(specs.specs))]
     found: dict[str, str] = {}
@@ -75,15 +76,17 @@ def _shuffled(specs: SpecSet) -> dict[str, str]:
 
 
 def _wrong(spec: EvalSpec, scene: SceneInfo) -> str:
-    """The same template with another category: one in view at the start where there is one."""
+    """Returns the template with another category, preferably one in view at the start."""
     there = sorted({target.category for target in scene.targets} - {spec.category})
     if not there:
-        raise UsageError(f"scene {spec.scene} has targets of {spec.category} only: no wrong category to name")
+        raise UsageError(
+            f"scene {spec.scene} has targets of {spec.category} only, so no wrong category exists; omit this ablation"
+        )
     rng = np.random.default_rng(np.random.SeedSequence((spec.seed, _WRONG_STREAM)))
     in_view = [category for category in there if category in spec.categories_in_view]
     category = str(rng.choice(in_view or there))
     if spec.template_id not in TEMPLATES:
-        raise UsageError(f"{spec.spec_id}: no template {spec.template_id!r}; make new specs")
+        raise UsageError(f"{spec.spec_id}: template {spec.template_id!r} does not exist; create new specs")
     return instruction(spec.template_id, category, _colour(spec, scene, category, rng))
 
 

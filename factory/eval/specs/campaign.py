@@ -20,18 +20,18 @@ __all__ = ["Campaign", "orders_for", "require_recordings", "with_actions"]
 
 @dataclass(frozen=True)
 class Campaign:
-    """What to evaluate, and with what."""
+    """Campaign: specs, policies, instruction variants and settings of an evaluation."""
 
     specs: SpecSet
     root: Path
-    """The dataset, which has the scenes."""
+    """Dataset directory with the scenes."""
     policies: tuple[str, ...]
     variants: tuple[Variant, ...]
     setup: Setup
     processes: int = 1
-    """Driving processes on this machine."""
+    """Number of driver processes on this machine."""
     with_pose: bool = False
-    """Whether policies are given the pose in the frame of the start."""
+    """Whether observations contain the pose in the frame of the start pose."""
 
 
 def orders_for(campaign: Campaign, policy: str, places: Places) -> list[EvalOrder]:
@@ -39,7 +39,7 @@ def orders_for(campaign: Campaign, policy: str, places: Places) -> list[EvalOrde
     entry = find_policy(policy)
     specs = campaign.specs
     packages = {spec.scene_sha256: places.path(spec.scene, spec.scene_sha256) for spec in specs.specs}
-    # a policy that cannot hear is not asked again under other words
+    # policies that do not use the instruction run with the original instruction only
     variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
     needs_scenes = Variant.WRONG in variants
     scenes = {
@@ -79,10 +79,10 @@ def with_actions(order: EvalOrder, root: Path) -> EvalOrder:
 
 
 def require_recordings(policy: str, specs: SpecSet) -> None:
-    """Makes sure that all specs come from archived episodes.
+    """Raises an error unless all specs come from archived episodes.
 
     Raises:
-        UsageError: one does not.
+        UsageError: A spec does not come from an archived episode.
     """
     lacking = [spec.spec_id for spec in specs.specs if spec.source_episode is None]
     if lacking:
