@@ -37,7 +37,7 @@ __all__ = ["FleetAccess", "run_fleet"]
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
-"""Settings of the coordinator: results are small, and an episode can take its time limit for each of thousands of actions."""
+"""Settings of the coordinator. Results are small; a policy can take its time limit for each of thousands of actions."""
 _POLL_S = 0.5
 _NAMED = 5
 
