@@ -20,7 +20,7 @@ _ALWAYS = {"split", "view"}
 
 
 def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
-    """Prints all policies side by side, overall and by groups, and what other words did to them.
+    """Prints all policies side by side, overall and by groups, and the language ablation.
 
     Args:
         evaluation: what to print.
@@ -35,7 +35,7 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     _print_ablations(evaluation.policies)
     click.echo("")
     for policy in evaluation.policies:
-        print_text(f"{policy.policy}: goes by {policy.knows}; {describe_ends(policy)}")
+        print_text(f"{policy.policy}: uses {policy.knows}; {describe_ends(policy)}")
         for line in fault_lines(policy):
             print_text(line)
     for remark in evaluation.remarks:
@@ -67,10 +67,10 @@ def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None
 def _print_ablations(policies: Sequence[PolicyScores]) -> None:
     rows = list(ablation_rows(policies, _share, _estimate))
     if rows:
-        head = ("policy", "words", "episodes", "n", "SR %", "gap of SR to the true words", "McNemar p")
-        print_table("\nOther words", head, rows)
+        head = ("policy", "instruction", "episodes", "n", "SR %", "gap of SR to the original instruction", "McNemar p")
+        print_table("\nLanguage ablation", head, rows)
         for name in policies_without_instruction(policies):
-            print_text(f"{name}: reads no instruction, gap 0 by construction")
+            print_text(f"{name}: does not use the instruction, gap 0 by construction")
 
 
 def _cells(score: Score) -> tuple[object, ...]:

@@ -78,7 +78,7 @@ def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
 def _resampled(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, IntervalEstimate]:
     data = np.stack(list(columns.values()))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)  # told by NaN, which becomes None
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)  # the result is NaN, which becomes None
         interval = scipy.stats.bootstrap(
             (data,),
             np.mean,

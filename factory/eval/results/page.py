@@ -32,7 +32,7 @@ _HEAD = (
     "policy failure, %",
 )
 _MAIN_HEAD = ("SR, %", "SPL", "NE, m", "collision, %", "n")
-_ABLATION_HEAD = ("words", "episodes", "n", "SR, %", "gap to the true words", "McNemar p")
+_ABLATION_HEAD = ("instruction", "episodes", "n", "SR, %", "gap to original instruction", "McNemar p")
 _DASH = "–"
 
 
@@ -145,9 +145,9 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
             [cell if isinstance(cell, _Cell) else _Cell(str(cell)) for cell in cells]
         )
     if groups:
-        deaf = ", ".join(policies_without_instruction(policies))
-        note = f"Gap 0 by construction, as they read no instruction: {deaf}." if deaf else ""
-        yield _Table("words", "Other words", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
+        names = ", ".join(policies_without_instruction(policies))
+        note = f"The gap is 0 by construction for policies that do not use the instruction: {names}." if names else ""
+        yield _Table("words", "Language ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
 
 
 def _film(failure: FailureExample) -> dict[str, object]:

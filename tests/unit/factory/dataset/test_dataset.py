@@ -65,7 +65,7 @@ def test_episode_gives_what_was_recorded(shared: Path) -> None:
 def test_frames_count_from_both_ends(shared: Path) -> None:
     episode = Dataset(shared)[0]
     assert np.array_equal(episode.frame(-1).rgb, episode.frame(11).rgb)
-    with pytest.raises(IndexError, match="ep_000001 has steps 0 to 11, asked for 12"):
+    with pytest.raises(IndexError, match="ep_000001 has steps 0 to 11; step 12 is out of range"):
         episode.rgb(12)
 
 
