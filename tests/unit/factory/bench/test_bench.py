@@ -21,10 +21,10 @@ from tests.builders.dataset import make_dataset
 from tests.builders.scene import box_room
 
 
-def test_a_watch_gives_every_stage_the_time_since_the_stage_before() -> None:
+def test_a_recorder_gives_every_stage_the_time_since_the_stage_before() -> None:
     recorder = StageRecorder()
-    recorder.start()
     begun = time.perf_counter()
+    recorder.start()
     for stage in ("slow", "quick", "slow"):
         if stage == "slow":
             time.sleep(0.02)
