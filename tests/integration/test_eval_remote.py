@@ -175,7 +175,7 @@ def test_a_server_that_is_gone_is_nobodys_failure() -> None:
 
 
 def test_what_is_no_policy_server_is_said_at_once() -> None:
-    with server(lambda _c, _o: None, greeting="hello") as address, pytest.raises(UsageError, match="openpi's kind"):
+    with server(lambda _c, _o: None, greeting="hello") as address, pytest.raises(UsageError, match="openpi's protocol"):
         begin(address)
     with pytest.raises(UsageError, match="write ws://HOST:PORT"):
         begin("ws:nonsense")
