@@ -94,7 +94,7 @@ def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[
             bundle = BundleReader(file)
             return {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
         details.append(outcome.detail)
-    raise WorldError(f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded: {details[0]}; try more --episodes")
+    raise WorldError(f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so nothing can be measured: {details[0]}")
 
 
 def _timed(job: Job, stage: SceneRenderer, recorder: StageRecorder, file: BinaryIO, tell: StepCallback) -> _Run:

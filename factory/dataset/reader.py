@@ -77,7 +77,7 @@ class Dataset:
         for name, values in wanted.items():
             if name not in _FILTERS:
                 raise UsageError(
-                    f"{name!r} is not a filter; valid filters: {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}"
+                    f"unknown filter {name!r}; valid filters: {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}"
                 )
             asked, column = _as_strings(values), _FILTERS[name]
             held = self._targets if name == "target" else pc.unique(self.metadata[column]).to_pylist()
@@ -105,7 +105,7 @@ class Dataset:
         """
         position = self._position(key) if isinstance(key, str) else key
         if not -len(self) <= position < len(self):
-            raise IndexError(f"position {position} is out of range; {self.root} has {len(self)} episodes here")
+            raise IndexError(f"{self.root}: index {position} is out of range for {len(self)} episodes")
         (row,) = self.metadata.slice(position % len(self), 1).to_pylist()
         summary = _parse(self.root, row)
         return Episode(self.root / file_name_of(summary.episode_id), summary)
@@ -113,7 +113,7 @@ class Dataset:
     def _position(self, episode_id: str) -> int:
         position = int(pc.index(self.metadata["episode_id"], episode_id).as_py())
         if position < 0:
-            raise KeyError(f"{episode_id} is not one of these {len(self)} episodes of {self.root}")
+            raise KeyError(f"{episode_id} is not one of the {len(self)} selected episodes of {self.root}")
         return position
 
     def __repr__(self) -> str:
@@ -131,9 +131,9 @@ def _read_table(path: Place) -> pa.Table:
         table.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
         return table.select(_COLUMNS)  # ignores columns that a later version added
     except FileNotFoundError as error:
-        raise ArchiveCorrupt(f"{path} is missing; resume the run to write it again") from error
+        raise ArchiveCorrupt(f"{path} is missing: resume the run to rewrite it") from error
     except (pa.ArrowException, *PARSER_ERRORS) as error:
-        raise ArchiveCorrupt(f"{path} is damaged ({error}); resume the run to write it again") from error
+        raise ArchiveCorrupt(f"{path} is damaged ({error}): resume the run to rewrite it") from error
 
 
 def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:
@@ -141,6 +141,4 @@ def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:
         return EpisodeSummary.model_validate(row)
     except ValidationError as error:
         found = f"{error.error_count()} wrong values, first at {error.errors()[0]['loc']}"
-        raise ArchiveCorrupt(
-            f"{root / METADATA_FILE} is damaged ({found}); resume the run to write it again"
-        ) from error
+        raise ArchiveCorrupt(f"{root / METADATA_FILE} is damaged ({found}): resume the run to rewrite it") from error

@@ -87,11 +87,13 @@ def require_ours(root: Path, wanted: ExportManifest) -> ExportManifest | None:
     found = read_manifest(root) if root.is_dir() else None
     if found is None:
         if root.exists() and (not root.is_dir() or _entries(root)):
-            raise WorldError(f"{root} is there and holds no export ({MANIFEST_FILE} is missing): choose another --out")
+            raise WorldError(f"{root} exists and is not an export ({MANIFEST_FILE} is missing): choose another --out")
         return None
     differences = [text for text in _differences(found, wanted) if text]
     if differences:
-        raise WorldError(f"{root} holds another export: {'; '.join(differences)}; delete it, or choose another --out")
+        raise WorldError(
+            f"{root} contains another export: {'; '.join(differences)}; delete it, or choose another --out"
+        )
     return found
 
 
@@ -115,7 +117,7 @@ def _differences(found: ExportManifest, wanted: ExportManifest) -> list[str]:
         texts.append(_differ("episodes", _selection(one), _selection(two)))
     if not any(texts) and not found.complete:
         versions = (f"version {found.format_version}", _say(found.software))
-        texts.append(_differ("unfinished, begun with", ", ".join(versions), _versions(wanted)))
+        texts.append(_differ("unfinished, started with", ", ".join(versions), _versions(wanted)))
     return texts
 
 
@@ -128,7 +130,7 @@ def _selection(source: Source) -> str:
 
 
 def _differ(what: str, found: str, wanted: str) -> str:
-    return "" if found == wanted else f"{what} {found}, asked for {wanted}"
+    return "" if found == wanted else f"{what} {found}, requested {wanted}"
 
 
 def _say(values: dict[str, Any]) -> str:

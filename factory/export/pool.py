@@ -48,8 +48,8 @@ def carry_out(
     try:
         yield from _feed(pool, do, iter(tasks), workers * _AHEAD, stop)
     except BrokenProcessPool as error:
-        died = "a process of the export died (killed, or out of memory?); what is done is kept"
-        raise WorldError(f"{died}: call it again, with fewer --workers if memory is short") from error
+        died = "a process of the export died (it was killed, or is out of memory); finished work is kept"
+        raise WorldError(f"{died}: run the same command again, with fewer --workers if memory is short") from error
     finally:
         ours.close()  # ends whatever still runs
         pool.shutdown(wait=True, cancel_futures=True)

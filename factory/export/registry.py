@@ -47,7 +47,7 @@ def check_format(name: str) -> None:
         return
     if name.lower() in _MADE_ELSEWHERE:
         raise UsageError(f"`factory export` does not write {name.lower()}: {_MADE_ELSEWHERE[name.lower()]}")
-    raise UsageError(f"no format {name!r}; there are {', '.join(EXPORTERS)}{did_you_mean(name, EXPORTERS)}")
+    raise UsageError(f"unknown format {name!r}; valid formats: {', '.join(EXPORTERS)}{did_you_mean(name, EXPORTERS)}")
 
 
 @cache

@@ -142,7 +142,10 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
     if isinstance(order.root, Path):
         one, two = order.root.resolve(), order.out.resolve()
         if one == two or one in two.parents or two in one.parents:
-            raise UsageError(f"--out {order.out}: dataset and export may not lie in each other; choose a folder beside")
+            raise UsageError(
+                f"--out {order.out}: the export cannot be inside the dataset, or the dataset inside the export; "
+                "choose another folder"
+            )
     dataset = select(whole, order.splits, order.episodes)
     order.options.check(dataset.meta)
     source = Source(
@@ -201,7 +204,7 @@ def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[ExportTask]:
 def _episode_at(state: _State, position: int, name: str, is_twin: bool) -> Episode | None:
     try:
         if is_twin:
-            raise ArchiveCorrupt(f"{name} stands twice in the metadata: a resumed run writes it anew")
+            raise ArchiveCorrupt(f"{name} is listed twice in the metadata: resume the run to rewrite it")
         return state.dataset[position]
     except ArchiveCorrupt as error:
         state.skipped[position] = Skip(episode_id=name, reason=str(error))

@@ -40,7 +40,7 @@ def create_authority(folder: Path, name: str, days: int, now: datetime) -> Path:
     """
     if (folder / _CA_KEY_FILE).exists() or (folder / CA_FILE).exists():
         raise UsageError(
-            f"{folder} already has an authority; a new one would invalidate its host certificates: use another folder"
+            f"{folder} contains an authority already; a new one would lock out all its hosts: choose another folder"
         )
     made = create_authority_certificate(name, days, now)
     with translated("write", folder):
@@ -105,7 +105,7 @@ def revoke(folder: Path, name: str) -> tuple[Path, ...]:
     admitted = dict(_admitted(folder))
     if admitted.pop(name, None) is None:
         known = ", ".join(admitted) or "none"
-        raise UsageError(f"{name!r} is not an admitted host; admitted hosts: {known}")
+        raise UsageError(f"{name!r} is not admitted; admitted hosts: {known}")
     return _write_admission_lists(folder, admitted)
 
 
@@ -130,7 +130,7 @@ def _authority(folder: Path) -> Certificate:
         return Certificate((folder / CA_FILE).read_bytes(), (folder / _CA_KEY_FILE).read_bytes())
     except OSError as error:
         raise UsageError(
-            f"{folder} has no certificate authority ({error.strerror}); create one with `factory keys ca {folder}`"
+            f"{folder} does not contain an authority ({error.strerror}): create one with `factory keys ca {folder}`"
         ) from error
 
 

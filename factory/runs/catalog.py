@@ -42,9 +42,9 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = l
     if mistakes:
         nearest = find_nearest(plan, entries)
         if nearest.plan is not None:
-            mistakes += [f"nearest feasible plan: {change}" for change in nearest.changes]
-            mistakes.append("write the nearest feasible plan with `factory plan nearest PLAN -o FILE.toml`")
-        raise InvalidPlan(f"the scenes of plan {plan.name!r} cannot fulfil it", mistakes)
+            mistakes += [f"nearest possible: {change}" for change in nearest.changes]
+            mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
     return entries
 
 
@@ -86,7 +86,7 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
         entry = read_entry(package_file(path))
         if entry.sha256 == sha256:
             return entry
-    raise ArchiveCorrupt(f"{root / SCENES} has no package of {name} with SHA-256 {sha256}; run `factory verify`")
+    raise ArchiveCorrupt(f"{root / SCENES} has no package of scene {name} with SHA-256 {sha256}; run `factory verify`")
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:

@@ -157,8 +157,7 @@ class _WorkerPool(Closing):
             log.warning("worker_died", status=code, deaths=self._deaths)
             if self._deaths > _MOST_DEATHS:
                 raise WorldError(
-                    f"workers crashed {self._deaths} times without a new episode, last with exit status {code}; see "
-                    "their messages above"
+                    f"workers died {self._deaths} times in a row without an episode, last with exit status {code}"
                 )
             self._processes[place] = self._start()
 

@@ -27,7 +27,7 @@ def _compiles(pattern: str) -> str:
     try:
         re.compile(pattern)
     except re.error as error:
-        raise ValueError(f"{pattern!r} is no regular expression: {error}") from error
+        raise ValueError(f"{pattern!r} is not a valid regular expression: {error}") from error
     return pattern
 
 
@@ -96,11 +96,12 @@ def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
     except OSError as error:
         command = f"cp {shlex.quote(str(BUILTIN_RULES))} {shlex.quote(str(path))}"
         raise UsageError(
-            f"no category rules at {path} ({say_absence(error)}); leave them out to have the built-in ones, or begin "
-            f"your own with `{command}`"
+            f"cannot read category rules from {path} ({say_absence(error)}); use the built-in rules without --rules, "
+            "or start "
+            f"with a copy of them: `{command}`"
         ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path} is no YAML: {error}") from error
+        raise UsageError(f"{path} is not valid YAML: {error}") from error
     except ValidationError as error:
         mistakes = [f"  - {'.'.join(map(str, item['loc'])) or 'file'}: {item['msg']}" for item in error.errors()]
-        raise UsageError("\n".join([f"{path} is no list of category rules:", *mistakes])) from error
+        raise UsageError("\n".join([f"{path} is not a valid list of category rules:", *mistakes])) from error

@@ -45,7 +45,7 @@ class TargetEntry(Model):
     @classmethod
     def _is_a_colour(cls, colour: str) -> str:
         if colour not in (*COLOUR_NAMES, "unknown"):
-            raise ValueError(f"no basic colour; known are {', '.join(COLOUR_NAMES)}, unknown")
+            raise ValueError(f"not a valid colour; valid colours: {', '.join(COLOUR_NAMES)}, unknown")
         return colour
 
 
@@ -60,9 +60,9 @@ class TargetList(Model):
         for what, values in (("id", [e.id for e in self.targets]), ("prim_path", [e.prim_path for e in self.targets])):
             twice = sorted({value for value in values if values.count(value) > 1})
             if twice:
-                raise ValueError(f"{what} stands twice: {', '.join(twice)}")
+                raise ValueError(f"{what} is listed twice: {', '.join(twice)}")
         if not any(entry.enabled for entry in self.targets):
-            raise ValueError("no target is enabled; a scene needs at least one")
+            raise ValueError("all targets are disabled; enable at least one")
         return self
 
     @property
@@ -111,16 +111,16 @@ def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:
     except OSError as error:
         command = f"factory scene targets {scene} -o {shlex.quote(str(path))}"
         raise UsageError(
-            f"no targets file at {path} ({say_absence(error)}); leave it out to have all that the rules find, or write "
-            f"one to edit with `{command}`"
+            f"cannot read targets file {path} ({say_absence(error)}); use all targets without --targets, or create "
+            f"the file with `{command}`"
         ) from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is no targets file: it is no UTF-8 text") from error
+        raise UsageError(f"{path} is not a valid targets file: it is not UTF-8 text") from error
     except yaml.YAMLError as error:
-        raise UsageError(f"{path} is no YAML: {error}") from error
+        raise UsageError(f"{path} is not valid YAML: {error}") from error
     except ValidationError as error:
         mistakes = "\n".join(f"  - {_key(item['loc'])}{_message(item['msg'])}" for item in error.errors())
-        raise UsageError(f"{path} is no targets file:\n{mistakes}") from error
+        raise UsageError(f"{path} is not a valid targets file:\n{mistakes}") from error
 
 
 def _key(place: tuple[int | str, ...]) -> str:

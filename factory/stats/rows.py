@@ -73,7 +73,7 @@ def _parse(rows: Rows, file: str, table: pa.Table, model: type[Row]) -> list[Row
         except ValidationError as error:
             wrong.append(_describe_invalid_row(number, values, error))
     if wrong:
-        rows.add_damage(file, f"{len(wrong)} of {table.num_rows} rows omitted: {_some(wrong)}")
+        rows.add_damage(file, f"{len(wrong)} of {table.num_rows} rows skipped: {_some(wrong)}")
     return found
 
 
@@ -86,7 +86,7 @@ def _without_duplicates(rows: Rows, episodes: list[EpisodeSummary]) -> list[Epis
     first: dict[str, EpisodeSummary] = {}
     duplicates = [row.episode_id for row in episodes if first.setdefault(row.episode_id, row) is not row]
     if duplicates:
-        rows.add_damage(METADATA_FILE, f"{len(duplicates)} duplicate rows omitted: {_some(duplicates)}")
+        rows.add_damage(METADATA_FILE, f"{len(duplicates)} duplicate rows skipped: {_some(duplicates)}")
     return list(first.values())
 
 
@@ -103,9 +103,9 @@ def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
         if sizes[row.episode_id] not in (None, row.file_bytes)
     ]
     if missing:
-        rows.add_damage(EPISODES, f"{len(missing)} episodes omitted because their file is missing: {_some(missing)}")
+        rows.add_damage(EPISODES, f"{len(missing)} episodes skipped, because the file is missing: {_some(missing)}")
     if cut:
-        rows.add_damage(EPISODES, f"{len(cut)} episodes omitted because their file size differs: {_some(cut)}")
+        rows.add_damage(EPISODES, f"{len(cut)} episodes skipped, because the file has another size: {_some(cut)}")
     return [row for row in rows.episodes if sizes[row.episode_id] == row.file_bytes]
 
 
@@ -120,10 +120,10 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
     try:
         table = pq.read_table(table_of(path)).select(list(FailedAttempt.model_fields))
     except FileNotFoundError:
-        rows.add_damage(ATTEMPTS_FILE, "is missing; attempts are omitted; resume the run to write it again")
+        rows.add_damage(ATTEMPTS_FILE, "is missing; attempts are not counted; resume the run to rewrite it")
     except (pa.ArrowException, OSError, KeyError) as error:
         rows.add_damage(
-            ATTEMPTS_FILE, f"cannot be read ({error}); attempts are omitted; resume the run to write it again"
+            ATTEMPTS_FILE, f"cannot be read ({error}); attempts are not counted; resume the run to rewrite it"
         )
     else:
         if table.num_rows != rows.meta.failed_attempts:
@@ -139,7 +139,7 @@ def _compare_with_meta(rows: Rows, table_rows: int) -> None:
     if not meta.complete:
         rows.add_remark(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
     if not rows.episodes:
-        rows.add_remark(METADATA_FILE, "no episodes; every mean is omitted")
+        rows.add_remark(METADATA_FILE, "no episodes; there are no means")
 
 
 def _compare_with_plan(rows: Rows) -> None:

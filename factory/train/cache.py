@@ -113,7 +113,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
     """
     if not len(dataset):
         raise UsageError(
-            f"{dataset.root} has no episodes with these filters; `factory status` prints its splits and tiers"
+            f"{dataset.root} has no episodes of this split, scene and tier; `factory status` prints those that it has"
         )
     key = CacheKey(dataset=dataset.digest, size=size, hold=hold)
     folder = root / key.name
@@ -181,7 +181,9 @@ def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: ProgressCallback)
         array.flush()
     np.savez(part / "labels.npz", actions=actions, is_stop=is_stop, episode=owner)
     if len(settings) > 1:
-        raise UsageError(f"{dataset.root} mixes rates, cameras or robots: train on one scene at a time with --scene")
+        raise UsageError(
+            f"{dataset.root} has scenes with different rates, cameras or robots: select one scene with --scene"
+        )
     hz, fov, speed, yaw_rate = settings.pop()
     index = _Index(
         key=key,
@@ -230,7 +232,5 @@ def _open(folder: Path, index: _Index) -> FrameCache:
         with (folder / "labels.npz").open("rb") as file, np.load(file) as labels:
             actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise WorldError(
-            f"the cache {folder} is damaged ({error}): delete that folder and run the command again"
-        ) from error
+        raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder; it is created again") from error
     return FrameCache(index, rgb, depth, mask, actions, is_stop, episode)

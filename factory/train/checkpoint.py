@@ -43,17 +43,19 @@ def parse_meta(text: object, path: Path) -> CheckpointMeta:
         UsageError: The text is not the metadata of a checkpoint, or its version is not supported.
     """
     if not isinstance(text, str):
-        raise UsageError(f"{path} is not a checkpoint of `factory train`: the entry `meta` is missing")
+        raise UsageError(f"{path} is not a checkpoint of `factory train`: the text `meta` is missing")
     try:
         meta = CheckpointMeta.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         what = f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
-        raise UsageError(f"{path} is not a checkpoint that this version can read ({what}): train it again") from error
+        raise UsageError(f"{path} is not a checkpoint that this version reads ({what})") from error
     if meta.format > CHECKPOINT_FORMAT or meta.look != PREPROCESS_VERSION:
         found = f"format {meta.format}, preprocessing {meta.look}"
         mine = f"format {CHECKPOINT_FORMAT}, preprocessing {PREPROCESS_VERSION}"
-        raise UsageError(f"{path} was written by another version ({found}; this version reads {mine}): train it again")
+        raise UsageError(
+            f"{path} was written by another version ({found}; this version reads {mine}): train the policy again"
+        )
     return meta
 
 
@@ -79,7 +81,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     torch = load_torch()
     path = checkpoint_path(path)
     if not path.is_file():
-        raise UsageError(f"checkpoint {path} does not exist; `factory train bc DIR -o OUT` writes OUT/{POLICY}")
+        raise UsageError(f"checkpoint {path} does not exist; `factory train bc DIR -o OUT` creates OUT/{POLICY}")
     if path.stat().st_size > MAX_BYTES:
         raise UsageError(f"{path} has {path.stat().st_size} bytes; the maximum size of a checkpoint is {MAX_BYTES}")
     try:

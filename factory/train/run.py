@@ -123,8 +123,9 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
         different = [f"{name} {then[name]}, now {now[name]}" for name in now if then[name] != now[name]]
         if different:
             raise UsageError(
-                f"{order.out} contains a training with other options ({'; '.join(different)}): use the same options to "
-                "resume it, or choose another --out"
+                f"{order.out} contains a training with other options ({'; '.join(different)}): give the same options "
+                "to "
+                "continue it, or choose another --out"
             )
     with translated("write", order.out):
         order.out.mkdir(parents=True, exist_ok=True)
@@ -136,7 +137,7 @@ def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> No
     if (then.train_digest, then.words) != (meta.train_digest, meta.words):
         raise UsageError(
             f"{out} contains a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): "
-            "use the same dataset, --split, --scene and --tier to resume it, or choose another --out"
+            "give the same dataset, --split, --scene and --tier to continue it, or choose another --out"
         )
 
 
@@ -149,7 +150,9 @@ def _caches(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[FrameCache, F
     part = order.dataset.filter(split=order.split)
     if not len(part):
         found = ", ".join(sorted(set(order.dataset.metadata["split"].to_pylist()))) or "none"
-        raise UsageError(f"{order.dataset.root} has no episodes of split {order.split}; available splits: {found}")
+        raise UsageError(
+            f"{order.dataset.root} has no such episodes in split {order.split}; splits with episodes: {found}"
+        )
 
     def tell(done: int, of: int) -> None:
         callbacks.caching(done, of)
@@ -193,7 +196,7 @@ def _restore(order: TrainOrder, training: BcTraining, found: Checkpoint) -> list
 
 def _require_sound(measured: EpochMeasures) -> None:
     if measured.train_loss != measured.train_loss:  # NaN
-        raise WorldError(f"the loss of epoch {measured.epoch} is NaN: use a lower --rate")
+        raise WorldError(f"the loss of epoch {measured.epoch} is not a finite number: try a lower --rate")
 
 
 def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport) -> None:

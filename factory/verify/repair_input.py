@@ -61,7 +61,7 @@ def inspect_dataset(
     record, stranger = _settle_plan(root, noted, described, plan)
     if record is None:
         raise UsageError(
-            f"neither the ledger nor dataset_meta.json of {root} contains the plan: give the plan of the run "
+            f"neither the ledger nor dataset_meta.json of {root} contains the plan of the run: give the plan "
             "with --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
@@ -142,11 +142,12 @@ def _built_again(
     try:
         made = open_catalog(record.plan.model_copy(update={"scenes": wanted}), cache / "nowhere", cache, tell)
     except FactoryError as error:
-        raise WorldError(f"{'; '.join(troubles.values())}; rebuilding it failed: {error}") from error
+        raise WorldError(f"{'; '.join(troubles.values())}; the scene cannot be built again: {error}") from error
     for name in troubles:
         if made[name].sha256 != record.scenes[name]:
             raise WorldError(
-                f"{troubles[name]}; rebuilt with this software, it has SHA-256 {made[name].sha256}: restore "
+                f"{troubles[name]}; built again it has SHA-256 {made[name].sha256}, so another version built it: "
+                "restore "
                 f"the package from a backup into {SCENES}/"
             )
     return dict(made)

@@ -95,7 +95,7 @@ def test_an_error_of_the_server_is_the_policys_failure_with_its_last_words() -> 
 def test_rubbish_is_an_invalid_answer() -> None:
     with server(lambda connection, _: connection.send(b"\xc1")) as address:
         policy = begin(address)
-        with pytest.raises(PolicyFailure, match="not a msgpack message") as caught:
+        with pytest.raises(PolicyFailure, match="not a valid msgpack message") as caught:
             policy.act(VIEW)
         policy.close()
     assert caught.value.fault is PolicyFault.INVALID
@@ -175,7 +175,10 @@ def test_a_server_that_is_gone_is_nobodys_failure() -> None:
 
 
 def test_what_is_no_policy_server_is_said_at_once() -> None:
-    with server(lambda _c, _o: None, greeting="hello") as address, pytest.raises(UsageError, match="openpi's protocol"):
+    with (
+        server(lambda _c, _o: None, greeting="hello") as address,
+        pytest.raises(UsageError, match="not an openpi policy server"),
+    ):
         begin(address)
     with pytest.raises(UsageError, match="write ws://HOST:PORT"):
         begin("ws:nonsense")

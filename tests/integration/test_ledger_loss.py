@@ -213,8 +213,8 @@ def test_of_two_plans_that_ledger_and_description_name_the_episodes_tell_the_rig
     engine.dispose()
     patient = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
     assert patient.plan == plan
-    assert "the episodes to run" in patient.stranger
-    with pytest.raises(UsageError, match="the directory holds run"):
+    assert "the episodes of run" in patient.stranger
+    with pytest.raises(UsageError, match="the directory contains run"):
         inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 
 

@@ -169,7 +169,7 @@ def test_words_change_what_is_done_and_not_in_the_ablated_twin(root: Path, tmp_p
 def test_another_clock_or_camera_is_refused(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(epochs=1))
     policy = make_policy(f"bc:{tmp_path}", PolicyLimits())
-    with pytest.raises(UsageError, match=r"trained at 60 Hz .* the episode has 30 Hz"):
+    with pytest.raises(UsageError, match=r"trained at 60 Hz .* the episodes have 30 Hz"):
         policy.reset("Go to the chair.", INFO.__class__("spec_1", 7, 30, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0))
 
 
@@ -180,7 +180,7 @@ def test_what_is_no_checkpoint_is_refused_unread(tmp_path: Path) -> None:
     import torch
 
     torch.save({"meta": "{}"}, tmp_path / "policy.pt")
-    with pytest.raises(UsageError, match="not a checkpoint that this version can read"):
+    with pytest.raises(UsageError, match="not a checkpoint that this version reads"):
         make_policy(f"bc:{tmp_path}", PolicyLimits())
     (tmp_path / "policy.pt").write_bytes(b"PK\x03\x04 not really")
     with pytest.raises(WorldError, match="damaged or not a checkpoint"):

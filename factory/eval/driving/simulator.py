@@ -64,7 +64,9 @@ class Simulator(Closing):
         x, y, yaw = spec.spawn_pose
         if not is_spawn_firm(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
-            raise NoFirmStand(f"{spec.spec_id}: the robot is not stable in {spec.scene} at {where}; create new specs")
+            raise NoFirmStand(
+                f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
+            )
         self._stage.renderer.load(scene, job.camera)
         self._loop = ClosedLoop(job, self.target, world, self._stage.renderer)
         self._held.callback(self._loop.leave)

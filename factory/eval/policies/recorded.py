@@ -20,7 +20,7 @@ class _Recorded:
     def enter(self, state: PrivilegedState) -> None:
         """Stores the recorded actions."""
         if state.actions is None:
-            raise UsageError(f"{state.simulator.spec.spec_id} is not from an archived episode; use specs of a split")
+            raise UsageError(f"{state.simulator.spec.spec_id} does not come from an archived episode")
         self._actions = state.actions
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:

@@ -94,9 +94,9 @@ def _is_part(absent: str | None, module_name: str) -> bool:
 
 
 def _describe_missing(name: str, absent: str) -> str:
-    looked = f"searched {Path.cwd()}, PYTHONPATH and the packages of {sys.prefix}"
+    looked = f"looked in {Path.cwd()}, on PYTHONPATH and among the packages of {sys.prefix}"
     remedy = "run the command in the folder of the module, or add that folder to PYTHONPATH"
-    return f"policy {name}: module {absent!r} was not found; {looked}: {remedy} ({_EXAMPLE})"
+    return f"policy {name}: no module {absent!r}; {looked}: {remedy} ({_EXAMPLE})"
 
 
 def _describe_with_location(error: Exception) -> str:

@@ -170,7 +170,7 @@ class DriverProcess:
     def _reap(self) -> DriverEnded:
         process, sheet = self._process, self._sheet
         if process is None or sheet is None:
-            raise RuntimeError("no process to reap")
+            raise RuntimeError("no process to close")
         state, words = sheet.read(), self._last_output()
         try:
             status = process.wait(_REAP_S)

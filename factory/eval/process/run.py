@@ -122,10 +122,10 @@ class _PolicyCampaign:
         if report.kind is EvalReportKind.REFUSED:
             raise UsageError(report.detail) if report.exit_code == 2 else WorldError(report.detail)
         if report.kind is EvalReportKind.AWAY:
-            kept = f"results so far are kept in {self._store.root}"
+            kept = f"the results so far are in {self._store.root}"
             raise WorldError(f"{report.detail}; {kept}: start the server and run the same command again")
         if report.kind is EvalReportKind.DEFECT:
-            raise RuntimeError(f"internal error in a driver process: {report.detail}")
+            raise RuntimeError(f"a simulation process failed: {report.detail}")
         return report.result
 
     def _after_end(self, driver: DriverProcess, ended: DriverEnded, waiting: deque[EvalOrder]) -> EpisodeResult | None:

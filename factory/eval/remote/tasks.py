@@ -44,7 +44,7 @@ def catalog_of(orders: Mapping[int, EvalOrder]) -> Catalog:
         spec = order.question.spec
         entry = found.get(spec.scene) or found.setdefault(spec.scene, read_entry(order.package))
         if entry.sha256 != spec.scene_sha256:
-            raise UsageError(f"the specs contain two packages of {spec.scene}; create new specs")
+            raise UsageError(f"the specs refer to two different packages of scene {spec.scene}; create new specs")
         if all(target.target_id != spec.target_id for target in entry.info.targets):
             raise UsageError(f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; create new specs")
     return found
@@ -62,7 +62,7 @@ def attachments_of(campaign: Campaign) -> Attached:
         if path is not None:
             size = path.stat().st_size
             if not 0 < size <= MAX_ATTACHMENT_BYTES:
-                raise UsageError(f"{path} has {size} bytes; 1 to {MAX_ATTACHMENT_BYTES} bytes can be sent to workers")
+                raise UsageError(f"{path} has {size} bytes; workers accept 1 to {MAX_ATTACHMENT_BYTES} bytes")
             with path.open("rb") as file:
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             found[policy] = Attachment(sha256=sha256, size=size), path

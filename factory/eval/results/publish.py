@@ -50,7 +50,7 @@ def publish(
         _write(store.root / PAGE_FILE, page.encode())
     except OSError as error:
         raise WorldError(
-            f"cannot write to {store.root}: {error.strerror}; free disk space and run the command again"
+            f"cannot write to {store.root}: {error.strerror}; free some space and run the same command again"
         ) from error
     return evaluation
 
@@ -92,7 +92,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         results = [row for row in store.results(name) if row.variant in campaign.variants]
         note = store.note_of(name)
         if note is None:
-            raise WorldError(f"{store.root} has no metadata of policy {name}; run the same command again")
+            raise WorldError(f"{store.root} has no description of policy {name}; run the same command again")
         expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
         is_complete = is_complete and len(results) >= expected
         scores.append(score_policy(name, results, note))
@@ -121,7 +121,7 @@ def _remarks(campaign: Campaign) -> list[str]:
     if ways:
         remarks.append(f"{ways} of {len(specs)} episodes have no path on the floor and are excluded from SPL")
     if Variant.WRONG in campaign.variants:
-        remarks.append("policies that do not use the instruction are not run with other instructions")
+        remarks.append("policies that do not use the instruction are not evaluated with other instructions")
     return remarks
 
 

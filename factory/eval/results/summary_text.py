@@ -38,12 +38,13 @@ def policies_without_instruction(policies: Sequence[PolicyScores]) -> list[str]:
 def describe_ends(policy: PolicyScores) -> str:
     """Returns a description of the episode ends of a policy, and its mean inference time."""
     ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
-    return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms an answer"
+    return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms per action"
 
 
 def fault_lines(policy: PolicyScores) -> list[str]:
     """Returns a line for each kind of policy failure, with its first message."""
     return [
-        f"{policy.policy}: {fault.drives} of {fault.of} ended by {fault.end}, first in {fault.first}: {fault.detail}"
+        f"{policy.policy}: {fault.drives} of {fault.of} episodes ended with {fault.end}, first {fault.first}: "
+        f"{fault.detail}"
         for fault in policy.faults
     ]

@@ -24,7 +24,7 @@ def draw(material: ReportInput) -> Exhibit:
         return Exhibit("fit", title, source, "No episodes to show.")
     fit = material.statistics.correlation[0]
     caption = (
-        f"Each mark is one of {count(fit.n, 'episode')}. The dotted line is the straight way to the success circle "
+        f"Each mark is one of {count(fit.n, 'episode')}. The dotted line is the straight path to the success circle "
         f"(slope 1, {material.statistics.success_radius_m:g} m less than the distance). {_said(fit)}"
     )
     panel = draw_panel(
@@ -40,7 +40,7 @@ def _said(fit: Fit) -> str:
     if fit.r is None or fit.slope is None or fit.low is None or fit.high is None:
         return f"No line is fitted: {fit.remark}."
     return (
-        f"Dashed, least squares: slope {number(fit.slope)} m/m, intercept {number(fit.intercept_m)} m; Pearson "
+        f"Dashed line, least squares: slope {number(fit.slope)} m/m, intercept {number(fit.intercept_m)} m; Pearson "
         f"r = {number(fit.r, 3)}, 95 % interval {number(fit.low, 3)} to {number(fit.high, 3)}."
     )
 
@@ -55,7 +55,7 @@ def _paint(axes: Axes, material: ReportInput, fit: Fit) -> None:
     farthest = max(row.spawn_dist_m for row in material.episodes)
     radius = material.statistics.success_radius_m
     ends = np.array([radius, 1.03 * farthest])
-    axes.plot(ends, ends - radius, color=colour("muted"), linewidth=1.1, linestyle=(0, (1.2, 2)), label="straight way")
+    axes.plot(ends, ends - radius, color=colour("muted"), linewidth=1.1, linestyle=(0, (1.2, 2)), label="straight path")
     if fit.slope is not None and fit.intercept_m is not None:
         axes.plot(
             ends,

@@ -32,8 +32,8 @@ def draw(material: ReportInput) -> Exhibit:
     scenes = len({sample.row.scene for sample in samples})
     caption = (
         f"Front RGB frames, 640 × 640 pixels as recorded, of {count(len(samples), 'episode')} in "
-        f"{count(scenes, 'scene')}, chosen by rule: scenes and categories take turns. The yellow outline shows the "
-        "target's pixels in the recorded ids; the frames themselves have none."
+        f"{count(scenes, 'scene')}, selected in turn from each scene and category. The yellow outline shows the "
+        "target's pixels in the recorded instance ids; it is not part of the recorded frames."
     )
     rows = -(-len(samples) // _COLUMNS)
     height = WIDTH_IN * rows * (_TILE_PX + _TEXT_PX) / (_COLUMNS * (_TILE_PX + _GAP_PX))

@@ -1,4 +1,4 @@
-"""The ways driven, by tier, over the map of each scene; the paper has no such figure."""
+"""The driven trajectories, by tier, over the map of each scene; the paper has no such figure."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["draw"]
 def draw(material: ReportInput) -> Exhibit:
     """Returns a panel for each scene."""
     tracks = material.drives.tracks
-    title, source = "Ways driven", "not in the paper"
+    title, source = "Driven trajectories", "not in the paper"
     if not tracks:
-        return Exhibit("tracks", title, source, "No tracks to show: no episode could be read.")
+        return Exhibit("tracks", title, source, "No trajectories to show: no episode could be read.")
     read = f"{len(tracks)} of {count(len(material.episodes), 'episode')}"
     caption = (
-        f"Tracks of base_link in {read} over the maps, from the dot at the start to within "
-        f"{material.statistics.success_radius_m:g} m of a target (filled diamond). A straight-driving expert leaves "
-        "straight lines; bends show a planner or a start that faces away."
+        f"Trajectories of base_link in {read} over the maps, from the start (dot) to within "
+        f"{material.statistics.success_radius_m:g} m of a target (filled diamond). The proportional expert drives "
+        "straight; curves show a planner or a start that faces away from the target."
     )
     return Exhibit(
         "tracks", title, source, caption, tuple(_panel(material, scene) for scene in material.scenes), wide=True

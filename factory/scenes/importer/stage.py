@@ -89,7 +89,7 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = say_refusal(text_of(error.__str__))
-        raise WorldError(f"{path.name} is no readable USD stage ({reason}); check it with usdchecker") from error
+        raise WorldError(f"{path.name} is not a readable USD stage ({reason}); check it with usdchecker") from error
     complaints = (
         say_complaint(text_of(partial(getattr, diagnostic, "commentary")))
         for diagnostic in listener.TakeUncoalescedDiagnostics()
@@ -98,8 +98,8 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
         raise WorldError(
-            f"{path.name} says metersPerUnit = {metres:g}; author the length of its unit on the root layer, "
-            "such as 1 (metres), 0.01 (centimetres) or 0.0254 (inches)"
+            f"{path.name} has metersPerUnit = {metres:g}; set the length of its unit on the root layer, "
+            "e.g. 1 (metres), 0.01 (centimetres) or 0.0254 (inches)"
         )
     if not UsdGeom.StageHasAuthoredMetersPerUnit(stage):
         notes.append(
