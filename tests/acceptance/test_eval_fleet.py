@@ -86,5 +86,5 @@ def test_a_policy_that_no_worker_can_make_ends_the_evaluation_with_the_reason(
     factory.start("worker", "--import-policies", "--connect", endpoint, "--spool", tmp_path / "spool", "--wait", 120)
     _, log = run.communicate(timeout=240)
     assert run.returncode == 1
-    assert "module 'nowhere' was not found; searched" in log
+    assert "no module 'nowhere'; looked in" in log
     assert "run the same command again" in log

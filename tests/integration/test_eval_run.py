@@ -189,7 +189,7 @@ def test_a_stopped_campaign_goes_on_where_it_was_and_gives_the_same_numbers(
     ("policy", "message"),
     [
         (f"{MINE}:Absent", r"no class 'Absent'; .*policies.py has .*Raises"),
-        ("tests.builders.absent:X", "module 'tests.builders.absent' was not found; searched"),
+        ("tests.builders.absent:X", "no module 'tests.builders.absent'; looked in"),
         (f"{MINE}:NoMethods", "no method reset and no act"),
         (f"{MINE}:RefusesToBeMade", r"FileNotFoundError: weights.pt \(.*policies.py:"),
     ],

@@ -121,5 +121,5 @@ def test_of_two_that_want_one_cache_the_second_waits_and_decodes_nothing(data: D
 
 
 def test_no_episodes_are_refused(data: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no episodes with these filters"):
+    with pytest.raises(UsageError, match="no episodes of this split, scene and tier"):
         opened(data.filter(split="test_ood_obj"), tmp_path)

@@ -251,7 +251,7 @@ def test_without_a_record_of_attempts_the_rest_is_told(own: Path, damage: str) -
     found = measure_dataset(own)
     assert found.attempts is None
     assert (found.episodes, found.is_sound) == (3, False)
-    assert "attempts are omitted" in found.remarks[0].text
+    assert "attempts are not counted" in found.remarks[0].text
     assert all(cell.attempts is None for cell in found.cells)
 
 

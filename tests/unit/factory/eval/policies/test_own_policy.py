@@ -33,7 +33,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_missing_module_is_told_where_it_was_looked_for(folder: Path) -> None:
     said = (
-        f"module 'nowhere_pilot' was not found; searched {folder}, PYTHONPATH "
+        f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH "
         ".*docs/evaluation/my_policy.py is an example"
     )
     for judge in (require_available, load_class):
