@@ -28,7 +28,7 @@ def test_an_impossible_plan_is_refused_with_the_nearest_possible_one(factory, tm
     err = factory("run", plan, "--out", tmp_path / "x", expect=2).stderr
     assert "no reachable 'sofa' (seen), no reachable 'barrel' (held_out); reachable there: chair" in err
     assert "cell test_ood_obj" not in err
-    assert "nearest feasible plan: hospital: seen without sofa; held_out without barrel" in err
+    assert "nearest possible: hospital: seen without sofa; held_out without barrel" in err
     assert "factory plan nearest" in err
     assert not (tmp_path / "x").exists()
     found = factory.json("plan", "nearest", plan, "-o", better)

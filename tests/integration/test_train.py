@@ -117,7 +117,7 @@ def test_resumed_training_ends_with_the_same_weights(root: Path, tmp_path: Path)
 def test_another_training_is_not_continued_and_its_options_are_named(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
     held = (tmp_path / "state.pt").read_bytes()
-    with pytest.raises(UsageError, match=r"other options \(seed \d+, now 5; size 64, now 80\): use the same"):
+    with pytest.raises(UsageError, match=r"other options \(seed \d+, now 5; size 64, now 80\): give the same"):
         train(root, tmp_path, options(seed=5, size=80))
     assert (tmp_path / "state.pt").read_bytes() == held
 

@@ -32,10 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_missing_module_is_told_where_it_was_looked_for(folder: Path) -> None:
-    said = (
-        f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH "
-        ".*docs/evaluation/my_policy.py is an example"
-    )
+    said = f"no module 'nowhere_pilot'; looked in {folder}, on PYTHONPATH .*docs/evaluation/my_policy.py is an example"
     for judge in (require_available, load_class):
         with pytest.raises(UsageError, match=said) as caught:
             judge("nowhere_pilot:Policy")
