@@ -1,4 +1,4 @@
-"""Benchmarks of the loop, its parts, the ledger and the reader: repeatable work, medians with their spread.
+"""Benchmarks of rollout, rendering, memory, coordinator and dataset reader, with fixed workloads.
 
-Measures and returns models; prints nothing, asserts nothing about a time.
+Returns models with medians and spreads. Prints nothing and asserts no times.
 """

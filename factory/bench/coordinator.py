@@ -1,7 +1,6 @@
-"""The coordinator's work: leases and submits of a large ledger, opening it again, validating and archiving bundles.
+"""Benchmarks the coordinator: leases and submits on a large ledger, reopening it, validating and archiving bundles.
 
-Speaks to ledger, validator and archive directly, then to a whole coordinator over zenoh (`wire`); times no
-simulation.
+Calls ledger, validator and archive directly, then a complete coordinator over zenoh (`wire`). Runs no simulation.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _TTL_S = 600.0
 _SID = "bench-1"
 _SHA256 = "c" * 64
 _ROUNDS = 8
-"""Rounds of claims by all workers in one run."""
+"""Number of claims of each worker in one run."""
 
 
 def bench_coordinator(
@@ -53,17 +52,17 @@ def bench_coordinator(
     bundle_bytes: int,
     repeats: int,
 ) -> CoordinatorBench:
-    """Fills a ledger with the plan's jobs, works on it as many workers at once would, and returns the figures.
+    """Fills a ledger with the jobs of a plan, runs the load of many workers on it, and returns the measurements.
 
     Args:
-        plan: with as many jobs as the ledger shall hold.
-        catalog: its scenes.
-        samples: real bundles to validate and archive.
-        folder: an empty directory for the ledger and an archive.
-        workers: requests in flight.
-        sessions: connected at the same time, when the coordinator's memory is read.
-        bundle_bytes: what each worker delivers when all finish together.
-        repeats: of everything but filling.
+        plan: Plan whose number of episodes sets the size of the ledger.
+        catalog: Scenes of the plan.
+        samples: Real bundles to validate and archive.
+        folder: Empty directory for the ledger and an archive.
+        workers: Number of concurrent requests.
+        sessions: Number of simultaneous sessions for the memory measurement.
+        bundle_bytes: Size of the bundle that each worker delivers when all finish together, bytes.
+        repeats: Number of repetitions of all parts except filling the ledger.
     """
     machine, start_mib = describe_machine(), resident_mib()
     with samples[0].path.open("rb") as file:
@@ -102,9 +101,9 @@ def bench_coordinator(
 
 
 def _seconds(work: Callable[[], Any]) -> float:
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     work()
-    return time.perf_counter() - begun
+    return time.perf_counter() - start_s
 
 
 def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
@@ -114,14 +113,14 @@ def _open(plan: Plan, catalog: Catalog, folder: Path) -> Any:
 
 
 def _cycles_per_s(writer: Writer, meta: EpisodeMeta, workers: int) -> float:
-    """Every worker claims, announces and has its episode recorded; a round ends when the last has been committed."""
-    begun = time.perf_counter()
+    """Returns cycles per second: each worker claims and announces, and its episode is archived, in rounds."""
+    start_s = time.perf_counter()
     for _ in range(_ROUNDS):
         rows = _together(writer, [_claim] * workers)
         leases = [lease_of(row) for row in rows]
         _together(writer, [_announcing(lease) for lease in leases])
         _together(writer, [_archiving(lease, row.idx, meta) for lease, row in zip(leases, rows, strict=True)])
-    return _ROUNDS * workers / (time.perf_counter() - begun)
+    return _ROUNDS * workers / (time.perf_counter() - start_s)
 
 
 def _together(writer: Writer, works: Sequence[Callable[[Any], Any]]) -> list[Any]:
@@ -146,22 +145,22 @@ def _archiving(lease: Lease, index: int, meta: EpisodeMeta) -> Callable[[Any], A
 
 def _validate(samples: Sequence[BenchSample], repeats: int) -> list[float]:
     with Validator() as validator:
-        validator.check(samples[0].path, samples[0].job)  # starts the child
+        validator.check(samples[0].path, samples[0].job)  # starts the validation process
         frames = 0
         runs = []
         for _ in range(repeats):
-            begun = time.perf_counter()
+            start_s = time.perf_counter()
             frames = sum(validator.check(sample.path, sample.job).num_steps for sample in samples)
-            runs.append(1000 * (time.perf_counter() - begun) / frames)
+            runs.append(1000 * (time.perf_counter() - start_s) / frames)
     return runs
 
 
 def _archive(samples: Sequence[BenchSample], root: Path) -> float:
     bundles = [sample.path.read_bytes() for sample in samples]
     with open_archive(root) as archive:
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         for sample, data in zip(samples, bundles, strict=True):
             with archive.stage(sample.job.index) as staged:
                 staged.write(data)
                 archive.publish(staged, sample.job.index)
-        return sum(map(len, bundles)) / 1e6 / (time.perf_counter() - begun)
+        return sum(map(len, bundles)) / 1e6 / (time.perf_counter() - start_s)

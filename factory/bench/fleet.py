@@ -1,6 +1,7 @@
-"""Workers that only speak the wire, many in one process: they claim, announce, and serve chunks of one bundle for all.
+"""Simulated workers, many in one process: they claim jobs, announce bundles and serve chunks of one common bundle.
 
-Each function is the whole life of a process: it opens its sessions, says so, does its work and sends what it saw.
+Each public function is the main function of a process: it opens its sessions, reports that it is ready, runs its load
+and sends the measurements. Simulates no episodes.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from schemas.keys import Verb, alive_key, bundle_key, parse_bundle_chunk, verb_k
 from schemas.wire import Beat, BeatReply, Claim, Done, Hello, Lease
 
 __all__ = [
-    "Effort",
-    "Member",
+    "BenchWorker",
+    "WorkCost",
     "bundle_of",
     "claim_and_announce",
-    "claim_until_told",
+    "claim_until_stopped",
     "deliver_together",
     "stay_connected",
 ]
@@ -37,33 +38,33 @@ _LINK_LEASE_S = 60.0
 _ASK_S = 30.0
 _BEAT_S = 0.5
 _PARALLEL = 64
-"""Members that act at a time."""
+"""Number of workers that act concurrently."""
 _ARRIVING, _TRIES = 8, 10
-"""Sessions that are opened at a time, and how often: a connection gives up after two seconds on a busy machine."""
+"""Number of sessions opened concurrently, and attempts for each; a connection times out after 2 s under load."""
 
 
-class Effort(Model):
-    """What some work took."""
+class WorkCost(Model):
+    """Wall and CPU time of a load."""
 
     seconds: float
-    """Wall clock."""
+    """Wall time, seconds."""
     cpu_s: float
-    """Of all threads of the process that did it."""
+    """CPU time of all threads of the process, seconds."""
 
 
 def bundle_of(size: int) -> bytes:
-    """Returns the bundle that every worker delivers: bytes that do not compress, the same in every process."""
+    """Returns the bundle that every worker delivers: incompressible bytes, equal in every process."""
     block = b"".join(sha256(number.to_bytes(4, "big")).digest() for number in range(1 << 10))
     return (block * (size // len(block) + 1))[:size]
 
 
-class Member:
-    """One session with a name; closed with `close`.
+class BenchWorker:
+    """Simulated worker with one zenoh session; `close` ends it.
 
     Args:
-        endpoints: of the coordinator.
-        run: its name.
-        bundle: what is served under any lease; nothing is declared without.
+        endpoints: Endpoints of the coordinator.
+        run: Name of the run.
+        bundle: Bytes served for every lease; empty to serve nothing.
     """
 
     def __init__(self, endpoints: Sequence[str], run: str, bundle: bytes = b"") -> None:
@@ -75,10 +76,10 @@ class Member:
         self._token = self._session.liveliness().declare_token(alive_key(run, self.sid))
 
     def ask(self, verb: Verb, message: Model) -> bytes:
-        """Returns the reply as it came.
+        """Sends a request and returns the reply, unparsed.
 
         Raises:
-            TransientError: there is none.
+            TransientError: The coordinator did not reply in time.
         """
         for reply in self._session.get(
             verb_key(self._run, self._host, verb),
@@ -92,18 +93,18 @@ class Member:
         raise TransientError(f"the coordinator did not answer {verb} within {_ASK_S:.0f} s")
 
     def introduce(self) -> None:
-        """Says hello."""
+        """Sends the `hello` request."""
         self.ask(Verb.HELLO, Hello(sid=self.sid, host=self._host, slots=1, version=version("minivla-factory")))
 
     def ask_for_work(self) -> bytes:
-        """Claims, and returns the reply as it came, with a job or without."""
+        """Sends a claim and returns the reply, unparsed, with or without a job."""
         return self.ask(Verb.CLAIM, Claim(sid=self.sid, token=secrets.token_hex(16)))
 
     def claim(self) -> Lease:
         """Returns the lease of a job.
 
         Raises:
-            TransientError: no answer, or no job is due.
+            TransientError: The coordinator did not reply, or no job is available.
         """
         reply = json.loads(self.ask_for_work())
         if reply.get("lease") is None:
@@ -111,16 +112,16 @@ class Member:
         return Lease.model_validate(reply["lease"])
 
     def announce(self, lease: Lease, digest: str, size: int) -> None:
-        """Says that a bundle waits."""
+        """Announces a finished bundle."""
         self.ask(Verb.DONE, Done(sid=self.sid, lease=lease, sha256=digest, size=size))
 
     def is_wanted(self, lease: Lease) -> bool:
-        """Whether a bundle must be kept still, as the coordinator's answer to a heartbeat says."""
+        """Returns whether the bundle of a lease must still be kept, according to the reply to a heartbeat."""
         reply = BeatReply.model_validate_json(self.ask(Verb.BEAT, Beat(sid=self.sid, spool=(lease,))))
         return lease not in reply.drop
 
     def close(self) -> None:
-        """Ends the session."""
+        """Closes the session."""
         self._session.close()
 
     def _serve(self, query: zenoh.Query) -> None:
@@ -134,67 +135,67 @@ class Member:
 def claim_and_announce(
     pipe: Connection, endpoints: Sequence[str], run: str, members: int, cycles: int, size: int
 ) -> None:
-    """Every member claims a job and announces its bundle so many times, and serves what is pulled; sends an `Effort`.
+    """Every worker claims and announces `cycles` jobs and serves the bundles; sends a `WorkCost`.
 
-    Pulling goes on beside the cycles, as fast as the coordinator's pullers can; no member waits for it.
+    The coordinator pulls bundles concurrently, as fast as it can; no worker waits for it.
     """
     bundle = bundle_of(size)
     digest = sha256(bundle).hexdigest()
 
-    def work(member: Member) -> None:
+    def work(member: BenchWorker) -> None:
         for _ in range(cycles):
             member.announce(member.claim(), digest, size)
 
     fleet = _open(endpoints, run, members, bundle)
     pipe.send(len(fleet))
     pipe.recv()
-    begun, begun_cpu = time.perf_counter(), time.process_time()
+    start_s, start_cpu_s = time.perf_counter(), time.process_time()
     _all(work, fleet)
-    pipe.send(Effort(seconds=time.perf_counter() - begun, cpu_s=time.process_time() - begun_cpu))
+    pipe.send(WorkCost(seconds=time.perf_counter() - start_s, cpu_s=time.process_time() - start_cpu_s))
     with contextlib.suppress(EOFError):
         pipe.recv()
-    _all(Member.close, fleet)
+    _all(BenchWorker.close, fleet)
 
 
-def claim_until_told(pipe: Connection, endpoints: Sequence[str], run: str, pause_s: float) -> None:
-    """One member claims now and then until the pipe says stop; sends how long each answer took, seconds."""
+def claim_until_stopped(pipe: Connection, endpoints: Sequence[str], run: str, pause_s: float) -> None:
+    """One worker claims periodically until the pipe receives a message; sends the response times, seconds."""
     (member,) = _open(endpoints, run, 1)
     waits = []
     pipe.send(1)
     while not pipe.poll(pause_s):
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         member.ask_for_work()
-        waits.append(time.perf_counter() - begun)
+        waits.append(time.perf_counter() - start_s)
     pipe.send(waits)
     member.close()
 
 
 def deliver_together(pipe: Connection, endpoints: Sequence[str], run: str, members: int, size: int) -> None:
-    """All members finish a bundle of that size at the same moment; sends the seconds until the last was archived."""
+    """All workers finish a bundle of `size` bytes simultaneously; sends the seconds until all are archived."""
     bundle = bundle_of(size)
     digest = sha256(bundle).hexdigest()
     fleet = _open(endpoints, run, members, bundle)
     leases = [member.claim() for member in fleet]
     pipe.send(len(fleet))
     pipe.recv()
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     waiting = dict(zip(fleet, leases, strict=True))
     _all(lambda member: member.announce(waiting[member], digest, size), fleet)
     while waiting:
         time.sleep(_BEAT_S)
         waiting = {member: lease for member, lease in waiting.items() if member.is_wanted(lease)}
-    pipe.send(time.perf_counter() - begun)
-    _all(Member.close, fleet)
+    pipe.send(time.perf_counter() - start_s)
+    _all(BenchWorker.close, fleet)
 
 
 def stay_connected(pipe: Connection, endpoints: Sequence[str], run: str, members: int) -> None:
-    """Opens sessions that introduce themselves, tells how many there are, and keeps them until the pipe says stop."""
+    """Opens sessions that send `hello`, sends their number, and keeps them open until the pipe receives a message."""
     fleet = _open(endpoints, run, members)
-    _all(Member.introduce, fleet)
+    _all(BenchWorker.introduce, fleet)
     pipe.send(len(fleet))
     with contextlib.suppress(EOFError):
         pipe.recv()
-    _all(Member.close, fleet)
+    _all(BenchWorker.close, fleet)
 
 
 def _connect(endpoints: Sequence[str]) -> zenoh.Session:
@@ -204,11 +205,11 @@ def _connect(endpoints: Sequence[str]) -> zenoh.Session:
     return zenoh.open(client_config(endpoints, _LINK_LEASE_S))
 
 
-def _open(endpoints: Sequence[str], run: str, members: int, bundle: bytes = b"") -> list[Member]:
+def _open(endpoints: Sequence[str], run: str, members: int, bundle: bytes = b"") -> list[BenchWorker]:
     with ThreadPoolExecutor(_ARRIVING) as pool:
-        return list(pool.map(lambda _: Member(endpoints, run, bundle), range(members)))
+        return list(pool.map(lambda _: BenchWorker(endpoints, run, bundle), range(members)))
 
 
-def _all(work: Callable[[Member], None], fleet: Sequence[Member]) -> None:
+def _all(work: Callable[[BenchWorker], None], fleet: Sequence[BenchWorker]) -> None:
     with ThreadPoolExecutor(min(len(fleet), _PARALLEL)) as pool:
         list(pool.map(work, fleet))

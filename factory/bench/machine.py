@@ -1,4 +1,4 @@
-"""Names the machine of a benchmark and reads its memory, from /proc; changes nothing but where the peak counts from."""
+"""Describes the machine of a benchmark and reads process memory from /proc. Resets the peak memory counter only."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MIB = 1 << 20
 
 
 def describe_machine() -> Machine:
-    """Returns what this machine is and how busy it is."""
+    """Returns the hardware, the system and the load of this machine."""
     return Machine(
         cpu=_cpu_name(),
         cores=len(os.sched_getaffinity(0)),
@@ -34,21 +34,21 @@ def resident_mib(pid: int | str = "self") -> float:
 
 
 def forget_peak() -> None:
-    """Lets the peak count from now on: building a scene, which no simulation does, takes more than driving in it.
+    """Resets the peak memory counter, because building a scene needs more memory than simulating in it.
 
-    A kernel without that switch leaves the peak that of the whole process.
+    Without kernel support, the peak remains that of the whole process.
     """
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def measure_memory(start_mib: float, pid: int | str = "self") -> Memory:
-    """Returns the memory of a process now, with what it was at the start and at its height."""
+    """Returns the current and peak memory of a process, together with its memory at the start."""
     return Memory(start_mib=start_mib, end_mib=resident_mib(pid), peak_mib=_peak_mib(pid))
 
 
 def _peak_mib(pid: int | str) -> float:
-    # getrusage's maximum would be the parent's as well: it survives an exec
+    # not getrusage: its maximum survives an exec and would include the parent
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmHWM:"):
             return round(int(line.split()[1]) / 1024, 1)

@@ -1,7 +1,7 @@
-"""Whether a simulation's memory stays flat: many short episodes in all scenes by turns, watched one by one.
+"""Benchmarks the memory growth of a simulation over many short episodes in all scenes.
 
-The process is the one that a worker starts. Most episodes are cut short after a few frames, for a leak shows at starts
-and ends; some are driven to their end.
+Runs the simulation process of a worker. Most episodes are limited to a few frames, because leaks occur at the start and
+end of an episode; some run to their end. Archives nothing.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from workers.process.simulation import Death, Simulation
 __all__ = ["bench_memory"]
 
 _WHOLE_EVERY = 41
-"""One in so many episodes is driven to its end, after one of every scene; a prime, so that all scenes get a turn."""
+"""Interval of episodes that run to their end, after the first of each scene; a prime, so that all scenes occur."""
 _STEPS = 5
-"""Of all others."""
+"""Step limit of all other episodes."""
 _TENTH = 10
 _HANG_S = 120.0
 _ENDS = {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}
@@ -35,36 +35,36 @@ _ENDS = {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}
 def bench_memory(
     jobs: Sequence[Job], catalog: Catalog, command: Sequence[str], episodes: int, tell: Callable[[], None]
 ) -> MemoryBench:
-    """Has a simulation do short episodes of the jobs in turn and returns what it held along the way.
+    """Runs short episodes of the jobs in turn in one simulation and returns its memory over time.
 
     Args:
-        jobs: of all scenes, in the order in which they take turns.
-        catalog: their scenes.
-        command: how to start it.
-        episodes: how many, at least 20.
-        tell: told after every episode.
+        jobs: Jobs of all scenes, in the order of execution.
+        catalog: Scenes of the jobs.
+        command: Command line of the simulation.
+        episodes: Number of episodes, at least 20.
+        tell: Progress callback, called after every episode.
 
     Raises:
-        WorldError: the simulation died, or broke on a job.
+        WorldError: The simulation process died, or failed on a job.
     """
     machine, held, frames, done = describe_machine(), [], 0, 0
-    with TemporaryDirectory() as folder, closing(_Watched(Simulation(command, _HANG_S))) as watched:
-        bundle, start_mib = Path(folder, "bundle.zip"), resident_mib(watched.pid)
+    with TemporaryDirectory() as folder, closing(_SimulationUnderTest(Simulation(command, _HANG_S))) as simulation:
+        bundle, start_mib = Path(folder, "bundle.zip"), resident_mib(simulation.pid)
         for number in range(episodes):
             is_whole = number < len(catalog) or number % _WHOLE_EVERY == 0
             job = jobs[number % len(jobs)] if is_whole else _short(jobs[number % len(jobs)])
-            report = watched.run(
+            report = simulation.run(
                 SimulationOrder(job=job, scene_path=catalog[job.scene].path, bundle_path=bundle, sid="bench")
             )
             done, frames = done + (report.kind is SimulationReportKind.SUCCESS), frames + report.step
             bundle.unlink(missing_ok=True)
-            held.append(resident_mib(watched.pid))
+            held.append(resident_mib(simulation.pid))
             tell()
-        memory = measure_memory(start_mib, watched.pid)
+        memory = measure_memory(start_mib, simulation.pid)
     tenth = episodes // _TENTH
     return MemoryBench(
         machine=machine,
-        renderer=watched.renderer,
+        renderer=simulation.renderer,
         scenes=tuple(catalog),
         episodes=episodes,
         succeeded=done,
@@ -75,19 +75,19 @@ def bench_memory(
     )
 
 
-class _Watched:
-    """A running simulation that must not die."""
+class _SimulationUnderTest:
+    """Running simulation process; its death is an error."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         simulation.start()
         self.pid = simulation.pid or 0
-        self.renderer = self._hear({SimulationReportKind.READY}).renderer
+        self.renderer = self._receive({SimulationReportKind.READY}).renderer
 
     def run(self, order: SimulationOrder) -> SimulationReport:
         """Returns how the attempt ended."""
         self._simulation.order(order)
-        report = self._hear(_ENDS)
+        report = self._receive(_ENDS)
         if report.reason is FailReason.CRASH:
             raise WorldError(f"the simulation failed in scene {order.job.scene}: {report.detail}")
         return report
@@ -95,7 +95,7 @@ class _Watched:
     def close(self) -> None:
         self._simulation.kill()
 
-    def _hear(self, wanted: set[SimulationReportKind]) -> SimulationReport:
+    def _receive(self, wanted: set[SimulationReportKind]) -> SimulationReport:
         while True:
             said = self._simulation.receive(1.0)
             if isinstance(said, Death):

@@ -1,6 +1,6 @@
-"""What a benchmark reports: spreads over runs, the machine they were taken on, and the work that was done.
+"""Models of benchmark results: spreads over runs, the machine, and the workload. Measures nothing.
 
-Wall-clock seconds are what a user waits for; CPU seconds are those of the process with all its threads, llvmpipe's too.
+Wall times are those that a user observes; CPU times are those of the process with all its threads, including llvmpipe.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from schemas.base import Model
 
 __all__ = [
     "CoordinatorBench",
-    "Crowd",
+    "DeliveryLoad",
     "Machine",
     "Memory",
     "MemoryBench",
@@ -21,9 +21,9 @@ __all__ = [
     "ReadBench",
     "RenderBench",
     "RolloutBench",
-    "Rush",
     "SceneRender",
     "SceneRollout",
+    "SessionLoad",
     "Spread",
     "StageCost",
     "WireBench",
@@ -31,7 +31,7 @@ __all__ = [
 
 
 class Spread(Model):
-    """A figure over several runs."""
+    """Median and range of a value over several runs."""
 
     median: float
     low: float
@@ -40,25 +40,25 @@ class Spread(Model):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Self:
-        """Returns the spread of at least one value."""
+        """Returns the spread of one or more values."""
         return cls(median=median(values), low=min(values), high=max(values), runs=len(values))
 
 
 class Machine(Model):
-    """Where the figures were taken; nothing in it names the machine's owner or place."""
+    """Machine of a benchmark, without host name or location."""
 
     cpu: str
     cores: int
-    """That this process may use."""
+    """Number of CPU cores available to this process."""
     memory_gib: float
     system: str
     python: str
     load_1m: float
-    """Mean number of runnable processes over the last minute before the benchmark: above 0 the wall clock suffers."""
+    """Load average of the last minute before the benchmark; load of other processes increases the wall times."""
 
 
 class StageCost(Model):
-    """What one stage of the loop takes, milliseconds a frame."""
+    """Cost of one stage of the loop, milliseconds per frame."""
 
     stage: str
     wall_ms: Spread
@@ -66,81 +66,81 @@ class StageCost(Model):
 
 
 class Memory(Model):
-    """Resident memory of the process that simulates, MiB."""
+    """Resident memory of a process, MiB."""
 
     start_mib: float
-    """After the first episode, when scene, shaders and buffers are there; `factory bench memory` has it from before."""
+    """Memory after the first episode, with scene, shaders and buffers; for `factory bench memory`, before it."""
     end_mib: float
-    """After the last episode."""
+    """Memory after the last episode, MiB."""
     peak_mib: float
-    """The most it ever was."""
+    """Peak memory, MiB."""
 
 
 class PlainPace(Model):
-    """The plain PyBullet pipeline on the same scene and poses."""
+    """Result of the plain PyBullet pipeline on the same scene and poses."""
 
     frames: int
     frames_per_s: float
-    """Wall clock."""
+    """Frames per second of wall time."""
     frames_per_cpu_s: float
     stages: dict[str, float]
-    """Milliseconds a frame, wall clock."""
+    """Stage -> wall time per frame, milliseconds."""
 
 
 class SceneRollout(Model):
-    """The whole loop in one scene."""
+    """Result of the complete loop in one scene."""
 
     frames_per_s_per_core: float
-    """Median over the repeats, wall clock, one simulation on one core; start-up of each episode included."""
+    """Median over the repetitions, frames per second of wall time, one simulation on one core; includes start-up."""
     frames_per_cpu_s: float
-    """The same by CPU time of the process, which other processes on the machine do not change."""
+    """Median frames per second of CPU time, which other processes on the machine do not affect."""
     wall: Spread
-    """Frames per second of wall clock."""
+    """Frames per second of wall time."""
     cpu: Spread
     """Frames per second of CPU time."""
     by_job: Spread
-    """Frames per wall-clock second of single episodes of one repeat: how much hangs on what the robot looks at."""
+    """Frames per second of wall time for single episodes of one repetition, which shows the influence of the view."""
     stages: tuple[StageCost, ...]
     delivery: tuple[StageCost, ...]
-    """What the coordinator spends on a bundle, `validate` and `archive`; not in the figures above."""
+    """Cost of `validate` and `archive` in the coordinator; not included in the values above."""
     episodes: int
-    """That succeeded, and were timed."""
+    """Number of successful, timed episodes."""
     frames: int
-    """In them, a repeat."""
+    """Number of frames in these episodes, per repetition."""
     failed_attempts: int
-    """Of the same jobs, a repeat; not in the figures above."""
+    """Number of failed attempts of the same jobs, per repetition; not included in the values above."""
     failed_share_of_time: float
-    """Wall clock spent on failed attempts over that of all attempts."""
+    """Share of the wall time spent on failed attempts."""
     kb_per_frame: dict[str, float]
-    """Bytes stored a frame by kind of member, kB (1000 bytes)."""
+    """Stored size per frame by kind of member, kB (1000 bytes)."""
     memory: Memory
     plain: PlainPace | None = None
     ratio: float | None = None
-    """Wall-clock frames per second over those of the plain pipeline."""
+    """Frames per second of wall time, divided by those of the plain pipeline."""
 
 
 class MemoryBench(Model):
-    """`factory bench memory`."""
+    """Result of `factory bench memory`."""
 
     bench: str = "memory"
     machine: Machine
     renderer: str
     scenes: tuple[str, ...]
-    """That took turns."""
+    """Names of the scenes, in the order of execution."""
     episodes: int
     succeeded: int
-    """Of the few that were not cut short."""
+    """Number of successful episodes among those without the short step limit."""
     frames: int
-    """In all."""
+    """Total number of frames."""
     settled_mib: float
-    """Median over the second tenth of the episodes: every scene has been shown, caches are full."""
+    """Median memory over the second tenth of the episodes, MiB; all scenes are loaded and caches are full."""
     last_mib: float
-    """Median over the last tenth; what it has over `settled_mib` is the growth."""
+    """Median memory over the last tenth, MiB; the difference to `settled_mib` is the growth."""
     memory: Memory
 
 
 class RolloutBench(Model):
-    """`factory bench rollout`."""
+    """Result of `factory bench rollout`."""
 
     bench: str = "rollout"
     machine: Machine
@@ -151,22 +151,22 @@ class RolloutBench(Model):
 
 
 class SceneRender(Model):
-    """Rendering alone, in one scene."""
+    """Result of rendering without simulation in one scene."""
 
     frames: int
     frames_per_s: Spread
-    """All three images, wall clock."""
+    """Frames of three images per second of wall time."""
     stages: tuple[StageCost, ...]
     without_colour: tuple[StageCost, ...]
-    """Depth and ids alone, as an expert sees them; the rest of `stages` is what colour costs."""
+    """Cost of depth and ids without colour, as an expert uses them; the difference to `stages` is due to colour."""
     triangles: int
-    """In the scene."""
+    """Number of triangles in the scene."""
     triangles_in_view: float
-    """A frame: of the parts whose box reaches into the view, hidden or not."""
+    """Mean number of triangles per frame in parts whose bounding box intersects the view, occluded or not."""
 
 
 class RenderBench(Model):
-    """`factory bench render`."""
+    """Result of `factory bench render`."""
 
     bench: str = "render"
     machine: Machine
@@ -175,75 +175,75 @@ class RenderBench(Model):
     scenes: dict[str, SceneRender]
 
 
-class Crowd(Model):
-    """Many workers connected at once, each with a lease."""
+class SessionLoad(Model):
+    """Result of many simultaneous worker sessions."""
 
     sessions: int
     memory: Memory
-    """Of the coordinator with all of them."""
+    """Memory of the coordinator with all sessions."""
 
 
-class Rush(Model):
-    """All workers finish a large bundle at the same moment, while somebody else goes on claiming."""
+class DeliveryLoad(Model):
+    """Result of simultaneous deliveries: all workers finish a large bundle, while another worker claims jobs."""
 
     workers: int
     bundle_mb: float
-    """MB (1e6 bytes) each."""
+    """Size of each bundle, MB (1e6 bytes)."""
     seconds: float
-    """Until the last one was archived and dropped."""
+    """Wall time until the last bundle was archived and deleted, seconds."""
     mb_per_s: float
     claims: int
-    """Of the bystander meanwhile."""
+    """Number of claims by the other worker during that time."""
     claim_p50_ms: float
     claim_p99_ms: float
     memory: Memory
-    """Of the coordinator."""
+    """Memory of the coordinator."""
 
 
 class WireBench(Model):
-    """A whole coordinator in a process of its own, asked over zenoh on loopback by processes beside it."""
+    """Result for a complete coordinator in a separate process, with worker processes over zenoh on loopback."""
 
     cycles_per_s: Spread
-    """Claim and announcement of one job each, answered when durable; wall clock."""
+    """Cycles of claim and announcement per second of wall time, each answered when durable."""
     archived_per_s: Spread
-    """Small bundles pulled and archived meanwhile; the others wait, as they would for a busy coordinator."""
+    """Small bundles pulled and archived per second at the same time; the others remain queued."""
     coordinator_cpu_ms: Spread
-    """CPU time of the coordinator's process a cycle, pulling beside it included."""
+    """CPU time of the coordinator process per cycle, including the concurrent pulling, milliseconds."""
     workers_cpu_ms: Spread
-    """CPU time of the process of all workers a cycle, on the same cores."""
+    """CPU time of the worker process per cycle, on the same cores, milliseconds."""
     start_s: Spread
-    """Until it listens, on the filled ledger."""
-    crowd: Crowd
-    rush: Rush
+    """Startup time on the filled ledger until it listens, seconds."""
+    crowd: SessionLoad
+    rush: DeliveryLoad
 
 
 class CoordinatorBench(Model):
-    """`factory bench coordinator`."""
+    """Result of `factory bench coordinator`."""
 
     bench: str = "coordinator"
     machine: Machine
     jobs: int
-    """In the ledger."""
+    """Number of jobs in the ledger."""
     workers: int
-    """Requests in flight."""
+    """Number of concurrent requests."""
     fill_s: float
-    """Expanding the plan and writing its jobs."""
+    """Time to expand the plan and write its jobs, seconds."""
     cycles_per_s: Spread
-    """Lease, announce and archive of one job each, durable on disk; wall clock."""
+    """Cycles of lease, announcement and archive per second of wall time, durable on disk."""
     reopen_s: Spread
-    """Opening the filled ledger again and checking it against the plan."""
+    """Time to reopen the filled ledger and compare it with the plan, seconds."""
     progress_s: Spread
-    """One look at the progress of the filled ledger."""
+    """Time to read the progress of the filled ledger, seconds."""
     validate_ms_per_frame: Spread
-    """Of real bundles in the validating child, wall clock."""
+    """Wall time to validate real bundles in the validation process, milliseconds per frame."""
     archive_mb_per_s: Spread
-    """Copy, hash, fsync and rename of real bundles, wall clock."""
+    """Throughput of copy, hash, fsync and rename of real bundles, MB per second of wall time."""
     memory: Memory
     wire: WireBench
 
 
 class ReadBench(Model):
-    """`factory bench read`."""
+    """Result of `factory bench read`."""
 
     bench: str = "read"
     machine: Machine
@@ -251,15 +251,15 @@ class ReadBench(Model):
     frames: int
     repeats: int
     random_frames_per_s: Spread
-    """Colour, depth and ids of random frames of random episodes; one core, wall clock."""
+    """Random frames of random episodes (colour, depth and ids) per second of wall time, on one core."""
     random_frames_per_cpu_s: Spread
     by_image: dict[str, Spread]
-    """The same of one image alone."""
+    """Random single images per second of wall time, by kind of image."""
     open_ms: Spread
-    """Opening an episode anew until its first array is there."""
+    """Time to open an episode and read its first array, milliseconds."""
     loader_workers: int
     loader_frames_per_s: Spread | None = None
-    """Shuffled torch DataLoader over all frames, with worker processes; `None` without torch."""
+    """Frames per second of a shuffled DataLoader with worker processes; `None` without torch."""
     threads_frames_per_s: Spread | None = None
-    """The same without worker processes: batches are decoded in threads on all cores."""
+    """Frames per second of a shuffled DataLoader that decodes in threads on all cores; `None` without torch."""
     memory: Memory

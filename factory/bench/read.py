@@ -1,4 +1,4 @@
-"""Reading a dataset: random frames decoded in one process, and a shuffled torch loader where torch is installed."""
+"""Benchmarks reading a dataset: random frames in one process, and a shuffled DataLoader if torch is installed."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _IMAGES: dict[str, Look] = {"rgb": Episode.rgb, "depth": Episode.depth, "ids": E
 
 
 def bench_read(dataset: Dataset, frames: int, repeats: int, workers: int) -> ReadBench:
-    """Reads the same random frames in every repeat, after a round that warms up, and returns the figures.
+    """Reads the same random frames in every repetition, after one warm-up round, and returns the measurements.
 
     Args:
-        dataset: to read.
-        frames: drawn from all its episodes, a repeat.
-        repeats: rounds that are timed.
-        workers: processes of the torch loader.
+        dataset: Dataset to read.
+        frames: Number of random frames per repetition, from all episodes.
+        repeats: Number of timed rounds.
+        workers: Number of worker processes of the DataLoader.
     """
     machine = describe_machine()
     picks = _draw(dataset, frames)
@@ -78,10 +78,10 @@ def _round(visits: list[tuple[Episode, int]], look: Look) -> tuple[float, float]
 
 
 def _open(dataset: Dataset, position: int) -> float:
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     with dataset[position] as episode:
         _ = episode.actions
-    return time.perf_counter() - begun
+    return time.perf_counter() - start_s
 
 
 def _load(dataset: Dataset, workers: int, frames: int) -> float:
@@ -89,14 +89,14 @@ def _load(dataset: Dataset, workers: int, frames: int) -> float:
 
     source = FrameDataset(dataset, with_ids=True)
     drawn = torch.utils.data.RandomSampler(source, num_samples=min(len(source), frames + _BATCH))
-    # the client of an object store does not survive a fork
+    # the client of an object store does not work after a fork
     context = None if not workers or isinstance(dataset.root, Path) else "spawn"
     loader: Any = torch.utils.data.DataLoader(
         source, _BATCH, sampler=drawn, num_workers=workers, multiprocessing_context=context, collate_fn=collate
     )
-    seen, begun = 0, 0.0
+    seen, start_s = 0, 0.0
     for batch in loader:
         if not seen:
-            begun = time.perf_counter()  # processes have started, and the first batch is paid for
+            start_s = time.perf_counter()  # excludes the start of the processes and the first batch
         seen += len(batch["step"])
-    return (seen - _BATCH) / (time.perf_counter() - begun)
+    return (seen - _BATCH) / (time.perf_counter() - start_s)

@@ -1,4 +1,4 @@
-"""Rendering alone: the images of poses all over a scene. Runs no physics and encodes nothing."""
+"""Benchmarks rendering at poses spread over a scene. Runs no physics and encodes nothing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from factory.bench.model import SceneRender, Spread, StageCost
-from factory.bench.watch import ProcessWatch, StageTimes, stage_costs
+from factory.bench.stage_times import StageRecorder, StageTimes, stage_costs
 from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.camera import optical_pose, projection_matrix, view_matrix
@@ -22,7 +22,7 @@ _SEED = 20
 
 
 def poses_in(scene: CompiledScene, count: int) -> list[Pose]:
-    """Returns poses on the scene's surveyed floor points, headings all round; the same every time."""
+    """Returns deterministic random poses on the surveyed floor points of a scene, with uniform headings."""
     rng = np.random.default_rng(_SEED)
     points = scene.spawns[rng.integers(len(scene.spawns), size=count)].astype(np.float64)
     yaws = rng.uniform(-np.pi, np.pi, count)
@@ -33,25 +33,25 @@ def poses_in(scene: CompiledScene, count: int) -> list[Pose]:
 def bench_render(
     scene: CompiledScene,
     renderer: Renderer,
-    watch: ProcessWatch,
+    recorder: StageRecorder,
     camera: CameraConfig,
     frames: int,
     repeats: int,
 ) -> SceneRender:
-    """Renders the same poses in every repeat, after one round that warms up, and returns the figures.
+    """Renders the same poses in every repetition, after one warm-up round, and returns the measurements.
 
     Args:
-        scene: the place.
-        renderer: opened with `watch` as its lap.
-        watch: keeps the time of the stages.
-        camera: of the robot.
-        frames: poses.
-        repeats: rounds that are timed.
+        scene: Scene.
+        renderer: Renderer opened with `recorder` as its stage timer.
+        recorder: Recorder of the stage times.
+        camera: Camera of the robot.
+        frames: Number of poses.
+        repeats: Number of timed rounds.
     """
     poses = poses_in(scene, frames)
     renderer.load(scene, camera)
-    seconds, stages = _time(renderer.render, watch, poses, repeats)
-    _, without = _time(renderer.render_depth_and_ids, watch, poses, repeats)
+    seconds, stages = _time(renderer.render, recorder, poses, repeats)
+    _, without = _time(renderer.render_depth_and_ids, recorder, poses, repeats)
     return SceneRender(
         frames=frames,
         frames_per_s=Spread.of([frames / each for each in seconds]),
@@ -63,20 +63,20 @@ def bench_render(
 
 
 def _time(
-    draw: Callable[[Pose], object], watch: ProcessWatch, poses: Sequence[Pose], repeats: int
+    draw: Callable[[Pose], object], recorder: StageRecorder, poses: Sequence[Pose], repeats: int
 ) -> tuple[list[float], tuple[StageCost, ...]]:
-    """Returns the seconds of every round and the stages, after one round that warms up."""
-    _round(draw, watch, poses)
-    rounds = [_round(draw, watch, poses) for _ in range(repeats)]
+    """Returns the seconds of each round and the stage costs, after one warm-up round."""
+    _round(draw, recorder, poses)
+    rounds = [_round(draw, recorder, poses) for _ in range(repeats)]
     return [seconds for seconds, _ in rounds], stage_costs([(len(poses), times) for _, times in rounds])
 
 
-def _round(draw: Callable[[Pose], object], watch: ProcessWatch, poses: Sequence[Pose]) -> tuple[float, StageTimes]:
-    begun = time.perf_counter()
-    watch.start()
+def _round(draw: Callable[[Pose], object], recorder: StageRecorder, poses: Sequence[Pose]) -> tuple[float, StageTimes]:
+    start_s = time.perf_counter()
+    recorder.start()
     for pose in poses:
         draw(pose)
-    return time.perf_counter() - begun, watch.take()
+    return time.perf_counter() - start_s, recorder.take()
 
 
 def _triangles_in_view(scene: CompiledScene, camera: CameraConfig, poses: Sequence[Pose]) -> float:

@@ -1,6 +1,6 @@
-"""The whole loop in one scene, as a simulation process runs it: physics, control, rendering, encoding, bundle.
+"""Benchmarks the complete loop of a simulation process: physics, control, rendering, encoding, bundle.
 
-The same jobs in every repeat; what an attempt makes is thrown away. The plain pipeline drives along the same poses.
+Every repetition runs the same jobs; the bundles are discarded. The plain PyBullet pipeline uses the same poses.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from coordinator.archive.opening import open_archive
 from coordinator.expansion.catalog import SceneEntry
 from coordinator.validation.validate import validate
+from factory.bench.baseline import run_baseline
 from factory.bench.machine import forget_peak, measure_memory, resident_mib
 from factory.bench.model import Memory, SceneRollout, Spread, StageCost
-from factory.bench.plain import run_plain
-from factory.bench.watch import ProcessWatch, StageTimes, stage_costs
+from factory.bench.stage_times import StageRecorder, StageTimes, stage_costs
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle, WorldError
 from schemas.job import Job
@@ -33,45 +33,44 @@ from workers.sim.scene_renderer import SceneRenderer
 __all__ = ["bench_rollout"]
 
 StepCallback = Callable[[], None]
-"""Is told after every attempt."""
+"""Called after every attempt."""
 
 
 @dataclass(frozen=True)
 class _Run:
-    """One attempt, timed."""
+    """Timed attempt."""
 
     frames: int
-    """0 when it failed."""
+    """Number of frames; 0 for a failed attempt."""
     wall_s: float
     cpu_s: float
     stages: StageTimes
     poses: NDArray[np.float32]
-    """(frames, 7) of the episode."""
+    """(frames, 7) poses of the episode: x, y, z, qw, qx, qy, qz."""
 
 
 def bench_rollout(
     jobs: Sequence[Job],
     entry: SceneEntry,
     stage: SceneRenderer,
-    watch: ProcessWatch,
+    recorder: StageRecorder,
     repeats: int,
     plain_frames: int,
     tell: StepCallback,
 ) -> SceneRollout:
-    """Runs every job `repeats` times, after one run that warms up, and returns the figures.
+    """Runs every job `repeats` times, after one warm-up run, and returns the measurements.
 
     Args:
-        jobs: of one scene.
-        entry: that scene.
-        stage: opened with `watch` as its lap.
-        watch: keeps the time of the stages.
-        repeats: how often all jobs are timed.
-        plain_frames: frames that the plain pipeline makes for comparison, at poses spread over all episodes; 0 leaves
-            it out.
-        tell: told after every attempt, the first of all included.
+        jobs: Jobs of one scene.
+        entry: Scene of the jobs.
+        stage: Scene renderer opened with `recorder` as its stage timer.
+        recorder: Recorder of the stage times.
+        repeats: Number of timed repetitions of all jobs.
+        plain_frames: Number of frames of the plain PyBullet pipeline, at poses spread over all episodes; 0 skips it.
+        tell: Progress callback, called after every attempt, including the warm-up.
 
     Raises:
-        WorldError: no job succeeds, so that there is nothing to time.
+        WorldError: No job succeeded.
     """
     forget_peak()
     stage.load(entry.path, entry.sha256)
@@ -80,13 +79,13 @@ def bench_rollout(
         delivery = time_delivery(file, repeats)
         tell()
         start_mib = resident_mib()
-        rounds = [[_timed(job, stage, watch, file, tell) for job in jobs] for _ in range(repeats)]
+        rounds = [[_timed(job, stage, recorder, file, tell) for job in jobs] for _ in range(repeats)]
         memory = measure_memory(start_mib)
     return _summarise(rounds, delivery, sizes, memory, jobs, entry, stage, plain_frames)
 
 
 def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[str, float]:
-    """Runs jobs until one succeeds; returns the kB a frame of its members."""
+    """Runs jobs until one succeeds; returns its stored kB per frame by kind of member."""
     details = []
     for job in jobs:
         _rewind(file)
@@ -98,14 +97,14 @@ def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[
     raise WorldError(f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so nothing can be measured: {details[0]}")
 
 
-def _timed(job: Job, stage: SceneRenderer, watch: ProcessWatch, file: BinaryIO, tell: StepCallback) -> _Run:
+def _timed(job: Job, stage: SceneRenderer, recorder: StageRecorder, file: BinaryIO, tell: StepCallback) -> _Run:
     _rewind(file)
     wall, cpu = time.perf_counter(), time.process_time()
-    watch.start()
+    recorder.start()
     outcome = run_attempt(job, stage, file, "bench", _ignore)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     tell()
-    stages = watch.take()
+    stages = recorder.take()
     if isinstance(outcome, Success):
         return _Run(outcome.meta.rollout.num_steps, wall, cpu, stages, BundleReader(file).arrays.poses)
     return _Run(0, wall, cpu, stages, np.empty((0, 7), np.float32))
@@ -137,7 +136,7 @@ def _summarise(
     spent = sum(run.wall_s for runs in rounds for run in runs)
     rows = np.concatenate([run.poses for run in won[0]]).astype(np.float64)
     poses = [Pose(*row) for row in rows.tolist()]
-    plain = run_plain(stage.loaded(entry.sha256).scene, jobs[0], poses, plain_frames) if plain_frames else None
+    plain = run_baseline(stage.loaded(entry.sha256).scene, jobs[0], poses, plain_frames) if plain_frames else None
     return SceneRollout(
         frames_per_s_per_core=wall.median,
         frames_per_cpu_s=cpu.median,
@@ -167,27 +166,27 @@ def _add(runs: Iterable[StageTimes]) -> StageTimes:
 
 
 def time_delivery(file: BinaryIO, repeats: int) -> tuple[StageCost, ...]:
-    """Validates and archives the bundle in `file` so many times and returns the cost of both stages a frame.
+    """Validates and archives the bundle in `file` `repeats` times and returns the cost of both stages per frame.
 
     Raises:
-        InvalidBundle: it may not enter a dataset, so that its validation is no measure.
+        InvalidBundle: The bundle is not valid, so that its validation time would not be representative.
     """
     return stage_costs([_deliver(file) for _ in range(repeats)])
 
 
 def _deliver(file: BinaryIO) -> tuple[int, StageTimes]:
-    watch = ProcessWatch()
+    recorder = StageRecorder()
     with tempfile.TemporaryDirectory(prefix="bench-") as folder, open_archive(Path(folder)) as archive:
-        watch.start()
+        recorder.start()
         bundle = BundleReader(file)
         findings = validate(bundle)
-        watch("validate")
+        recorder("validate")
         index = bundle.meta.job.index
         file.seek(0)
         with archive.stage(index) as staged:
             shutil.copyfileobj(file, staged, 1 << 20)
             archive.publish(staged, index)
-        watch("archive")
+        recorder("archive")
     if findings:
-        raise InvalidBundle("the benchmark's own bundle is refused", findings)
-    return bundle.length, watch.take()
+        raise InvalidBundle("the bundle of the benchmark is invalid", findings)
+    return bundle.length, recorder.take()

@@ -1,4 +1,4 @@
-"""A small real dataset to read, validate and archive: episodes driven here, tables and all. Times nothing."""
+"""Generates a small real dataset for the benchmarks, with episodes and tables. Measures nothing."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ __all__ = ["BenchSample", "make_sample"]
 
 @dataclass(frozen=True)
 class BenchSample:
-    """One archived episode."""
+    """Archived episode of the sample dataset."""
 
     job: Job
     path: Path
-    """Of the bundle."""
+    """Path of the bundle."""
 
 
 def make_sample(
     root: Path, plan: Plan, catalog: Catalog, stage: SceneRenderer, tell: Callable[[], None]
 ) -> tuple[BenchSample, ...]:
-    """Tries every episode of a plan once and writes those that succeed as a dataset.
+    """Runs one attempt at every episode of a plan and writes the successful ones as a dataset.
 
     Args:
-        root: where to.
-        plan: a small one.
-        catalog: its scenes.
-        stage: to drive on.
-        tell: told after every attempt.
+        root: Directory of the dataset.
+        plan: Plan with few episodes.
+        catalog: Scenes of the plan.
+        stage: Scene renderer for the attempts.
+        tell: Progress callback, called after every attempt.
 
     Raises:
-        WorldError: nothing succeeded, or the directory cannot be written.
+        WorldError: No attempt succeeded, or the directory cannot be written.
     """
     rows: list[EpisodeSummary] = []
     samples: list[BenchSample] = []

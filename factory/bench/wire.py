@@ -1,4 +1,7 @@
-"""What a coordinator bears over the network: cycles, sessions, many bundles at once. Conducts processes on loopback."""
+"""Benchmarks a coordinator over the network: request cycles, sessions, simultaneous deliveries.
+
+Runs coordinator and workers as processes on loopback. Simulates no episodes.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coordinator.expansion.catalog import Catalog
+from factory.bench.coordinator_process import CoordinatorReady, CoordinatorUsage, serve_coordinator
 from factory.bench.fleet import (
-    Effort,
+    WorkCost,
     bundle_of,
     claim_and_announce,
-    claim_until_told,
+    claim_until_stopped,
     deliver_together,
     stay_connected,
 )
-from factory.bench.hub import Condition, Opened, serve_hub
-from factory.bench.model import Crowd, Rush, Spread, WireBench
+from factory.bench.model import DeliveryLoad, SessionLoad, Spread, WireBench
 from schemas.episode import EpisodeMeta
 from schemas.errors import WorldError
 from schemas.plan import Plan
@@ -30,12 +33,12 @@ from schemas.plan import Plan
 __all__ = ["bench_wire"]
 
 _CYCLES = 5000
-"""Of one run, all workers together; fewer on a small ledger, for each takes a job."""
+"""Number of cycles of all workers in one run; fewer on a small ledger, because each cycle uses one job."""
 _CYCLE_BUNDLE_BYTES = 1 << 20
-"""Pulled beside the cycles: one chunk."""
-_MEMBERS_A_PROCESS = 500
-_BYSTANDER_PAUSE_S = 0.02
-_PATIENCE_S = 600.0
+"""Size of a bundle during the cycles, bytes: one chunk."""
+_WORKERS_PER_PROCESS = 500
+_CLAIM_PAUSE_S = 0.02
+_TIMEOUT_S = 600.0
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -50,20 +53,20 @@ def bench_wire(
     bundle_bytes: int,
     repeats: int,
 ) -> WireBench:
-    """Starts a coordinator on a filled ledger, works on it over zenoh, and returns the figures.
+    """Starts a coordinator on a filled ledger, runs the loads over zenoh, and returns the measurements.
 
     Args:
-        plan: what the ledger in `root` holds, with jobs enough for every claim made here.
-        catalog: its scenes.
-        meta: of a real episode, that all bundles are taken for.
-        root: of the ledger.
-        workers: that ask at the same time, and finish at the same moment.
-        sessions: of the crowd.
-        bundle_bytes: of each bundle in the rush.
-        repeats: of the cycles and of the start.
+        plan: Plan of the ledger in `root`, with enough jobs for all claims.
+        catalog: Scenes of the plan.
+        meta: Metadata of a real episode, which stand for every bundle.
+        root: Directory of the ledger.
+        workers: Number of concurrent workers.
+        sessions: Number of simultaneous sessions for the memory measurement.
+        bundle_bytes: Size of each bundle in the simultaneous deliveries, bytes.
+        repeats: Number of repetitions of the cycles and of the start.
 
     Raises:
-        WorldError: one of the processes ended early.
+        WorldError: A process of the benchmark exited early.
     """
     rounds = max(1, min(_CYCLES, plan.episodes // (4 * repeats)) // workers)
     light = (root, plan, catalog, meta, *_named(_CYCLE_BUNDLE_BYTES))
@@ -81,56 +84,56 @@ def bench_wire(
 
 
 class _Run(NamedTuple):
-    """Cycles on a coordinator that was started for them."""
+    """Measurements of one run of cycles, each with a new coordinator."""
 
     cycles: int
     start_s: float
-    fleet: Effort
+    fleet: WorkCost
     coordinator_cpu_s: float
     archived: int
-    """Bundles of theirs that were archived before the last cycle was answered."""
+    """Number of bundles archived before the last cycle was answered."""
 
 
 def _named(size: int) -> tuple[str, int]:
     return sha256(bundle_of(size)).hexdigest(), size
 
 
-def _cycles(facts: tuple[Any, ...], run: str, workers: int, rounds: int) -> _Run:
-    episodes: Path = facts[0] / "episodes"
-    with _process(serve_hub, *facts) as hub:
-        opened: Opened = _hear(hub)
+def _cycles(arguments: tuple[Any, ...], run: str, workers: int, rounds: int) -> _Run:
+    episodes: Path = arguments[0] / "episodes"
+    with _process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = _receive(coordinator)
         with _process(claim_and_announce, opened.endpoints, run, workers, rounds, _CYCLE_BUNDLE_BYTES) as fleet:
-            _hear(fleet)
-            before, there = _condition(hub), len(list(episodes.iterdir()))
+            _receive(fleet)
+            before, there = _usage(coordinator), len(list(episodes.iterdir()))
             fleet.send("go")
-            effort: Effort = _hear(fleet)
-            archived, after = len(list(episodes.iterdir())) - there, _condition(hub)
-            return _Run(rounds * workers, opened.seconds, effort, after.cpu_s - before.cpu_s, archived)
+            cost: WorkCost = _receive(fleet)
+            archived, after = len(list(episodes.iterdir())) - there, _usage(coordinator)
+            return _Run(rounds * workers, opened.seconds, cost, after.cpu_s - before.cpu_s, archived)
 
 
-def _crowd(facts: tuple[Any, ...], run: str, sessions: int) -> Crowd:
-    with _process(serve_hub, *facts) as hub:
-        opened: Opened = _hear(hub)
-        shares = [min(_MEMBERS_A_PROCESS, sessions - start) for start in range(0, sessions, _MEMBERS_A_PROCESS)]
+def _crowd(arguments: tuple[Any, ...], run: str, sessions: int) -> SessionLoad:
+    with _process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = _receive(coordinator)
+        shares = [min(_WORKERS_PER_PROCESS, sessions - start) for start in range(0, sessions, _WORKERS_PER_PROCESS)]
         with _processes(stay_connected, [(opened.endpoints, run, share) for share in shares]) as fleets:
-            connected = sum(_hear(fleet) for fleet in fleets)
-            return Crowd(sessions=connected, memory=_condition(hub).memory)
+            connected = sum(_receive(fleet) for fleet in fleets)
+            return SessionLoad(sessions=connected, memory=_usage(coordinator).memory)
 
 
-def _rush(facts: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> Rush:
-    with _process(serve_hub, *facts) as hub:
-        opened: Opened = _hear(hub)
+def _rush(arguments: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> DeliveryLoad:
+    with _process(serve_coordinator, *arguments) as coordinator:
+        opened: CoordinatorReady = _receive(coordinator)
         with (
             _process(deliver_together, opened.endpoints, run, workers, bundle_bytes) as fleet,
-            _process(claim_until_told, opened.endpoints, run, _BYSTANDER_PAUSE_S) as bystander,
+            _process(claim_until_stopped, opened.endpoints, run, _CLAIM_PAUSE_S) as claimer,
         ):
-            _hear(fleet)
-            _hear(bystander)
+            _receive(fleet)
+            _receive(claimer)
             fleet.send("go")
-            seconds = _hear(fleet)
-            bystander.send("stop")
-            waits_ms = 1000 * np.array(_hear(bystander))
-            return Rush(
+            seconds = _receive(fleet)
+            claimer.send("stop")
+            waits_ms = 1000 * np.array(_receive(claimer))
+            return DeliveryLoad(
                 workers=workers,
                 bundle_mb=bundle_bytes / 1e6,
                 seconds=seconds,
@@ -138,32 +141,34 @@ def _rush(facts: tuple[Any, ...], run: str, workers: int, bundle_bytes: int) -> 
                 claims=len(waits_ms),
                 claim_p50_ms=float(np.percentile(waits_ms, 50)),
                 claim_p99_ms=float(np.percentile(waits_ms, 99)),
-                memory=_condition(hub).memory,
+                memory=_usage(coordinator).memory,
             )
 
 
-def _condition(hub: Connection) -> Condition:
-    hub.send("how do you do")
-    condition: Condition = _hear(hub)
-    return condition
+def _usage(coordinator: Connection) -> CoordinatorUsage:
+    coordinator.send("usage")
+    usage: CoordinatorUsage = _receive(coordinator)
+    return usage
 
 
-def _hear(pipe: Connection) -> Any:
+def _receive(pipe: Connection) -> Any:
     try:
-        if pipe.poll(_PATIENCE_S):
+        if pipe.poll(_TIMEOUT_S):
             return pipe.recv()
     except EOFError as error:
-        raise WorldError("a process of the benchmark ended early; see its error above") from error
-    raise WorldError(f"a process of the benchmark did not answer for {_PATIENCE_S:.0f} s")
+        raise WorldError("a process of the benchmark exited early; see its error message above") from error
+    raise WorldError(
+        f"a process of the benchmark sent no message for {_TIMEOUT_S:.0f} s; repeat on a less busy machine"
+    )
 
 
 @contextmanager
-def _processes(target: Callable[..., None], errands: list[tuple[Any, ...]]) -> Iterator[list[Connection]]:
+def _processes(target: Callable[..., None], argument_sets: list[tuple[Any, ...]]) -> Iterator[list[Connection]]:
     pipes, processes = [], []
     try:
-        for errand in errands:
+        for arguments in argument_sets:
             ours, theirs = _SPAWN.Pipe()
-            process = _SPAWN.Process(target=target, args=(theirs, *errand), daemon=True)
+            process = _SPAWN.Process(target=target, args=(theirs, *arguments), daemon=True)
             process.start()
             theirs.close()
             pipes.append(ours)
@@ -177,6 +182,6 @@ def _processes(target: Callable[..., None], errands: list[tuple[Any, ...]]) -> I
 
 
 @contextmanager
-def _process(target: Callable[..., None], *errand: Any) -> Iterator[Connection]:
-    with _processes(target, [errand]) as (pipe,):
+def _process(target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    with _processes(target, [arguments]) as (pipe,):
         yield pipe

@@ -1,4 +1,4 @@
-"""What the benchmarks work on: a plan narrowed to some scenes and episodes, and the first attempts at them."""
+"""Selects the workload of the benchmarks: a plan with fewer scenes and episodes, and its first attempts. Pure."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["first_attempts", "narrow"]
 
 
 def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
-    """Returns the plan with these scenes only, or all when none is named, and so many episodes in each.
+    """Returns the plan with `episodes` episodes in each of these scenes, or in all scenes if `scenes` is empty.
 
     Raises:
-        UsageError: the plan has no scene of that name, or fewer episodes of it.
+        UsageError: The plan does not have the scene, or has fewer episodes in it.
     """
     names = list(scenes) or [scene.name for scene in plan.scenes]
     parts = tuple(shrink(plan, scenes=(name,), episodes=1).scenes[0] for name in dict.fromkeys(names))

@@ -1,4 +1,4 @@
-"""Reads datasets: rows, episodes, frames, PyTorch samples."""
+"""Reads datasets: metadata rows, episodes, frames and PyTorch samples. Writes no files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Dataset", "Episode", "Frame"]
 
 
 def __getattr__(name: str) -> Any:
-    """Imports the reader at its first use, so that its neighbours load without it."""
+    """Imports the reader on first access, so that importing a sibling module does not load it."""
     if name in __all__:
         return getattr(importlib.import_module("factory.dataset.reader"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

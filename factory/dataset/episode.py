@@ -1,4 +1,4 @@
-"""One archived episode, opened when something of it is wanted and decoded frame by frame. Reads only."""
+"""Reads one archived episode: opens the bundle on first access and decodes it frame by frame. Writes nothing."""
 
 from __future__ import annotations
 
@@ -23,46 +23,45 @@ __all__ = ["Episode", "Frame"]
 
 
 class Frame(NamedTuple):
-    """What the robot saw before one action."""
+    """Camera images before one action."""
 
     rgb: NDArray[np.uint8]
     """(640, 640, 3) sRGB, top row first."""
     depth: NDArray[np.float32]
-    """(640, 640) metres along the optical axis; 0 where nothing was hit."""
+    """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing."""
     ids: NDArray[np.uint16]
-    """(640, 640) instance ids; `Episode.meta.instances` says of what; 0 is nothing."""
+    """(640, 640) instance ids, described by `Episode.meta.instances`; 0 is background."""
 
 
 class Episode(Closing):
-    """An episode of T steps: T frames, T actions, T poses; frame t and pose t are from before action t.
+    """Archived episode of T steps: T frames, T actions, T poses; frame t and pose t precede action t.
 
-    Cheap to make and to pickle; the file is opened at the first access and again in every process that uses it. Threads
-    may share it.
+    Construction and pickling read no file; each process opens the file at its first access. Instances are thread-safe.
 
     Raises:
-        ArchiveCorrupt: at access, when the file is missing or damaged; the message names it.
+        ArchiveCorrupt: The file is missing or damaged. Raised at access; the message contains the path.
     """
 
     def __init__(self, path: Place, summary: EpisodeSummary) -> None:
         self.path = path
         self.summary = summary
-        """Its row of the metadata."""
+        """Row of the episode in the metadata table."""
         self._opened: _Opened | None = None
         self._opening = Lock()
 
     @property
     def episode_id(self) -> str:
-        """`ep_000001` and so on."""
+        """Episode id, such as `ep_000001`."""
         return self.summary.episode_id
 
     @property
     def instruction(self) -> str:
-        """What the robot was told."""
+        """Language instruction of the episode."""
         return self.summary.instruction
 
     @property
     def meta(self) -> EpisodeMeta:
-        """All that is recorded of the episode beside its arrays."""
+        """Recorded metadata of the episode, without its arrays."""
         with self._reading() as bundle:
             return bundle.meta
 
@@ -73,40 +72,40 @@ class Episode(Closing):
 
     @property
     def tokens(self) -> NDArray[np.int16]:
-        """(T, 2) the actions on the 7 x 7 grid, 0..6."""
+        """(T, 2) action tokens on the 7 x 7 grid, 0..6."""
         return self._bundle().arrays.actions_tokens
 
     @property
     def poses(self) -> NDArray[np.float32]:
-        """(T, 7) x, y, z in metres and the quaternion w, x, y, z of base_link in the world frame."""
+        """(T, 7) poses of base_link in the world frame: x, y, z in metres and the quaternion w, x, y, z."""
         return self._bundle().arrays.poses
 
     def rgb(self, t: int) -> NDArray[np.uint8]:
-        """Returns frame t as (640, 640, 3) sRGB; negative t count from the end."""
+        """Returns the colour image at step t, (640, 640, 3) sRGB; a negative t counts from the end."""
         with self._reading() as bundle:
             return bundle.rgb(self._step(t))
 
     def depth(self, t: int) -> NDArray[np.float32]:
-        """Returns frame t as (640, 640) metres along the optical axis; negative t count from the end."""
+        """Returns the depth image at step t, (640, 640) metres along the optical axis; negative t: from the end."""
         with self._reading() as bundle:
             return bundle.depth(self._step(t))
 
     def ids(self, t: int) -> NDArray[np.uint16]:
-        """Returns frame t as (640, 640) instance ids; negative t count from the end."""
+        """Returns the instance ids at step t, (640, 640); a negative t counts from the end."""
         with self._reading() as bundle:
             return bundle.ids(self._step(t))
 
     def stored(self, name: str) -> bytes:
-        """Returns a member of the bundle as it is stored, e.g. `seg_front/000000.png`, without decoding it."""
+        """Returns the encoded bytes of a bundle member, such as `seg_front/000000.png`, without decoding them."""
         with self._reading() as bundle:
             return bundle.stored(name)
 
     def frame(self, t: int) -> Frame:
-        """Returns frame t whole; negative t count from the end."""
+        """Returns all images at step t; a negative t counts from the end."""
         return Frame(self.rgb(t), self.depth(t), self.ids(t))
 
     def frames(self) -> Iterator[Frame]:
-        """Yields every frame in order, one in memory at a time."""
+        """Yields every frame in order; keeps one frame in memory."""
         return (self.frame(t) for t in range(len(self)))
 
     def __len__(self) -> int:
@@ -122,7 +121,7 @@ class Episode(Closing):
 
     def _bundle(self) -> BundleReader:
         with self._opening:
-            if self._opened is None or self._opened.pid != os.getpid():  # a fork shares the file's position
+            if self._opened is None or self._opened.pid != os.getpid():  # a forked process shares the file position
                 self._opened = _Opened(self.path, len(self))
             return self._opened.bundle
 
@@ -144,7 +143,7 @@ class Episode(Closing):
 
 
 class _Opened:
-    """A bundle, its file and the process that opened it; the file is closed when this is forgotten."""
+    """Open bundle with its file and the id of the process that opened it; garbage collection closes the file."""
 
     def __init__(self, path: Place, steps: int) -> None:
         try:
@@ -164,7 +163,7 @@ class _Opened:
 
 
 def _refusal(path: Place, file: BinaryIO, steps: int) -> ArchiveCorrupt:
-    """Says by the bundle's own metadata what is wrong with one that does not have the steps expected."""
+    """Returns the error for a bundle that does not have the expected number of steps."""
     try:
         own = BundleReader(file)
     except InvalidBundle as error:

@@ -1,4 +1,4 @@
-"""Compiled scenes of a dataset as files of this machine: those of a dataset far away are fetched once and cached."""
+"""Provides compiled scenes of a dataset as local files; downloads those of a remote dataset once and caches them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["package_file"]
 
 
 def package_file(place: Place) -> Path:
-    """Returns the file of a package; its name holds the digest's beginning, by which a cached copy is known.
+    """Returns the local file of a scene package; the digest in its name identifies a cached copy.
 
     Raises:
-        FileNotFoundError: there is no such package.
-        WorldError: the store does not answer, or the cache cannot be written.
+        FileNotFoundError: The package does not exist.
+        WorldError: The object store does not respond, or the cache cannot be written.
     """
     if isinstance(place, Path):
         return place

@@ -1,4 +1,4 @@
-"""The typed reader of a dataset: rows without opening a bundle, episodes by number, name or filter. Reads only."""
+"""Reads a dataset: metadata rows without opening a bundle; episodes by position, id or filter. Writes nothing."""
 
 from __future__ import annotations
 
@@ -39,39 +39,39 @@ _COLUMNS = list(EpisodeSummary.model_fields)
 
 
 class Dataset:
-    """A dataset in a directory or by URL, or what a filter left of it; a sequence of episodes in the order of the plan.
+    """Dataset in a directory or at a URL, or a filtered part of it; a sequence of episodes in the order of the plan.
 
     >>> data = Dataset("dataset").filter(split="train_id", tier=("near", "mid"))  # doctest: +SKIP
     >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
 
     Raises:
-        WorldError: the directory is not a dataset, or one of a newer format.
-        ArchiveCorrupt: its tables are damaged.
+        WorldError: The directory holds no dataset, or its format is newer than this software.
+        ArchiveCorrupt: The tables are damaged.
     """
 
     def __init__(self, path: str | Place) -> None:
         self.root = place_of(path)
         self.meta: DatasetMeta = read_dataset_meta(self.root)
-        """What the dataset is and what made it."""
+        """Description of the dataset and of the software that generated it."""
         self.metadata: pa.Table = _read_table(self.root / METADATA_FILE)
-        """One row an episode; the columns are those of `EpisodeSummary`."""
+        """One row for each episode; the columns are the fields of `EpisodeSummary`."""
         self._targets: list[str] = pc.unique(self.metadata["target_id"]).to_pylist()
 
     @property
     def digest(self) -> str:
-        """SHA-256 over the content digests of these episodes; equal for equal content, whoever made it and how."""
+        """SHA-256 over the content digests of these episodes; equal content gives an equal digest."""
         names = self.metadata["episode_id"].to_pylist()
         return dataset_digest(zip(names, self.metadata["content_digest"].to_pylist(), strict=True))
 
     def filter(self, **wanted: str | Iterable[str]) -> Dataset:
-        """Returns the episodes that fit all conditions: none where a value is right, but no episode here has it.
+        """Returns the episodes that match all conditions; an empty dataset when a valid value matches no episode.
 
         Args:
-            wanted: a value or several for `split`, `scene`, `tier`, `category`, `target`, `template`, `colour`,
+            wanted: One or more values for `split`, `scene`, `tier`, `category`, `target`, `template`, `colour`,
                 `expert` or `episode`.
 
         Raises:
-            UsageError: there is no filter of that name, or no such value.
+            UsageError: The filter does not exist, or a value is not valid for it.
         """
         table = self.metadata
         for name, values in wanted.items():
@@ -97,11 +97,11 @@ class Dataset:
         return (self[position] for position in range(len(self)))
 
     def __getitem__(self, key: int | str) -> Episode:
-        """Returns an episode by its position among these or by its id.
+        """Returns an episode by its position in this dataset or by its id.
 
         Raises:
-            IndexError: there is no such position.
-            KeyError: there is no such id.
+            IndexError: The position is out of range.
+            KeyError: This dataset has no episode with that id.
         """
         position = self._position(key) if isinstance(key, str) else key
         if not -len(self) <= position < len(self):
@@ -128,8 +128,8 @@ def _as_strings(values: str | Iterable[str]) -> pa.Array:
 def _read_table(path: Place) -> pa.Table:
     try:
         table = pq.read_table(table_of(path))
-        table.validate(full=True)  # else text that is no UTF-8 is found when it is used
-        return table.select(_COLUMNS)  # columns that a later version added are not ours to know
+        table.validate(full=True)  # otherwise invalid UTF-8 raises only when it is read
+        return table.select(_COLUMNS)  # ignores columns that a later version added
     except FileNotFoundError as error:
         raise ArchiveCorrupt(f"{path} is missing: resume the run to rewrite it") from error
     except (pa.ArrowException, *PARSER_ERRORS) as error:

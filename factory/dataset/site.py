@@ -1,7 +1,7 @@
-"""Where a run works: the place of its dataset, and the local directory of what can lie on a disk only.
+"""Locations of a run: the location of its dataset, and the local state directory.
 
-For a directory both are one. A dataset in object storage has a home among this user's state: ledger, part files, spool
-and lock; the same URL finds it again.
+Both are the same for a dataset in a directory. A dataset in object storage has a state directory in the user's state
+folder, derived from the URL; it holds the ledger, part files, the spool and the lock. Creates no directories.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ __all__ = ["Site", "site_of"]
 
 @dataclass(frozen=True)
 class Site:
-    """Both places; spelt as the user gives it."""
+    """Dataset location and local state directory; `str()` returns the location as the user wrote it."""
 
     place: Place
-    """Of the dataset."""
+    """Location of the dataset, a path or an object storage URL."""
     home: Path
-    """Of the ledger and whatever else a coordinator keeps on a disk."""
+    """Local directory of the ledger and the other files that the coordinator keeps on disk."""
 
     @property
     def store(self) -> ObjectPath | None:
-        """The place, when it is in object storage."""
+        """Location of the dataset when it is in object storage, otherwise `None`."""
         return self.place if isinstance(self.place, ObjectPath) else None
 
     def __str__(self) -> str:
@@ -37,17 +37,17 @@ class Site:
 
 
 def site_of(name: str | Place) -> Site:
-    """Returns where the run of a directory or URL works.
+    """Returns the locations of the run for a directory or URL.
 
     Raises:
-        UsageError: the URL cannot be understood, or the extra for object storage is not installed.
+        UsageError: The URL is invalid, or the extra for object storage is not installed.
     """
     place = place_of(name)
     return Site(place, place if isinstance(place, Path) else _home_of(place))
 
 
 def _home_of(place: ObjectPath) -> Path:
-    # the same bucket name on two servers is two datasets
+    # the same bucket name on two servers means two datasets
     whole = f"{place} {store_endpoint()}"
     readable = re.sub(r"[^A-Za-z0-9_-]+", "-", str(place).partition("://")[2])[-40:].strip("-")
     return state_directory() / "archives" / f"{readable}-{hashlib.sha256(whole.encode()).hexdigest()[:16]}"

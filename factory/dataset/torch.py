@@ -1,8 +1,8 @@
-"""Every frame of a dataset as a sample for `torch.utils.data.DataLoader`; needs no torch until torch uses it.
+"""Map-style PyTorch dataset with one sample for each frame. Imports torch only in `collate`.
 
-Keeps a few bundles open a process and shuffles nothing. The frames of a batch are decoded in threads, straight into the
-batch: PNG, zstandard and numpy leave Python's lock alone, and between processes every page of an image costs more than
-its decoding.
+Keeps up to `_OPEN_EPISODES` bundles open in each process; does not shuffle. Threads decode the frames of a batch
+directly into the batch arrays: PNG, zstandard and numpy release the GIL, and copying an image between processes costs
+more than decoding it.
 """
 
 from __future__ import annotations
@@ -24,48 +24,48 @@ from schemas.support.extras import require_package
 __all__ = ["FrameBatch", "FrameDataset", "Sample", "collate"]
 
 _OPEN_EPISODES = 128
-"""Kept open by a process: 0.6 MiB and a file each; to open one again costs as much as a frame."""
+"""Bundles that a process keeps open, 0.6 MiB and one file each; opening one costs as much as decoding a frame."""
 _IMAGE = (FRAME_SIZE_PX, FRAME_SIZE_PX)
 
 
 class Sample(TypedDict, total=False):
-    """One step of one episode; arrays become tensors in torch's default collation."""
+    """Sample of one step; torch's default collation converts the arrays to tensors."""
 
     rgb: NDArray[np.uint8]
-    """(640, 640, 3)."""
+    """(640, 640, 3) sRGB."""
     depth: NDArray[np.float32]
-    """(640, 640) metres."""
+    """(640, 640) depth, metres."""
     ids: NDArray[np.int32]
-    """(640, 640) instance ids; only when asked for."""
+    """(640, 640) instance ids; present only with `with_ids`."""
     instruction: str
     action: NDArray[np.float32]
-    """(2,) v in m/s, w in rad/s."""
+    """(2,) action: v in m/s, w in rad/s."""
     tokens: NDArray[np.int64]
-    """(2,) 0..6."""
+    """(2,) action tokens, 0..6."""
     episode_id: str
     step: int
 
 
 class FrameBatch(list[Sample]):
-    """Samples whose images lie side by side: a list as any other to torch, which `collate` need not copy."""
+    """List of samples whose images share contiguous arrays, which `collate` uses without a copy."""
 
     def __init__(self, samples: Sequence[Sample], images: dict[str, NDArray[Any]]) -> None:
         super().__init__(samples)
         self.images = images
-        """By the name in `Sample`: (N, 640, 640, ...), of which every sample holds one."""
+        """Batch arrays by field name of `Sample`, (N, 640, 640, ...); each sample holds a view of one element."""
 
 
 class FrameDataset:
-    """A map-style dataset: `len` frames, indexed over all episodes in order.
+    """Map-style dataset of frames, indexed over all episodes in order.
 
-    Fastest with `collate` and without worker processes, `DataLoader(frames, 16, shuffle=True, collate_fn=collate)`:
-    a batch is decoded on all cores.
+    Decoding is fastest with `collate` and without worker processes,
+    `DataLoader(frames, 16, shuffle=True, collate_fn=collate)`: threads decode a batch on all cores.
 
     Args:
-        dataset: the episodes, filtered as wanted.
-        with_ids: whether samples hold the instance ids.
-        stride: take every n-th frame of an episode.
-        threads: that decode a batch; by default one a core, and one alone in a worker process.
+        dataset: Episodes to read; filter it first if needed.
+        with_ids: Whether samples contain the instance ids.
+        stride: Use every n-th frame of an episode.
+        threads: Threads that decode a batch. Default: one per core, or one in a worker process.
     """
 
     def __init__(self, dataset: Dataset, with_ids: bool = False, stride: int = 1, threads: int | None = None) -> None:
@@ -88,7 +88,7 @@ class FrameDataset:
         return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> FrameBatch:
-        """Returns the samples of a batch; torch asks for them all at once by this name."""
+        """Returns the samples of a batch; PyTorch calls this method with all indices of the batch."""
         steps = [self._find(index) for index in indices]
         images: dict[str, NDArray[Any]] = {
             "rgb": np.empty((len(steps), *_IMAGE, 3), np.uint8),
@@ -106,7 +106,7 @@ class FrameDataset:
 
         threads = min(len(steps), self._threads or _usable_cores())
         samples = list(map(fill, range(len(steps))) if threads < 2 else _pool(threads).map(fill, range(len(steps))))
-        while len(self._open) > _OPEN_EPISODES:  # not before: one of this batch would be closed while it is read
+        while len(self._open) > _OPEN_EPISODES:  # closed only after decoding, because the batch uses them
             self._open.popitem(last=False)[1].close()
         return FrameBatch(samples, images)
 
@@ -125,15 +125,15 @@ class FrameDataset:
 
 
 def collate(samples: Sequence[Sample]) -> dict[str, Any]:
-    """Returns what torch's default collation makes of a batch; the images of a `FrameBatch` are not copied for it.
+    """Collates a batch as PyTorch's default collation does, but does not copy the images of a `FrameBatch`.
 
     Raises:
-        UsageError: torch is not installed; the message names the extra.
+        UsageError: PyTorch is not installed; the message names the extra.
     """
     require_package("torch", "collate of factory.dataset.torch")
     import torch
 
-    if not isinstance(samples, FrameBatch):  # of several datasets joined by torch
+    if not isinstance(samples, FrameBatch):  # samples of several datasets, joined by `ConcatDataset`
         return cast(dict[str, Any], torch.utils.data.default_collate(samples))
     rest = [{name: value for name, value in sample.items() if name not in samples.images} for sample in samples]
     images = {name: torch.from_numpy(batch) for name, batch in samples.images.items()}
@@ -158,7 +158,7 @@ _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Returns this process's pool of so many threads; a fork has none of its parent's threads."""
+    """Returns the thread pool of this process; a forked process creates a new one, because it has no threads."""
     key = (os.getpid(), threads)
     if key not in _pools:
         _pools[key] = ThreadPoolExecutor(threads, "decode")

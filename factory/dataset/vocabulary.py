@@ -1,4 +1,4 @@
-"""What may stand behind a filter of a dataset: the task's words, those of its plan, and what it holds. Pure."""
+"""Validates filter values of a dataset against the vocabulary of the task, the plan and the dataset. Pure functions."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _SHOWN = 24
 
 
 def require_known(name: str, values: Iterable[str], held: Sequence[str], plan: Plan) -> None:
-    """Makes sure that every value could be one of a filter's, whether or not an episode has it.
+    """Raises an error unless every value is valid for a filter, even if no episode has it.
 
     Args:
-        name: of the filter.
-        values: as asked for.
-        held: the filter's values in the dataset, each once.
-        plan: of the dataset.
+        name: Name of the filter.
+        values: Requested values.
+        held: Distinct values of the filter in the dataset.
+        plan: Plan of the dataset.
 
     Raises:
-        UsageError: a value is none; names those that there are.
+        UsageError: A value is not valid; the message lists the valid values.
     """
     words = _WORDS[name](plan) if name in _WORDS else ()
     is_spelt_like_one = _SPELLINGS.get(name, _is_nothing)
@@ -56,13 +56,13 @@ def _is_nothing(value: str, plan: Plan) -> bool:  # noqa: ARG001
 
 
 def _is_target(value: str, plan: Plan) -> bool:
-    """Whether it is spelt as the listing of a scene would: a target that no episode has is no mistake."""
+    """Returns whether a value has the form of a target id, such as `rack_001`; it need not occur in an episode."""
     category, _, number = value.rpartition("_")
     return category in _categories(plan) and re.fullmatch(r"[0-9]{3,}", number) is not None
 
 
 def _is_episode(value: str, plan: Plan) -> bool:
-    """Whether it is planned: it may have failed, or stand in another part of the dataset."""
+    """Returns whether a value is the id of a planned episode; it need not be archived or in this part."""
     number = value.removeprefix("ep_")
     return re.fullmatch(r"[0-9]{6,}", number) is not None and (
         1 <= int(number) <= plan.episodes and value == episode_id(int(number))
@@ -80,6 +80,6 @@ _WORDS: Mapping[str, Callable[[Plan], Sequence[str]]] = MappingProxyType(
         "category": _categories,
     }
 )
-"""Filter -> its words, which are right whatever a dataset holds."""
+"""Filter -> values that are valid for every dataset."""
 _SPELLINGS: Mapping[str, Callable[[str, Plan], bool]] = MappingProxyType({"target": _is_target, "episode": _is_episode})
-"""Filter -> whether something is spelt as its values are, of which there are too many to list."""
+"""Filter -> predicate for values of filters that have too many values to list."""

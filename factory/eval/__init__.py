@@ -1,6 +1,6 @@
-"""Closed-loop evaluation: specs of episodes, a stepping simulator, policies, metrics with intervals, results on disk.
+"""Closed-loop evaluation of policies: episode specs, simulator, policy interface, metrics with intervals, results.
 
-A result is a pure function of spec, policy and software, whoever runs it and in which order.
+The result of an episode depends only on spec, policy and software, not on the machine or the order of execution.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The Gymnasium environment `MiniVLANav-v0`, registered by importing this package. Imports no simulation by itself.
+"""Registers the Gymnasium environment `MiniVLANav-v0` on import. Does not import the simulation.
 
-Gymnasium imports the package when a name begins with it:
+Gymnasium imports this package when the environment id has its name as a prefix:
 
 >>> import gymnasium  # doctest: +SKIP
 >>> env = gymnasium.make("factory.gym:MiniVLANav-v0", data="dataset", split="train_id")  # doctest: +SKIP
@@ -21,7 +21,7 @@ ENV_ID = "MiniVLANav-v0"
 
 
 def register_envs() -> None:
-    """Registers the environment; doing so twice is harmless."""
+    """Registers the environment; can be called more than once."""
     if ENV_ID not in gymnasium.registry:
         gymnasium.register(ENV_ID, entry_point="factory.gym.env:MiniVLANavEnv")
 

@@ -1,6 +1,7 @@
-"""The task as a Gymnasium environment: episodes of a dataset's specs, one action a control period.
+"""Gymnasium environment of the task: episodes of a dataset or of evaluation specs, one action in each control period.
 
-Same physics, camera, slew limit and ends as collection and `factory eval`; stands on their simulator.
+Uses the simulator of collection and `factory eval`, with the same physics, camera, slew limit and end conditions.
+Contains no physics itself.
 """
 
 from __future__ import annotations
@@ -43,22 +44,23 @@ Info = dict[str, Any]
 
 
 class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
-    """Drive to the named object and stop within the success radius.
+    """Gymnasium environment: drive to the object named in the instruction and stop within the success radius.
 
-    Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) float32 metres, 0 where nothing was hit;
-    `instruction`, as the argument of that name says; and with `with_pose` also `pose`, x, y in metres and yaw in
-    radians in the frame of the start.
+    Observations: `rgb` (size, size, 3) uint8; `depth` (size, size) float32 metres, 0 where the ray hits nothing;
+    `instruction`, in the form given by the argument of that name; and, if `with_pose` is set, `pose`: x, y in metres
+    and yaw in radians in the frame of the start pose.
 
-    Actions: `(v, w)` in m/s and rad/s; with `actions="scaled"` the same over their limits, in [0, 1] x [-1, 1], as
-    learning libraries like them; with `actions="tokens"` two tokens 0..6. Reward: the metres come nearer to the target,
-    and 10 for success. Terminated by success and collision, truncated by the limit of steps.
+    Actions: `(v, w)` in m/s and rad/s; with `actions="scaled"`, both divided by their limits, in [0, 1] x [-1, 1], the
+    range that learning libraries expect; with `actions="tokens"`, two tokens 0..6. The reward is the decrease of the
+    distance to the target in metres, plus 10 for success. Success and collision terminate the episode; the step limit
+    truncates it.
 
-    A process that each environment starts renders the frames, because OpenGL's libraries crash others (triton, which
-    PyTorch brings) and do not survive a fork. It uses one core, or as many threads as `LP_NUM_THREADS` says. An
-    environment works in the process that made it; vector environments work with every multiprocessing context.
+    Each environment starts a process that renders the frames, because the OpenGL libraries conflict with others
+    (triton, a dependency of PyTorch) and do not work after a fork. It uses one core, or `LP_NUM_THREADS` threads. An
+    environment works only in the process that created it; vector environments work with every multiprocessing context.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012 - the way of Gymnasium
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012 - required by Gymnasium
 
     def __init__(
         self,
@@ -73,28 +75,28 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         instruction: InstructionKind = "text",
         vocabulary: Sequence[str] | None = None,
     ) -> None:
-        """Starts a rendering process; scenes are loaded as episodes want them.
+        """Starts the rendering process; scenes are loaded when an episode needs them.
 
         Args:
-            data: a dataset directory, for its scenes and, without `specs`, its episodes. Required.
-            split: one or several of its splits, `a,b`.
-            specs: a file of `factory eval specs`, or the set itself, in the place of `split`.
+            data: Dataset directory, used for its scenes and, without `specs`, its episodes. Required.
+            split: One or more splits of the dataset, separated by commas.
+            specs: File written by `factory eval specs`, or a spec set, used instead of `split`.
             actions: `continuous`, `scaled` or `tokens`.
-            with_pose: whether observations have the pose.
-            size: width and height at which `rgb` and `depth` are rendered, pixels. The field of view, the physics and
-                the ends of episodes do not depend on it; small frames take a fraction of the time. They are not the
-                frames of 640 pixels shrunk: each pixel shows one ray, and textures are smoothed for the size.
+            with_pose: Whether observations contain the pose.
+            size: Width and height of `rgb` and `depth`, pixels. The field of view, the physics and the end conditions
+                do not depend on it; small frames render faster. They are not downscaled frames of 640 pixels: each
+                pixel samples one ray, and texture filtering depends on the size.
             renderer: `auto`, `gl` or `tiny`.
             render_mode: `rgb_array` or `None`.
-            instruction: `text`, a string of up to 256 characters; `tokens`, (16,) int64 numbers of words in
-                `vocabulary`: 0 pads behind the last word, 1 is a word that is not in the vocabulary; `none`, no
-                instruction. Stable-Baselines3 needs `tokens` or `none`.
-            vocabulary: the words by number, for `tokens`; for another dataset than that of the training, pass the
-                training's. `None` is the vocabulary of `data`, which is the same for all its splits.
+            instruction: `text`, a string of up to 256 characters; `tokens`, (16,) int64 indices of words in
+                `vocabulary`, where 0 is padding after the last word and 1 is an unknown word; `none`, no
+                instruction. Stable-Baselines3 requires `tokens` or `none`.
+            vocabulary: Words by index, for `tokens`. Pass the vocabulary of the training to evaluate on another
+                dataset. `None` uses the vocabulary of `data`, which is the same for all its splits.
 
         Raises:
-            UsageError: `data` is missing, or there is no such kind of actions or instruction, size or split.
-            WorldError: the dataset cannot be read.
+            UsageError: `data` is missing, or the value of another argument is not valid.
+            WorldError: The dataset cannot be read.
         """
         _require_valid(actions, size, render_mode)
         root = _root_of(data)
@@ -104,7 +106,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self._actions, self._with_pose, self._size = actions, with_pose, size
         self._instruction = instruction
         self.vocabulary: tuple[str, ...] = words_for(instruction, vocabulary, root)
-        """The words by their number in `tokens`; empty for other kinds of instruction."""
+        """Words by their index in `tokens`; empty for other kinds of instruction."""
         self.observation_space = self._make_observation_space(size)
         self.action_space = self._make_action_space()
         self._places = Places(root)
@@ -114,28 +116,28 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         self._view: Observation | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[GymObservation, Info]:
-        """Begins an episode: drawn by the environment's generator, or `options={"episode": ID}`.
+        """Starts an episode: a random one, or the one given by `options={"episode": ID}`.
 
         Raises:
-            UsageError: there is no such episode, or the environment was made before this process was forked.
+            UsageError: The episode does not exist, or the environment was created before this process was forked.
         """
         self._require_own_process()
         super().reset(seed=seed)
         spec = self._choose((options or {}).get("episode"))
-        place = self._places.load(spec.scene, spec.scene_sha256)
-        self._view = self._simulator.reset(spec, place)
+        loaded = self._places.load(spec.scene, spec.scene_sha256)
+        self._view = self._simulator.reset(spec, loaded)
         return self._observe(self._view), self._inform(self._view)
 
     def step(self, action: NDArray[Any]) -> tuple[GymObservation, float, bool, bool, Info]:
-        """Carries one action out, within the robot's range and slew limit.
+        """Executes one action, limited to the action range and slew limit of the robot.
 
         Raises:
-            ValueError: the action has another shape, or is not finite.
+            ValueError: The action has the wrong shape, or is not finite.
         """
         self._require_own_process()
         before = self._view
         if before is None:
-            raise RuntimeError("step() before reset()")
+            raise RuntimeError("step() was called before reset()")
         view = self._simulator.step(self._twist(action))
         self._view = view
         is_success = view.end is EndReason.SUCCESS
@@ -145,20 +147,20 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         return self._observe(view), float(reward), terminated, truncated, self._inform(view)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Returns what the camera sees, (640, 640, 3), in the render mode `rgb_array`."""
+        """Returns the camera image, (640, 640, 3), in the render mode `rgb_array`; otherwise `None`."""
         if self.render_mode is None or self._view is None:
             return None
         return self._view.frame.rgb
 
     def close(self) -> None:
-        """Frees world and renderer; closing twice is harmless."""
+        """Closes the simulation and the renderer; can be called more than once."""
         self._simulator.close()
         self._stage.renderer.close()
         self._view = None
 
     @property
     def spec_of_episode(self) -> EvalSpec:
-        """The running episode, goal and all: for evaluation, not for a policy."""
+        """Spec of the current episode, including the goal: for evaluation, not for a policy."""
         return self._simulator.spec
 
     def _require_own_process(self) -> None:

@@ -1,4 +1,4 @@
-"""Which episodes an environment has: those of splits of a dataset, or of a set of specs. Opens no renderer."""
+"""Selects the episodes of an environment: those of dataset splits, or of a spec set. Opens no renderer."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> Sp
     """Returns the episodes of an environment.
 
     Args:
-        root: the dataset.
-        split: one or several of its splits, `a,b`.
-        specs: a file of specs, or the set itself, in the place of `split`.
+        root: Location of the dataset.
+        split: One or more splits of the dataset, separated by commas.
+        specs: File of specs, or a spec set, used instead of `split`.
 
     Raises:
-        UsageError: there is no such split, or it has no episodes.
-        WorldError: the dataset or the file cannot be read.
+        UsageError: The split does not exist, or it has no episodes.
+        WorldError: The dataset or the file cannot be read.
     """
     if isinstance(specs, SpecSet):
         return specs

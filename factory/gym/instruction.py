@@ -1,6 +1,6 @@
-"""How an observation carries the instruction: as text, as numbers of a vocabulary, or not at all.
+"""Encodes the instruction of an observation: as text, as token indices of a vocabulary, or not at all.
 
-Knows Gymnasium's spaces and no simulation.
+Defines the Gymnasium spaces of the instruction. Does not use the simulation.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gymnasium.vector.utils import read_from_shared_memory
 from numpy.typing import NDArray
 
 from factory.dataset.reader import Dataset
-from factory.train.words import MAX_WORDS, encode, vocabulary
+from factory.train.vocabulary import MAX_WORDS, encode, vocabulary
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from schemas.terms import COLOUR_NAMES
@@ -35,9 +35,9 @@ _CHARSET = "".join(sorted(set(string.printable)))
 
 
 class InstructionText(spaces.Text):
-    """Texts of up to `MAX_INSTRUCTION` characters, current in the shared memory of `AsyncVectorEnv` too.
+    """Space of texts of up to `MAX_INSTRUCTION` characters that `AsyncVectorEnv` updates at every step.
 
-    Gymnasium 1.4 reads the texts of a `Text` space from its shared memory once, when the environments are made.
+    Gymnasium 1.4 reads the texts of a `Text` space from shared memory only once, when the environments are created.
     """
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ class InstructionText(spaces.Text):
 
 
 class _SharedTexts(Sequence[str]):
-    """The present texts in shared memory; a deep copy, which `AsyncVectorEnv` returns, is a tuple of strings."""
+    """Current texts in shared memory; a deep copy, which `AsyncVectorEnv` returns, is a tuple of strings."""
 
     def __init__(self, space: InstructionText, memory: Any, count: int) -> None:
         self._space, self._memory, self._count = space, memory, count
@@ -76,14 +76,14 @@ def _read_texts(space: InstructionText, shared_memory: Any, n: int = 1) -> _Shar
 
 
 def instruction_space(kind: InstructionKind, words: Sequence[str]) -> spaces.Space[Any] | None:
-    """Returns the space of the instruction; `None` where an observation has none.
+    """Returns the Gymnasium space of the instruction; `None` for observations without an instruction.
 
     Args:
-        kind: how it is carried.
-        words: the vocabulary, for `tokens`.
+        kind: Encoding of the instruction.
+        words: Vocabulary, for `tokens`.
 
     Raises:
-        UsageError: there is no such kind.
+        UsageError: The kind is not valid.
     """
     if kind == "text":
         return InstructionText()
@@ -91,25 +91,26 @@ def instruction_space(kind: InstructionKind, words: Sequence[str]) -> spaces.Spa
         return spaces.MultiDiscrete(np.full(MAX_WORDS, len(words), np.int64))
     if kind == "none":
         return None
-    raise UsageError(f"instruction {kind!r}: choose {', '.join(get_args(InstructionKind))}")
+    raise UsageError(f"instruction={kind!r} is not valid; valid values: {', '.join(get_args(InstructionKind))}")
 
 
 def encode_instruction(kind: InstructionKind, instruction: str, words: Sequence[str]) -> str | NDArray[np.int64]:
-    """Returns the instruction as a member of its space."""
+    """Returns the instruction as an element of its space."""
     return encode(instruction, words) if kind == "tokens" else instruction
 
 
 def words_for(kind: InstructionKind, words: Sequence[str] | None, root: Place) -> tuple[str, ...]:
-    """Returns the vocabulary: the words given, or those of templates, categories, colours and a dataset's instructions.
+    """Returns the vocabulary: the given words, or those of templates, categories, colours and the dataset.
 
     Args:
-        kind: how the instruction is carried; only `tokens` has a vocabulary.
-        words: the words by number, as an environment's `vocabulary` has them; `None` for those of the dataset.
-        root: the dataset. The instructions of all its episodes count, so that every split has the same vocabulary.
+        kind: Encoding of the instruction; only `tokens` has a vocabulary.
+        words: Words by index, such as `vocabulary` of an environment; `None` uses the words of the dataset.
+        root: Location of the dataset. The vocabulary includes the instructions of all episodes, so that it is the same
+            for all splits.
 
     Raises:
-        UsageError: there are words for another kind, or they are those of no environment.
-        WorldError: the dataset cannot be read.
+        UsageError: `words` is given for another kind, or is not the vocabulary of an environment.
+        WorldError: The dataset cannot be read.
     """
     if kind != "tokens":
         if words is not None:

@@ -1,5 +1,5 @@
-"""Certificates for the transport: an authority of one's own, and one certificate a host."""
+"""Creates TLS certificates for the transport: one private authority, and one certificate for each host."""
 
-from factory.keys.folder import HostKeys, admit, found, list_hosts, revoke
+from factory.keys.folder import HostKeys, admit, create_authority, list_hosts, revoke
 
-__all__ = ["HostKeys", "admit", "found", "list_hosts", "revoke"]
+__all__ = ["HostKeys", "admit", "create_authority", "list_hosts", "revoke"]

@@ -1,4 +1,4 @@
-"""The door to `cryptography`: makes an authority and signs certificates of hosts. Writes no file."""
+"""Creates a certificate authority and signs host certificates with `cryptography`. Writes no files."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
-__all__ = ["Certificate", "expiry_of", "found_authority", "issue", "require_cryptography"]
+__all__ = ["Certificate", "create_authority_certificate", "expiry_of", "issue", "require_cryptography"]
 
-_HEAD_START = timedelta(minutes=5)
-"""Clocks of hosts differ."""
+_CLOCK_TOLERANCE = timedelta(minutes=5)
+"""Time by which validity starts early, because the clocks of hosts differ."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 class Certificate(NamedTuple):
-    """A certificate and its private key, as PEM."""
+    """X.509 certificate and its private key, PEM encoded."""
 
     certificate: bytes
     key: bytes
 
 
 def require_cryptography() -> None:
-    """Makes sure that the extra is there.
+    """Raises an error unless the package `cryptography` is installed.
 
     Raises:
-        UsageError: it is not.
+        UsageError: The package is not installed.
     """
     require_package("cryptography", "`factory keys`")
 
 
-def found_authority(name: str, days: int, now: datetime) -> Certificate:
-    """Makes a new authority: P-256, signing certificates of hosts only."""
+def create_authority_certificate(name: str, days: int, now: datetime) -> Certificate:
+    """Creates a certificate authority with a P-256 key, which may sign host certificates only."""
     require_cryptography()
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
@@ -69,18 +69,18 @@ def found_authority(name: str, days: int, now: datetime) -> Certificate:
 def issue(
     authority: Certificate, name: str, role: Role, addresses: Sequence[str], days: int, now: datetime
 ) -> Certificate:
-    """Signs a certificate whose common name is the host's name.
+    """Signs a host certificate; its common name is the name of the host.
 
     Args:
-        authority: that signs.
-        name: of the host.
-        role: a coordinator's certificate can only listen, a gateway's listen and connect, the others' only connect.
-        addresses: names and IP addresses under which others reach the host; loopback is always among them.
-        days: of validity.
-        now: the beginning, less a few minutes for clocks that differ.
+        authority: Certificate and key of the signing authority.
+        name: Name of the host.
+        role: Role of the host. Coordinators may only listen, gateways may listen and connect, others only connect.
+        addresses: Names and IP addresses at which peers reach the host. Loopback is added for roles that listen.
+        days: Validity, days.
+        now: Current time; validity starts five minutes earlier, because the clocks of hosts differ.
 
     Raises:
-        WorldError: the authority's files cannot be understood.
+        WorldError: The files of the authority cannot be parsed.
     """
     require_cryptography()
     from cryptography import x509
@@ -104,10 +104,10 @@ def issue(
 
 
 def expiry_of(certificate: bytes) -> datetime:
-    """Returns when a certificate ends, UTC.
+    """Returns the expiry time of a PEM certificate, UTC.
 
     Raises:
-        WorldError: it cannot be understood.
+        WorldError: The certificate cannot be parsed.
     """
     require_cryptography()
     from cryptography import x509
@@ -158,7 +158,7 @@ def _builder(
         .issuer_name(issuer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(begin - _HEAD_START)
+        .not_valid_before(begin - _CLOCK_TOLERANCE)
         .not_valid_after(begin + timedelta(days=days))
     )
 

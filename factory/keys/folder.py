@@ -1,6 +1,7 @@
-"""The folder of an authority: its own files, one folder a host, and the list of those admitted. Signs nothing itself.
+"""Manages the folder of a certificate authority: its files, one folder for each host, and the list of admitted hosts.
 
-`DIR/ca.pem`, `DIR/ca.key`, `DIR/hosts.txt`, and `DIR/<host>/` to be copied whole to that host. Secrets are 0600.
+The layout is `DIR/ca.pem`, `DIR/ca.key`, `DIR/hosts.txt` and `DIR/<host>/`; the user copies `DIR/<host>/` to that host.
+Private keys have mode 0600. Signs nothing itself.
 """
 
 from __future__ import annotations
@@ -11,18 +12,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from factory.keys.authority import Certificate, expiry_of, found_authority, issue
+from factory.keys.authority import Certificate, create_authority_certificate, expiry_of, issue
 from schemas.errors import UsageError
 from schemas.identity import ADMITTED_FILE, CA_FILE, Role, parse_admitted, require_host_name, spell_admitted, tls_files
 from schemas.storage.disk import translated
 
-__all__ = ["HostKeys", "admit", "found", "list_hosts", "revoke"]
+__all__ = ["HostKeys", "admit", "create_authority", "list_hosts", "revoke"]
 
 _CA_KEY_FILE, _ROLE_FILE = "ca.key", "role.txt"
 
 
 class HostKeys(NamedTuple):
-    """One host that has a certificate."""
+    """Host with a certificate."""
 
     name: str
     role: Role
@@ -31,17 +32,17 @@ class HostKeys(NamedTuple):
     folder: Path
 
 
-def found(folder: Path, name: str, days: int, now: datetime) -> Path:
-    """Makes an authority in a folder that has none.
+def create_authority(folder: Path, name: str, days: int, now: datetime) -> Path:
+    """Creates a certificate authority in a folder that has none.
 
     Raises:
-        UsageError: there is one; replacing it would shut every host out.
+        UsageError: The folder already has an authority; replacing it would invalidate every host certificate.
     """
     if (folder / _CA_KEY_FILE).exists() or (folder / CA_FILE).exists():
         raise UsageError(
             f"{folder} contains an authority already; a new one would lock out all its hosts: choose another folder"
         )
-    made = found_authority(name, days, now)
+    made = create_authority_certificate(name, days, now)
     with translated("write", folder):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _write_secret(folder / _CA_KEY_FILE, made.key)
@@ -53,28 +54,28 @@ def found(folder: Path, name: str, days: int, now: datetime) -> Path:
 def admit(
     folder: Path, name: str, role: Role, addresses: Sequence[str], days: int, now: datetime, *, renew: bool = False
 ) -> Path:
-    """Makes the folder of a host, with a certificate of its own, and admits it.
+    """Creates the folder of a host with its certificate, and adds the host to the admission lists.
 
     Args:
-        folder: of the authority.
-        name: of the host; becomes the common name.
-        role: what the certificate is for.
-        addresses: under which a coordinator or gateway is reached, besides its name and loopback.
-        days: of validity.
-        now: the beginning.
-        renew: whether a certificate that is there is replaced.
+        folder: Folder of the authority.
+        name: Name of the host, used as the common name.
+        role: Role of the host.
+        addresses: Addresses of a coordinator or gateway in addition to its name and loopback.
+        days: Validity, days.
+        now: Current time, the start of validity.
+        renew: Whether to replace an existing certificate.
 
     Returns:
-        The folder to copy to that host and to give as `--tls`.
+        The folder to copy to the host and to pass as `--tls`.
 
     Raises:
-        UsageError: no authority, no name for a host, or the host has a certificate.
+        UsageError: The folder has no authority, the name is invalid, or the host already has a certificate.
     """
     authority = _authority(folder)
     place = folder / require_host_name(name)
     files = tls_files(place)
     if files.key.exists() and not renew:
-        raise UsageError(f"{place} has a certificate already: give --renew to replace it, or choose another name")
+        raise UsageError(f"{place} already has a certificate; pass --renew to replace it, or choose another name")
     made = issue(authority, name, role, addresses, days, now)
     with translated("write", place):
         place.mkdir(mode=0o700, exist_ok=True)
@@ -87,32 +88,32 @@ def admit(
     admitted.pop(name, None)
     if role is not Role.COORDINATOR:
         admitted[name] = role
-    _tell_listeners(folder, admitted)
+    _write_admission_lists(folder, admitted)
     return place
 
 
 def revoke(folder: Path, name: str) -> tuple[Path, ...]:
-    """Takes a host from the lists of those admitted; its certificate is of no use from then on.
+    """Removes a host from the admission lists; coordinators and gateways reject its certificate from then on.
 
     Returns:
-        The lists that coordinators and gateways read; those on other machines have to be copied there.
+        The paths of the admission lists of coordinators and gateways. Copy them to those machines.
 
     Raises:
-        UsageError: it is not admitted.
+        UsageError: The host is not admitted.
     """
     _authority(folder)
     admitted = dict(_admitted(folder))
     if admitted.pop(name, None) is None:
         known = ", ".join(admitted) or "none"
         raise UsageError(f"{name!r} is not admitted; admitted hosts: {known}")
-    return _tell_listeners(folder, admitted)
+    return _write_admission_lists(folder, admitted)
 
 
 def list_hosts(folder: Path) -> list[HostKeys]:
-    """Returns every host that has a certificate, by name.
+    """Returns all hosts with a certificate, sorted by name.
 
     Raises:
-        UsageError: there is no authority.
+        UsageError: The folder has no authority.
     """
     _authority(folder)
     admitted = _admitted(folder)
@@ -138,16 +139,16 @@ def _admitted(folder: Path) -> Mapping[str, Role]:
     return parse_admitted(path.read_text(encoding="ascii")) if path.exists() else {}
 
 
-def _tell_listeners(folder: Path, admitted: Mapping[str, Role]) -> tuple[Path, ...]:
+def _write_admission_lists(folder: Path, admitted: Mapping[str, Role]) -> tuple[Path, ...]:
     roles = {path.parent: path.read_text().strip() for path in folder.glob(f"*/{_ROLE_FILE}")}
     coordinators = {place.name: Role.COORDINATOR for place, role in roles.items() if role == Role.COORDINATOR}
-    told = {folder: admitted}
-    told |= {place: admitted for place, role in roles.items() if role == Role.COORDINATOR}
-    told |= {place: {**admitted, **coordinators} for place, role in roles.items() if role == Role.GATEWAY}
+    lists = {folder: admitted}
+    lists |= {place: admitted for place, role in roles.items() if role == Role.COORDINATOR}
+    lists |= {place: {**admitted, **coordinators} for place, role in roles.items() if role == Role.GATEWAY}
     with translated("write", folder):
-        for place, names in told.items():
+        for place, names in lists.items():
             _write_open(place / ADMITTED_FILE, spell_admitted(names).encode())
-    return tuple(sorted(place / ADMITTED_FILE for place in told.keys() - {folder}))
+    return tuple(sorted(place / ADMITTED_FILE for place in lists.keys() - {folder}))
 
 
 def _write_secret(path: Path, data: bytes) -> None:
@@ -159,7 +160,7 @@ def _write_open(path: Path, data: bytes) -> None:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """Replaces a file as a whole, so that nobody reads half of it."""
+    """Replaces a file atomically."""
     part = path.with_name(f".{path.name}.part")
     part.unlink(missing_ok=True)
     descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)

@@ -1,4 +1,4 @@
-"""Uploading a dataset or an export to the Hugging Face Hub: what goes there, in which commits, under which tag."""
+"""Uploads a dataset or an export to the Hugging Face Hub: selects files, splits them into commits, sets the tag."""
 
 from __future__ import annotations
 

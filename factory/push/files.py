@@ -1,4 +1,4 @@
-"""What of a folder goes to the Hub, in which batches and under which tag. Reads the disk, never the network."""
+"""Selects the files of a folder to upload, their batches and the tag. Reads the disk; does not use the network."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from schemas.errors import UsageError, WorldError
 __all__ = ["BATCH_BYTES", "BATCH_FILES", "PushFile", "PushPlan", "batches_of", "plan_push", "require_repository"]
 
 BATCH_FILES = 400
-"""Files of one commit; the Hub advises against many more."""
+"""Maximum number of files in one commit; the Hub advises against many more."""
 BATCH_BYTES = 5_000_000_000
-"""Bytes of one commit, unless a single file has more."""
+"""Maximum size of one commit, bytes, unless a single file is larger."""
 _MAX_FILES_A_FOLDER = 10_000
-"""The Hub's limit on entries of one folder."""
+"""Maximum number of entries in a folder, set by the Hub."""
 _LEROBOT_INFO = Path("meta/info.json")
 _JSON_BYTES = 16 << 20
-"""The largest description that is read."""
+"""Maximum size of a description file, bytes."""
 _DATASET_FOLDERS = (EPISODES, SCENES, SPLITS_FOLDER)
 _REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
 _VERSION = re.compile(r"v\d+\.\d+")
@@ -30,41 +30,41 @@ _VERSION = re.compile(r"v\d+\.\d+")
 
 @dataclass(frozen=True)
 class PushFile:
-    """One file to upload."""
+    """File to upload."""
 
     path: Path
-    """Where it lies."""
+    """Local path."""
     name: str
-    """Its path in the repository, with forward slashes."""
+    """Path in the repository, with forward slashes."""
     size: int
-    """Bytes."""
+    """Size of the file, bytes."""
 
 
 @dataclass(frozen=True)
 class PushPlan:
-    """All that would be uploaded of one folder."""
+    """Upload plan of one folder."""
 
     root: Path
     kind: str
     """`dataset` or `export`."""
     files: tuple[PushFile, ...]
-    """In the order of upload: data first, descriptions last, so that nothing describes what is not there yet."""
+    """Files in the order of upload: data first, then descriptions, so that a description never precedes its data."""
     tag: str | None
-    """Tag that readers of the format demand: LeRobot's version, e.g. `v3.0`."""
+    """Tag required by readers of the format: LeRobot's version, such as `v3.0`; `None` for other formats."""
     remarks: tuple[str, ...]
-    """What the user should know before it is public."""
+    """Warnings to show to the user before the upload."""
 
     @property
     def total_bytes(self) -> int:
-        """Bytes of all files."""
+        """Total size of all files, bytes."""
         return sum(file.size for file in self.files)
 
 
 def require_repository(name: str) -> str:
-    """Returns the name of a repository when it is one.
+    """Returns a repository name after validating it.
 
     Raises:
-        UsageError: it is not of the form OWNER/NAME.
+        UsageError: The name does not have the form OWNER/NAME.
     """
     if not _REPOSITORY.fullmatch(name) or ".." in name or "--" in name:
         raise UsageError(f"{name!r} is not a valid repository; write OWNER/NAME, e.g. my-lab/office-navigation")
@@ -72,15 +72,15 @@ def require_repository(name: str) -> str:
 
 
 def plan_push(root: Path, manifest_name: str) -> PushPlan:
-    """Lists what of a folder goes to the Hub.
+    """Returns the upload plan of a folder.
 
     Args:
-        root: a dataset directory or the output of `factory export`.
-        manifest_name: the file that marks an export.
+        root: Dataset directory, or output of `factory export`.
+        manifest_name: Name of the file that identifies an export.
 
     Raises:
-        UsageError: the folder is neither.
-        WorldError: it cannot be read, or holds nothing.
+        UsageError: The folder is neither a dataset nor an export.
+        WorldError: The folder cannot be read, or it is empty.
     """
     kind = _kind_of(root, manifest_name)
     remarks: list[str] = []
@@ -98,7 +98,7 @@ def plan_push(root: Path, manifest_name: str) -> PushPlan:
 def batches_of(
     files: Sequence[PushFile], most_files: int = BATCH_FILES, most_bytes: int = BATCH_BYTES
 ) -> Iterator[tuple[PushFile, ...]]:
-    """Yields runs of files, in order, that fit into one commit each."""
+    """Yields batches of consecutive files, each small enough for one commit."""
     batch: list[PushFile] = []
     size = 0
     for file in files:
@@ -128,11 +128,11 @@ def _walk(root: Path, kind: str, remarks: list[str]) -> Iterator[PushFile]:
             path = here / name
             relative = path.relative_to(root).as_posix()
             if path.is_symlink() or not path.is_file():
-                remarks.append(f"{relative} is a link or no plain file and stays here")
+                remarks.append(f"{relative} is a link or not a regular file and is not uploaded")
             elif _goes(relative, name, kind):
                 yield PushFile(path, relative, path.stat().st_size)
         for name in [name for name in folders if (here / name).is_symlink()]:
-            remarks.append(f"{(here / name).relative_to(root).as_posix()} is a link and stays here")
+            remarks.append(f"{(here / name).relative_to(root).as_posix()} is a link and is not uploaded")
 
 
 def _goes_in(at_top: bool, name: str, kind: str) -> bool:
@@ -142,7 +142,7 @@ def _goes_in(at_top: bool, name: str, kind: str) -> bool:
 
 
 def _goes(relative: str, name: str, kind: str) -> bool:
-    """The ledger names hosts and is of no use to a reader; hidden files are ours."""
+    """Returns whether to upload a file. Excludes the ledger, which names hosts, and hidden and temporary files."""
     if name.startswith(".") or name.endswith((".part", ".tmp")):
         return False
     at_top = "/" not in relative
@@ -159,8 +159,8 @@ def _incomplete(description: Path, kind: str) -> list[str]:
         return []
     if kind == "dataset":
         found = f"{meta.get('episodes')} of {meta.get('planned')} planned episodes"
-        return [f"the dataset is not complete ({found}): finish it with `factory run`, or push it again later"]
-    return ["the export is not complete: call `factory export` again, or it goes up as it is"]
+        return [f"the dataset is not complete ({found}): complete it with `factory run`, or push it again later"]
+    return ["the export is not complete: run `factory export` again, or it is uploaded incomplete"]
 
 
 def _crowded(files: Sequence[PushFile]) -> list[str]:
@@ -169,7 +169,7 @@ def _crowded(files: Sequence[PushFile]) -> list[str]:
         folder = file.name.rpartition("/")[0]
         counts[folder] = counts.get(folder, 0) + 1
     return [
-        f"{folder or '.'} has {count} files; the Hub takes {_MAX_FILES_A_FOLDER} a folder: choose a sharded format"
+        f"{folder or '.'} has {count} files; the Hub allows {_MAX_FILES_A_FOLDER} in a folder: choose a sharded format"
         for folder, count in counts.items()
         if count > _MAX_FILES_A_FOLDER
     ]

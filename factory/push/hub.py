@@ -1,7 +1,8 @@
-"""The door to the Hugging Face Hub: makes the repository, commits files in batches, moves the tag. Decides nothing.
+"""Uploads to the Hugging Face Hub: creates the repository, commits files in batches, moves the tag.
 
-The token comes from the Hub's own places (`HF_TOKEN`, `hf auth login`); it is never printed, logged or taken as an
-argument, where other users of the machine could read it.
+`huggingface_hub` is imported here only. The module does not select files. It reads the token from the locations of the
+Hub (`HF_TOKEN`, `hf auth login`) and never prints or logs it, and does not accept it as a command line argument, which
+other users of the machine can read.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from schemas.support.extras import missing_package
 __all__ = ["PushResult", "push", "require_safe_endpoint"]
 
 ProgressCallback = Callable[[int, int], None]
-"""Told files and bytes that have been committed."""
+"""Called with the number of files and bytes of each commit."""
 
 
 class PushResult(NamedTuple):
-    """What stands on the Hub now."""
+    """Result of an upload."""
 
     url: str
-    """Page of the repository."""
+    """URL of the repository."""
     commits: int
-    """Commits that were sent; files that were there already are no new commit's content."""
+    """Number of commits sent; files that are already on the Hub add no content to them."""
     files: int
     total_bytes: int
     tag: str | None
@@ -42,18 +43,18 @@ def push(
     private: bool = False,
     tell: ProgressCallback | None = None,
 ) -> PushResult:
-    """Uploads a folder; after an interruption the same call goes on, as the Hub knows what it has.
+    """Uploads a folder; after an interruption, the same call resumes, because the Hub skips files it already has.
 
     Args:
-        plan: what to upload.
-        repository: OWNER/NAME of a dataset repository; made when it is not there.
-        endpoint: another Hub than huggingface.co.
-        private: whether a new repository is private.
-        tell: told of every commit.
+        plan: Upload plan.
+        repository: OWNER/NAME of a dataset repository, created if it does not exist.
+        endpoint: URL of the Hub; `None` means huggingface.co.
+        private: Whether a new repository is private.
+        tell: Progress callback, called after every commit.
 
     Raises:
-        UsageError: the endpoint would see the token unencrypted, or huggingface_hub is not installed.
-        WorldError: no token, no right to write, or no connection.
+        UsageError: The endpoint is not encrypted, or huggingface_hub is not installed.
+        WorldError: The token is missing, has no write permission, or the connection failed.
     """
     hub = _library()
     token = hub.get_token()
@@ -74,10 +75,10 @@ def push(
 
 
 def require_safe_endpoint(endpoint: str) -> None:
-    """Makes sure that a token does not travel unencrypted.
+    """Raises an error unless the connection to the endpoint is encrypted or local.
 
     Raises:
-        UsageError: the endpoint is neither https nor on this machine.
+        UsageError: The endpoint is neither an https URL nor on loopback.
     """
     parts = urlsplit(endpoint)
     if parts.scheme == "https" and parts.hostname:
@@ -99,7 +100,7 @@ def _library() -> ModuleType:
         from huggingface_hub.utils.tqdm import disable_progress_bars
     except ImportError as error:
         raise missing_package("huggingface_hub", "`factory push`") from error
-    disable_progress_bars()  # ours stands on stderr
+    disable_progress_bars()  # the command line shows its own on stderr
     return huggingface_hub
 
 
@@ -120,7 +121,7 @@ def _commit_all(hub: ModuleType, api: Any, plan: PushPlan, repository: str, tell
 
 
 def _move_tag(hub: ModuleType, api: Any, repository: str, tag: str) -> None:
-    """LeRobot reads the commit that carries its version as a tag; an older upload may have left one."""
+    """Moves a tag to the latest commit: LeRobot reads the commit whose tag is its version."""
     try:
         api.delete_tag(repository, tag=tag, repo_type="dataset")
     except hub.errors.RevisionNotFoundError:
@@ -137,25 +138,27 @@ def _translated(hub: ModuleType, repository: str, endpoint: str) -> Iterator[Non
         yield
     except hub.errors.HfHubHTTPError as error:
         status = error.response.status_code if error.response is not None else None
-        raise WorldError(_say_status(status, repository, endpoint, error)) from None  # the cause holds the request
+        raise WorldError(
+            _describe_status(status, repository, endpoint, error)
+        ) from None  # the cause contains the request and its token
     except hub.errors.HFValidationError as error:
         raise UsageError(f"{repository!r} is not a valid repository: {error}") from None
     except (hub.errors.HTTPError, OSError, ValueError, RuntimeError) as error:
         raise WorldError(f"the upload to {endpoint} stopped ({type(error).__name__}: {error}); {_AGAIN}") from None
 
 
-_AGAIN = "run the same command again: what is there already is not sent twice"
+_AGAIN = "run the same command again; files already on the Hub are not sent again"
 
 
-def _say_status(status: int | None, repository: str, endpoint: str, error: Exception) -> str:
+def _describe_status(status: int | None, repository: str, endpoint: str, error: Exception) -> str:
     if status in (401, 403):
         return (
-            f"{endpoint} refuses the token for {repository} ({status}): it needs write access to that owner; "
+            f"{endpoint} rejected the token for {repository} ({status}): the token needs write access to that owner; "
             "log in again with `hf auth login` or set HF_TOKEN"
         )
     if status == 404:
-        return f"{endpoint} has no {repository}, or the token may not see it (404): check owner and name"
+        return f"{endpoint} did not find {repository}, or the token has no access to it (404): check owner and name"
     if status == 413 or status == 507:
-        return f"{endpoint} has no room for {repository} ({status}): see its storage limits"
+        return f"{endpoint} has no storage left for {repository} ({status}): check its storage limits"
     first = str(error).strip().splitlines()
     return f"{endpoint} answered {status} ({first[0] if first else type(error).__name__}); {_AGAIN}"

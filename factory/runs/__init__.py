@@ -1,1 +1,1 @@
-"""Runs on one machine: scene catalog, gate, replay of episodes."""
+"""Generates datasets on one machine: scene catalog, acceptance gate, local runs, replay of episodes."""

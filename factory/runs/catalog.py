@@ -1,6 +1,7 @@
-"""The compiled scenes of a run: taken from the dataset if it has them, else built or imported.
+"""Provides the compiled scenes of a run: the packages in the dataset, otherwise newly built or imported ones.
 
-A dataset keeps the packages it was made with, so that it can be resumed and replayed by later versions.
+A dataset keeps the packages that it was generated with, so that later versions can resume and replay it. Simulates
+nothing.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ MessageCallback = Callable[[str], None]
 
 
 def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
-    """Returns the scenes of a plan that they can fulfil; see `collect_scenes`.
+    """Returns the scenes of a plan after checking that they can fulfil it; see `collect_scenes`.
 
     Raises:
-        InvalidPlan: the scenes do not have what the plan asks for; the nearest plan that they could fulfil is told,
-            and nothing has been made in `root` by then.
+        InvalidPlan: The scenes cannot fulfil the plan; the message describes the nearest feasible plan. Nothing has
+            been written to `root`.
     """
     entries = collect_scenes(plan, root, cache, tell)
     mistakes = find_impossible(plan, entries)
@@ -48,16 +49,16 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = l
 
 
 def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback = lambda _: None) -> Catalog:
-    """Returns the scenes of a plan, whatever they hold.
+    """Returns the scenes of a plan without checking that they can fulfil it.
 
     Args:
-        plan: names the scenes.
-        root: the dataset; packages in its `scenes/` are used as they are.
-        cache: where new packages are built.
-        tell: told the name of each scene that is built or compiled, before it is.
+        plan: Plan with the scenes.
+        root: Location of the dataset; packages in its `scenes/` folder are used unchanged.
+        cache: Folder in which new packages are built.
+        tell: Called with the name of each scene before it is built or compiled.
 
     Raises:
-        InvalidPlan: a file that the plan names and the dataset does not make needless is not there.
+        InvalidPlan: A file named in the plan is missing, and the dataset has no package of that scene.
     """
     entries: dict[str, SceneEntry] = {}
     held = {scene.name: _packages(root, scene.name) for scene in plan.scenes}
@@ -70,16 +71,16 @@ def collect_scenes(plan: Plan, root: Place, cache: Path, tell: MessageCallback =
 
 
 def find_built(plan: Plan, cache: Path) -> Catalog:
-    """Returns those scenes of a plan that were built or imported before as they are now; makes none."""
+    """Returns the scenes of a plan whose current version is in the cache; builds none."""
     found = {scene.name: _find(scene, cache) for scene in plan.scenes}
     return {name: read_entry(path) for name, path in found.items() if path is not None}
 
 
 def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
-    """Returns the package an episode was made with.
+    """Returns the scene package with which an episode was generated.
 
     Raises:
-        ArchiveCorrupt: the dataset does not hold it.
+        ArchiveCorrupt: The dataset does not contain the package.
     """
     for path in _packages(root, name):
         entry = read_entry(package_file(path))
@@ -89,10 +90,10 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:
-    """Writes `targets_<scene>.yaml` beside the packages of a dataset, for people; leaves those that are there alone.
+    """Writes `targets_<scene>.yaml` next to the scene packages of a dataset, for people; keeps existing files.
 
     Raises:
-        WorldError: it cannot be written.
+        WorldError: A file cannot be written.
     """
     for name, entry in catalog.items():
         path = root / SCENES / list_file_name(name)
@@ -111,7 +112,7 @@ def write_target_lists(catalog: Catalog, root: Place) -> None:
 
 
 def _packages(root: Place, name: str) -> list[Place]:
-    """Returns the packages of a scene that a dataset holds."""
+    """Returns the packages of a scene in a dataset."""
     return sorted((root / SCENES).glob(f"{name}-*.scene.zip"), key=str)
 
 

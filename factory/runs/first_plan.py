@@ -1,4 +1,4 @@
-"""A first plan for a scene that was just imported: what its user would write to make a dataset of it. Pure."""
+"""Drafts a plan for a newly imported scene. Pure functions; writes no files."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _EPISODES = 100
 
 
 def draft_plan(entry: SceneEntry, usd: str, **files: str | bool) -> Plan | None:
-    """Returns a plan that the scene can fulfil: its rarest category is held out, where it has two or more.
+    """Returns a feasible plan of a scene; holds out the rarest category if the scene has two or more.
 
     Args:
-        entry: the scene.
-        usd: path of the stage's root layer.
-        files: the scene's `rules`, `targets` and `allow_outside`, where it was imported with them.
+        entry: Scene.
+        usd: Path of the root layer of the stage.
+        files: `rules`, `targets` and `allow_outside` of the scene, if used for the import.
 
     Returns:
-        The plan, or `None` when the expert could start for none of its targets.
+        The plan, or `None` when no target has a valid start pose for the expert.
     """
     counts = Counter(target.category for target in entry.info.targets)
     seen = sorted(counts, key=lambda name: (-counts[name], name))

@@ -1,6 +1,6 @@
-"""The paper's acceptance gate: first attempts at the episodes of one scene, counted and thrown away. Archives nothing.
+"""Acceptance gate of the paper: runs the first attempt at each episode of a scene and counts the successes.
 
-Attempts run in the simulation processes that workers use; a bundle is deleted as soon as it is whole.
+Attempts run in the same simulation processes as those of workers; bundles are deleted when complete. Archives nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from schemas.terms import FailReason, Tier
 from workers.process.messages import SimulationOrder, SimulationReport, SimulationReportKind
 from workers.process.simulation import Death, Simulation
 
-__all__ = ["GateReport", "Lost", "Pilot", "Trial", "judge", "run_pilot"]
+__all__ = ["FailedTrial", "GateReport", "Pilot", "Trial", "evaluate_gate", "run_pilot"]
 
 _POLL_S = 0.1
 _HANG_S = 60.0
@@ -34,21 +34,21 @@ _STARTS = 3
 
 @dataclass(frozen=True)
 class Pilot:
-    """What to try, and with what."""
+    """Jobs and settings of a pilot run."""
 
     jobs: tuple[Job, ...]
     package: Path
-    """The compiled scene of all jobs."""
+    """Path of the compiled scene of all jobs."""
     command: tuple[str, ...]
-    """How to start a simulation process."""
+    """Command line of a simulation process."""
     processes: int = 1
 
     @classmethod
     def of(cls, plan: Plan, catalog: Catalog, command: tuple[str, ...], processes: int) -> Pilot:
-        """Returns the first attempts at all episodes of a plan of one scene.
+        """Returns a pilot run of the first attempts at all episodes of a plan with one scene.
 
         Raises:
-            InvalidPlan: the scene does not have what the plan asks for.
+            InvalidPlan: The scene cannot fulfil the plan.
         """
         jobs = tuple(to_job(plan, catalog, planned, attempt=1) for planned in expand(plan, catalog))
         return cls(jobs, catalog[plan.scenes[0].name].path, command, processes)
@@ -56,15 +56,15 @@ class Pilot:
 
 @dataclass(frozen=True)
 class Trial:
-    """How one first attempt ended; without a reason it succeeded."""
+    """Result of one first attempt; `reason` is `None` for a success."""
 
     job: Job
     reason: FailReason | None = None
     detail: str = ""
 
 
-class Lost(Model):
-    """A first attempt that failed."""
+class FailedTrial(Model):
+    """Failed first attempt."""
 
     episode_id: str
     tier: Tier
@@ -74,7 +74,7 @@ class Lost(Model):
 
 
 class GateReport(Model):
-    """What the gate says."""
+    """Report of the acceptance gate."""
 
     scene: str
     expert: str
@@ -83,45 +83,45 @@ class GateReport(Model):
     success: Share
     by_tier: dict[Tier, Share]
     reasons: dict[FailReason, int]
-    lost: tuple[Lost, ...]
-    """In the order of the plan."""
+    lost: tuple[FailedTrial, ...]
+    """Failed trials in the order of the plan."""
 
 
 def run_pilot(pilot: Pilot, stop: threading.Event, tell: Callable[[int], None]) -> list[Trial]:
-    """Tries every job once; returns what was tried until all are done or `stop` is set.
+    """Runs every job once; returns the trials that ended before all were done or `stop` was set.
 
     Args:
-        pilot: what to try.
-        stop: leave at once.
-        tell: told the number of attempts done.
+        pilot: Jobs and settings.
+        stop: Event that stops the pilot run immediately.
+        tell: Progress callback, called with the number of finished attempts.
 
     Raises:
-        WorldError: simulations do not start, or the disk of temporary files is full.
+        WorldError: Simulations do not start, or the disk of temporary files is full.
     """
     waiting, trials = deque(pilot.jobs), list[Trial]()
     with tempfile.TemporaryDirectory(prefix="gate-") as folder, ExitStack() as stack:
         count = min(pilot.processes, len(pilot.jobs))
-        seats = [_Seat(pilot, Path(folder) / f"{number}.zip", count) for number in range(count)]
-        for seat in seats:
-            stack.callback(seat.close)
+        slots = [_TrialProcess(pilot, Path(folder) / f"{number}.zip", count) for number in range(count)]
+        for slot in slots:
+            stack.callback(slot.close)
         while len(trials) < len(pilot.jobs) and not stop.is_set():
-            for seat in seats:
-                trial = seat.turn(waiting)
+            for slot in slots:
+                trial = slot.turn(waiting)
                 if trial is not None:
                     trials.append(trial)
                     tell(len(trials))
     return trials
 
 
-def judge(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
-    """Counts trials by tier and reason and compares their share of successes with what is asked for.
+def evaluate_gate(scene: str, expert: str, trials: Sequence[Trial], min_success: float) -> GateReport:
+    """Counts trials by tier and reason and compares the share of successes with the required one.
 
-    A crash counts as a failed attempt: the gate asks whether a scene can be generated, whatever is in the way.
+    A crash counts as a failed attempt, because the gate measures whether the scene can be generated at all.
     """
     won = Counter(trial.job.tier for trial in trials if trial.reason is None)
     tried = Counter(trial.job.tier for trial in trials)
     lost = [
-        Lost(
+        FailedTrial(
             episode_id=trial.job.episode_id,
             tier=trial.job.tier,
             target_id=trial.job.target_id,
@@ -144,23 +144,23 @@ def judge(scene: str, expert: str, trials: Sequence[Trial], min_success: float) 
     )
 
 
-class _Seat:
-    """One simulation process and the job it has; all seats are asked in turn, so none may wait for long."""
+class _TrialProcess:
+    """Simulation process and its current job; all processes are polled in turn, so no call may block for long."""
 
-    def __init__(self, pilot: Pilot, bundle: Path, seats: int) -> None:
+    def __init__(self, pilot: Pilot, bundle: Path, slots: int) -> None:
         self._pilot, self._bundle = pilot, bundle
-        self._poll_s = _POLL_S / seats
-        self._simulation = Simulation(pilot.command, _HANG_S / seats)  # hears itself wait for its own turns only
+        self._poll_s = _POLL_S / slots
+        self._simulation = Simulation(pilot.command, _HANG_S / slots)  # each process is polled only once per round
         self._job: Job | None = None
         self._is_ready = False
         self._starts = 0
 
     def close(self) -> None:
-        """Ends the process, whatever it is doing."""
+        """Kills the process."""
         self._simulation.kill()
 
     def turn(self, waiting: deque[Job]) -> Trial | None:
-        """Starts, orders or hears; returns the trial that ended, if one did."""
+        """Starts the process, sends a job or polls it; returns a finished trial, if any."""
         if self._job is None and not waiting:
             return None
         if not self._simulation.is_running:
@@ -170,8 +170,8 @@ class _Seat:
             self._order(waiting.popleft())
         heard = self._simulation.receive(self._poll_s)
         if isinstance(heard, Death):
-            return self._mourn(heard)
-        return None if heard is None else self._note(heard)
+            return self._handle_death(heard)
+        return None if heard is None else self._handle_report(heard)
 
     def _order(self, job: Job) -> None:
         self._job = job
@@ -179,23 +179,23 @@ class _Seat:
             SimulationOrder(job=job, scene_path=self._pilot.package, bundle_path=self._bundle, sid="gate")
         )
 
-    def _note(self, report: SimulationReport) -> Trial | None:
+    def _handle_report(self, report: SimulationReport) -> Trial | None:
         if report.kind is SimulationReportKind.READY:
             self._is_ready, self._starts = True, 0
         if report.kind in {SimulationReportKind.READY, SimulationReportKind.PROGRESS} or self._job is None:
             return None
-        if report.reason is FailReason.RELEASED:  # a full disk says nothing about the scene
+        if report.reason is FailReason.RELEASED:  # a full disk does not depend on the scene
             raise WorldError(f"{report.detail}; free space in the folder of temporary files, or set TMPDIR")
         job, self._job = self._job, None
         self._bundle.unlink(missing_ok=True)
         return Trial(job, report.reason, report.detail)
 
-    def _mourn(self, death: Death) -> Trial | None:
+    def _handle_death(self, death: Death) -> Trial | None:
         job, self._job = self._job, None
         if job is not None:
             return Trial(job, death.reason, death.detail)
         self._starts += 1
         if self._starts >= _STARTS:
             command = " ".join(self._pilot.command)
-            raise WorldError(f"a simulation does not start after {_STARTS} tries of `{command}`: {death.detail}")
+            raise WorldError(f"the simulation did not start after {_STARTS} tries of `{command}`: {death.detail}")
         return None

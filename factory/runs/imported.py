@@ -1,4 +1,4 @@
-"""The own scenes that lie compiled in a cache, by name. Looks them up; compiles nothing and opens no package."""
+"""Finds the compiled packages of imported scenes in a cache, by name. Compiles nothing and opens no package."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ def find_imported(cache: Path) -> dict[str, tuple[Path, ...]]:
     """Returns the packages of imported scenes.
 
     Args:
-        cache: directory of packages; one that is not there holds none.
+        cache: Folder of packages; it need not exist.
 
     Returns:
-        The packages by the name of their scene, the one written last first.
+        The packages by scene name, the most recently written first.
     """
     found: dict[str, list[tuple[int, str, Path]]] = {}
     for path in cache.glob("*.scene.zip"):

@@ -1,4 +1,4 @@
-"""Read-only looks at the ledger of a dataset directory, for the verbs that report. Never writes."""
+"""Reads the ledger of a dataset for the reporting commands. Never writes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
     """Opens the ledger of a dataset for reading.
 
     Raises:
-        UsageError: there is no such directory, or no home of such a URL on this machine.
-        WorldError: the directory holds no ledger.
+        UsageError: The directory does not exist, or this machine has no state directory for the URL.
+        WorldError: The directory has no ledger.
     """
     if url is None and not site.home.is_dir():
         begin = f"start a run with `factory run demo --out {site}`"
@@ -47,11 +47,11 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
 
 
 def plan_of(site: Site) -> Plan | None:
-    """Returns the plan a place was begun with, as its ledger or else its description says; `None` when neither does.
+    """Returns the plan of a dataset, from its ledger or else from `dataset_meta.json`; `None` without either.
 
     Raises:
-        WorldError: the two name different plans.
-        UsageError: the ledger is of a newer format.
+        WorldError: Ledger and `dataset_meta.json` contain different plans.
+        UsageError: The format of the ledger is newer than this software.
     """
     noted, described = _noted_plan(site.home), _described_plan(site.place)
     if noted is not None and described is not None and noted.digest != described.digest:
@@ -70,7 +70,7 @@ def _noted_plan(home: Path) -> Plan | None:
         with open_ledger(ledger_url_of(home)) as connection:
             return read_info(connection).plan if holds_run(connection) else None
     except WorldError:
-        return None  # damaged: it is rebuilt when a coordinator starts
+        return None  # damaged; the coordinator rebuilds it when it starts
 
 
 def _described_plan(place: Place) -> Plan | None:
@@ -81,10 +81,10 @@ def _described_plan(place: Place) -> Plan | None:
 
 
 def progress_of(site: Site, url: str | None = None) -> Progress:
-    """Returns where the run of a directory stands; no worker is alive where no coordinator runs.
+    """Returns the progress of the run of a dataset; without a running coordinator, no worker counts as alive.
 
-    A PostgreSQL server tells whether a coordinator writes to the ledger, wherever that runs. An SQLite ledger in
-    another place does not tell; its workers are judged by their beats.
+    A PostgreSQL server reports whether a coordinator writes to the ledger, on any host. An SQLite ledger in another
+    location does not; there, heartbeats decide whether workers are alive.
     """
     with read_ledger(site, url) as connection:
         progress = read_progress(connection, datetime.now(UTC))

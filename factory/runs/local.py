@@ -1,6 +1,7 @@
-"""A whole run on one machine: a coordinator in this process, workers beside it, over zenoh on loopback.
+"""Runs a plan on one machine: a coordinator in this process and worker processes, over zenoh on loopback.
 
-Owns the workers' processes: restarts those that die, stops all when it ends. Prints nothing; a listener is told.
+Owns the worker processes: restarts those that exit with an error, and stops all when the run ends. Prints nothing;
+a callback receives the progress.
 """
 
 from __future__ import annotations
@@ -40,43 +41,43 @@ _SPOOL = ".spool"
 _POLL_S = 0.25
 _LEAVE_S = 8.0
 _MOST_DEATHS = 8
-"""Deaths of one worker without an episode in between after which the run gives up."""
+"""Maximum number of worker crashes without a new episode; after more, the run stops with an error."""
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class LocalRun:
-    """What to run here."""
+    """Settings of a run on this machine."""
 
     plan: Plan
     catalog: Catalog
     root: Path
-    """Dataset directory, or with `store` the home of what cannot lie there."""
+    """Dataset directory, or with `store` the local state directory."""
     workers: int
-    """Worker processes, one simulation each."""
+    """Number of worker processes, each with one simulation."""
     renderer: RendererKind = "auto"
     verbose: bool = False
     gate: tuple[GateOutcome, ...] = ()
-    """What the pilot found before the run."""
+    """Results of the acceptance gate before the run."""
     store: ObjectPath | None = None
-    """Where the dataset lies, when in object storage."""
+    """Location of the dataset in object storage; `None` for a dataset in `root`."""
 
 
 def run_locally(
     run: LocalRun, settings: CoordinatorSettings, stop: threading.Event, tell: Callable[[Progress], None]
 ) -> Progress:
-    """Makes the dataset, or goes on with it; returns when the run is finished or `stop` is set.
+    """Generates or resumes the dataset; returns when the run is finished or `stop` is set.
 
     Args:
-        run: plan, scenes, place and workers.
-        settings: of the coordinator.
-        stop: leave in good order.
-        tell: told the progress a few times a second.
+        run: Plan, scenes, location and number of workers.
+        settings: Settings of the coordinator.
+        stop: Event that stops the run gracefully.
+        tell: Progress callback, called a few times per second.
 
     Raises:
-        WorldError: the directory is taken or cannot be written, or workers die again and again.
-        UsageError: the directory holds another plan, or this version lacks the expert.
+        WorldError: Another process uses the directory, it cannot be written, or workers crash repeatedly.
+        UsageError: The directory holds another plan, or this version does not have the expert.
     """
     require_expert(run.plan.expert)
     require_room(run.root, settings.reserve_bytes)
@@ -98,24 +99,26 @@ def run_locally(
         tell(progress)
         if progress.finished:
             return progress
-        with _Crew(run, coordinator.endpoints[0]) as crew:
+        with _WorkerPool(run, coordinator.endpoints[0]) as pool:
             while not (progress.finished or stop.wait(_POLL_S)):
                 progress = coordinator.progress()
                 tell(progress)
-                crew.look_after(progress.jobs.get("archived", 0))
+                pool.restart_dead(progress.jobs.get("archived", 0))
                 _require_work(run, progress)
         progress = coordinator.progress()
         tell(progress)
         if progress.finished:
-            shutil.rmtree(run.root / _SPOOL, ignore_errors=True)  # nothing in it is wanted any more
+            shutil.rmtree(
+                run.root / _SPOOL, ignore_errors=True
+            )  # the run is finished; its bundles are no longer needed
         return progress
 
 
 def _require_work(run: LocalRun, progress: Progress) -> None:
-    """Ends a run in which nobody gets a job any more.
+    """Raises an error when no worker can receive a job.
 
     Raises:
-        WorldError: the host of all workers, this one, is barred.
+        WorldError: This host, which runs all workers, is barred.
     """
     barred = [host for host in progress.hosts if host.barred_at is not None]
     if not barred or progress.finished or progress.jobs.get("submitted", 0):
@@ -128,8 +131,8 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     )
 
 
-class _Crew(Closing):
-    """The worker processes; each watches our end of its stdin and leaves when it closes, however we end."""
+class _WorkerPool(Closing):
+    """Worker processes; each exits when its stdin closes, even if this process is killed."""
 
     def __init__(self, run: LocalRun, endpoint: str) -> None:
         self._command = [
@@ -139,18 +142,18 @@ class _Crew(Closing):
         ]
         self._deaths = 0
         self._archived = 0
-        self._members = [self._start() for _ in range(run.workers)]
+        self._processes = [self._start() for _ in range(run.workers)]
 
-    def look_after(self, archived: int) -> None:
-        """Starts a dead worker again; gives up when they only die.
+    def restart_dead(self, archived: int) -> None:
+        """Restarts workers that exited with an error.
 
         Raises:
-            WorldError: too many deaths without a new episode.
+            WorldError: Too many crashes without a new episode.
         """
         if archived > self._archived:
             self._archived, self._deaths = archived, 0
-        for place, member in enumerate(self._members):
-            code = member.poll()
+        for place, process in enumerate(self._processes):
+            code = process.poll()
             if code is None or code == 0:
                 continue
             self._deaths += 1
@@ -159,10 +162,10 @@ class _Crew(Closing):
                 raise WorldError(
                     f"workers died {self._deaths} times in a row without an episode, last with exit status {code}"
                 )
-            self._members[place] = self._start()
+            self._processes[place] = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        # a session of its own: Ctrl-C reaches us, and we stop them in order
+        # in a separate session, so that Ctrl-C reaches this process only, which then stops the workers
         return subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
@@ -172,13 +175,13 @@ class _Crew(Closing):
         )
 
     def close(self) -> None:
-        """Lets the workers end; kills those that take too long."""
-        for member in self._members:
-            if member.stdin is not None:
-                member.stdin.close()
-        for member in self._members:
+        """Closes the stdin of the workers, waits for them to exit, and kills those that do not."""
+        for process in self._processes:
+            if process.stdin is not None:
+                process.stdin.close()
+        for process in self._processes:
             try:
-                member.wait(_LEAVE_S)
+                process.wait(_LEAVE_S)
             except subprocess.TimeoutExpired:
-                member.kill()
-                member.wait()
+                process.kill()
+                process.wait()

@@ -1,4 +1,4 @@
-"""Whether the files that a plan names are there: stages, rules, lists of targets. Opens no stage and builds nothing."""
+"""Checks that the files named in a plan can be read: stages, rules, target lists. Opens no stage and builds nothing."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["require_files"]
 
 
 def require_files(plan: Plan, kept: Collection[str] = ()) -> None:
-    """Makes sure that the files of a plan's scenes can be read.
+    """Raises an error unless the files of all scenes of a plan can be read.
 
     Args:
-        plan: names the files.
-        kept: names of scenes of which a dataset holds the package, so that their files are not needed.
+        plan: Plan with the file names.
+        kept: Names of scenes whose package is in the dataset, so that their files are not needed.
 
     Raises:
-        InvalidPlan: a file is not there or makes no sense; all are named.
+        InvalidPlan: A file is missing or invalid; the message lists all such files.
     """
     wanted = [(number, scene) for number, scene in enumerate(plan.scenes) if scene.name not in kept]
     mistakes = [f"scenes[{number}] {scene.name}: {line}" for number, scene in wanted for line in _missing_of(scene)]
@@ -46,7 +46,7 @@ def _missing_of(scene: ScenePlan) -> Iterator[str]:
 
 
 def _refusal(scene: ScenePlan, rules: Path | None, targets: Path | None) -> Iterator[str]:
-    """Yields what is wrong with a scene's edits, if anything is."""
+    """Yields the errors of the rules and target list of a scene."""
     try:
         load_edits(rules, targets, scene.name)
     except UsageError as error:

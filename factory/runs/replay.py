@@ -1,4 +1,4 @@
-"""Regenerate an archived episode from its job and compare: identical, or how far apart.
+"""Simulates the job of an archived episode again and compares both episodes. Archives nothing.
 
 Design: docs/design/reproducibility.md.
 """
@@ -25,36 +25,36 @@ __all__ = ["Replay", "replay_episode"]
 
 @dataclass(frozen=True)
 class Replay:
-    """What came of a replay."""
+    """Result of a replay."""
 
     episode_id: str
     archived_digest: str
     replayed_digest: str
     steps: int
-    """Steps of the archived episode."""
+    """Number of steps of the archived episode."""
     differences: dict[str, float]
-    """Largest absolute difference by array, over the steps both have; empty when identical."""
+    """Largest absolute difference by array, over the common steps; empty when both are identical."""
     fingerprint_changes: dict[str, tuple[str, str]]
-    """Software and machine traits that differ: (archived, here)."""
+    """Differing software versions and machine properties: (archived, here)."""
 
     @property
     def is_identical(self) -> bool:
-        """Whether both have one content digest."""
+        """Returns whether both content digests are equal."""
         return self.archived_digest == self.replayed_digest
 
 
 def replay_episode(root: Place, episode: Place, renderer: RendererKind, on_step: Callable[[int, int], None]) -> Replay:
-    """Simulates the job of an archived episode again; renders in a process of its own, for any program may call this.
+    """Simulates the job of an archived episode again; renders in a separate process, so that any program can call it.
 
     Args:
-        root: the dataset.
-        episode: the bundle.
-        renderer: which renderer to use; `auto` takes the best there is.
-        on_step: told (steps done, steps of the archived episode).
+        root: Location of the dataset.
+        episode: Path of the bundle.
+        renderer: Renderer to use; `auto` uses the fastest available one.
+        on_step: Called with the steps done and the steps of the archived episode.
 
     Raises:
-        InvalidBundle: the archived bundle cannot be read.
-        WorldError: the replayed attempt failed.
+        InvalidBundle: The archived bundle cannot be read.
+        WorldError: The replayed attempt failed.
     """
     with episode.open("rb") as file, tempfile.TemporaryFile() as out, SceneRenderer(renderer, apart=True) as stage:
         archived = BundleReader(file)

@@ -1,4 +1,4 @@
-"""Statistics of a dataset: every table of the paper, computed from the dataset's tables alone."""
+"""Computes the statistics of a dataset: every table of the paper, from the tables of the dataset alone."""
 
 from __future__ import annotations
 

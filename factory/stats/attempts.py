@@ -1,6 +1,7 @@
-"""What became of the attempts: success, collision and timeout by scene and tier, and what each cell took. Pure.
+"""Counts attempts: success, collision and timeout by scene and tier, and the attempts of each cell of the plan.
 
-An attempt is one that the world decided: crashes, expired leases and the like are counted by reason only.
+Counts successes and failures of the task as attempts. Counts crashes, expired leases and the like by reason only.
+Pure functions; no I/O.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from schemas.terms import FailReason, Tier
 
 __all__ = ["attempt_rows", "cell_rows"]
 
-Tried = EpisodeSummary | FailedAttempt
-_OF_THE_WORLD = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
+AttemptSummary = EpisodeSummary | FailedAttempt
+_TASK_FAILURES = frozenset(str(reason) for reason in FailReason if reason.is_task_failure)
 
 
 def attempt_rows(
     episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt], scenes: Iterable[str]
 ) -> tuple[AttemptRow, ...]:
-    """Returns rows by scene, by tier, by both, and one of all."""
+    """Returns one row for each scene, tier, and scene and tier, and one row for all attempts."""
     names = list(scenes)
-    kinds: list[tuple[Iterable[str], Callable[[Tried], str]]] = [
+    kinds: list[tuple[Iterable[str], Callable[[AttemptSummary], str]]] = [
         (names, lambda row: row.scene),
         (Tier, lambda row: row.spawn_tier),
         ([f"{name} / {tier}" for name in names for tier in Tier], lambda row: f"{row.scene} / {row.spawn_tier}"),
@@ -40,17 +41,17 @@ def attempt_rows(
 def cell_rows(
     episodes: Sequence[EpisodeSummary], failures: Sequence[FailedAttempt] | None, plan: Plan
 ) -> tuple[CellRow, ...]:
-    """Returns quota, episodes and attempts of each cell of scene x split x tier that the plan or the data has."""
+    """Returns the quota, the episodes and the attempts of each cell (scene x split x tier) of the plan or the data."""
     archived = Counter((row.scene, str(row.split), str(row.spawn_tier)) for row in episodes)
-    lost = Counter(
-        (row.scene, str(row.split), str(row.spawn_tier)) for row in failures or () if row.reason in _OF_THE_WORLD
+    failed = Counter(
+        (row.scene, str(row.split), str(row.spawn_tier)) for row in failures or () if row.reason in _TASK_FAILURES
     )
     planned = {
         (scene.name, str(split), str(tier)): count
         for scene in plan.scenes
         for (split, tier), count in cells(plan, scene).items()
     }
-    order = dict.fromkeys([*planned, *sorted(archived.keys() | lost.keys())])
+    order = dict.fromkeys([*planned, *sorted(archived.keys() | failed.keys())])
     return tuple(
         CellRow(
             scene=key[0],
@@ -58,7 +59,7 @@ def cell_rows(
             tier=key[2],
             planned=planned.get(key, 0),
             archived=archived[key],
-            attempts=None if failures is None else archived[key] + lost[key],
+            attempts=None if failures is None else archived[key] + failed[key],
         )
         for key in order
     )
@@ -68,29 +69,29 @@ def _rows(
     episodes: Sequence[EpisodeSummary],
     failures: Sequence[FailedAttempt],
     groups: Iterable[str],
-    name_of: Callable[[Tried], str],
+    name_of: Callable[[AttemptSummary], str],
 ) -> list[AttemptRow]:
-    won: dict[str, list[EpisodeSummary]] = {str(name): [] for name in groups}
-    lost: dict[str, list[FailedAttempt]] = {}
+    succeeded: dict[str, list[EpisodeSummary]] = {str(name): [] for name in groups}
+    failed: dict[str, list[FailedAttempt]] = {}
     for row in episodes:
-        won.setdefault(name_of(row), []).append(row)
+        succeeded.setdefault(name_of(row), []).append(row)
     for failure in failures:
-        won.setdefault(name_of(failure), [])
-        lost.setdefault(name_of(failure), []).append(failure)
-    return [_row(name, won[name], lost.get(name, [])) for name in won]
+        succeeded.setdefault(name_of(failure), [])
+        failed.setdefault(name_of(failure), []).append(failure)
+    return [_row(name, succeeded[name], failed.get(name, [])) for name in succeeded]
 
 
-def _row(name: str, won: list[EpisodeSummary], lost: list[FailedAttempt]) -> AttemptRow:
-    reasons = Counter(row.reason for row in lost)
-    decided = [row for row in lost if row.reason in _OF_THE_WORLD]
-    attempts = len(won) + len(decided)
-    first_won = sum(row.attempt == 1 for row in won)
-    first_lost = sum(row.attempt == 1 for row in decided)
+def _row(name: str, succeeded: list[EpisodeSummary], failed: list[FailedAttempt]) -> AttemptRow:
+    reasons = Counter(row.reason for row in failed)
+    decided = [row for row in failed if row.reason in _TASK_FAILURES]
+    attempts = len(succeeded) + len(decided)
+    first_succeeded = sum(row.attempt == 1 for row in succeeded)
+    first_failed = sum(row.attempt == 1 for row in decided)
     return AttemptRow(
         group=name,
         attempts=attempts,
-        success=share_of(len(won), attempts),
-        first=share_of(first_won, first_won + first_lost),
+        success=share_of(len(succeeded), attempts),
+        first=share_of(first_succeeded, first_succeeded + first_failed),
         collision=share_of(reasons[FailReason.COLLISION], attempts),
         timeout=share_of(reasons[FailReason.TIMEOUT], attempts),
         reasons=dict(sorted(reasons.items())),

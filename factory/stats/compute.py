@@ -1,4 +1,4 @@
-"""All statistics of a dataset, from its tables. Reads through `rows`, computes through the pure modules."""
+"""Computes all statistics of a dataset from its tables. Reads files through `rows` only."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ __all__ = ["compute_statistics", "measure_dataset"]
 
 _LARGEST = 3
 _WITH_PAPER = ("scenes", "splits", "tiers", "categories", "templates", "attempts", "navigation_error")
-"""Tables whose rows may have the paper's values."""
+"""Tables whose rows can hold values of the paper."""
 
 
 def measure_dataset(root: Place, compare_paper: bool | None = None) -> Statistics:
-    """Returns every table of a dataset directory; the remarks name what is left out.
+    """Returns all statistics tables of a dataset directory; the remarks list the omitted data.
 
     Args:
-        root: of the dataset.
-        compare_paper: whether to put the paper's values beside; `None` does so for the plan `paper` and its parts.
+        root: Directory or URL of the dataset.
+        compare_paper: Whether to add the paper's values; `None` adds them for the plan `paper` and its parts.
 
     Raises:
-        WorldError: there is no dataset, or it is of a newer format.
-        ArchiveCorrupt: its description or its table of episodes cannot be read at all.
+        WorldError: The dataset does not exist, or its format is newer than this software.
+        ArchiveCorrupt: `dataset_meta.json` or the table of episodes cannot be read.
     """
     return compute_statistics(str(root), read_rows(root), compare_paper)
 
 
 def compute_statistics(name: str, rows: Rows, compare_paper: bool | None = None) -> Statistics:
-    """Returns every table of the rows of a dataset called `name`; see `measure_dataset`."""
+    """Returns all statistics tables for the rows of the dataset `name`; see `measure_dataset`."""
     found = _all_tables(name, rows)
     is_wanted = is_paper_plan(rows.meta.plan) if compare_paper is None else compare_paper
     return found if is_wanted else _without_paper(found)

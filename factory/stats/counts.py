@@ -1,4 +1,4 @@
-"""How often each category and template occurs, and which instances the splits share. Pure."""
+"""Counts categories and templates, and the target instances shared by splits. Pure functions; no I/O."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Episodes = Sequence[EpisodeSummary]
 
 
 def count_categories(episodes: Episodes, plan: Plan) -> tuple[CountRow, ...]:
-    """Returns a row for each category of the plan, most frequent first (paper Fig. 6)."""
+    """Returns one row for each category of the plan, the most frequent first (paper Fig. 6)."""
     kinds = {name: "held out" for scene in plan.scenes for name in scene.categories.held_out}
     kinds |= {name: "seen" for scene in plan.scenes for name in scene.categories.seen}
     found = Counter(row.target_category for row in episodes)
@@ -34,7 +34,7 @@ def share_of_largest(rows: Sequence[CountRow], count: int) -> float | None:
 
 
 def count_templates(episodes: Episodes) -> tuple[CountRow, ...]:
-    """Returns a row for each template in the paper's order (paper Fig. 12)."""
+    """Returns one row for each template, in the paper's order (paper Fig. 12)."""
     found = Counter(row.template_id for row in episodes)
     kinds = {name: _kind(name) for name in TEMPLATES}
     kinds |= dict.fromkeys(sorted(found.keys() - TEMPLATES.keys()), "unknown")
@@ -42,7 +42,7 @@ def count_templates(episodes: Episodes) -> tuple[CountRow, ...]:
 
 
 def overlaps(episodes: Episodes, plan: Plan) -> tuple[OverlapRow, ...]:
-    """Returns, for each scene and for all, how much of what a split names training names too."""
+    """Returns the overlap of the target instances of each split with training, for each scene and for all scenes."""
     rows = [row for scene in plan.scenes for row in _overlaps_in(scene.name, episodes)]
     return (*rows, *_overlaps_in(ALL, episodes))
 

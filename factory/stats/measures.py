@@ -1,4 +1,7 @@
-"""The statistics themselves, over plain numbers: means, quantiles, Wilson shares, Pearson and Fisher. Pure."""
+"""Statistical functions: means, quantiles, Wilson intervals, Pearson correlation, Fisher intervals.
+
+Pure functions over numbers; no I/O.
+"""
 
 from __future__ import annotations
 
@@ -16,33 +19,33 @@ CONFIDENCE = 0.95
 QUANTILES = (0, 5, 25, 50, 75, 95, 100)
 _FEWEST_FOR_FIT = 3
 _ALIKE = 1e-9
-"""Spread, relative to the size of the numbers, below which they count as one value."""
+"""Relative spread (peak to peak over largest magnitude) below which all values count as equal."""
 
 
 def mean_of(values: Sequence[float]) -> float | None:
-    """Returns the arithmetic mean, or `None` of nothing."""
+    """Returns the arithmetic mean, or `None` for an empty sequence."""
     return float(np.mean(values)) if len(values) else None
 
 
 def median_of(values: Sequence[float]) -> float | None:
-    """Returns the median, or `None` of nothing."""
+    """Returns the median, or `None` for an empty sequence."""
     return float(np.median(values)) if len(values) else None
 
 
 def deviation_of(values: Sequence[float]) -> float | None:
-    """Returns the sample standard deviation (n - 1), or `None` of fewer than two values."""
+    """Returns the sample standard deviation (n - 1), or `None` for fewer than two values."""
     return float(np.std(values, ddof=1)) if len(values) > 1 else None
 
 
 def quantiles_of(values: Sequence[float]) -> dict[str, float]:
-    """Returns the quantiles of `QUANTILES` (per cent, linear between values) as `p05` and so on."""
+    """Returns the quantiles in `QUANTILES` (per cent, linear interpolation), with the keys `p00`, `p05` and so on."""
     if not len(values):
         return {}
     return {f"p{level:02d}": float(np.percentile(values, level)) for level in QUANTILES}
 
 
 def share_of(count: int, of: int) -> Share:
-    """Returns a proportion with its Wilson score interval (Wilson, 1927); `None`s of nothing."""
+    """Returns a proportion with its Wilson score interval (Wilson, 1927); all `None` when `of` is 0."""
     if of == 0:
         return Share(count=count, of=0, share=None, low=None, high=None)
     interval = scipy.stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
@@ -54,9 +57,9 @@ def fit_line(group: str, x: Sequence[float], y: Sequence[float]) -> Fit:
     """Returns Pearson's r with its Fisher z interval, and the least-squares line of y over x.
 
     Args:
-        group: what the numbers belong to.
-        x: spawn distances, metres.
-        y: trajectory lengths, metres; one for each x.
+        group: Name of the group of episodes.
+        x: Spawn distances, metres.
+        y: Trajectory lengths, metres, one for each element of `x`.
     """
     if len(x) < _FEWEST_FOR_FIT:
         return _no_fit(group, len(x), f"needs at least {_FEWEST_FOR_FIT} episodes, has {len(x)}")
@@ -79,7 +82,7 @@ def fit_line(group: str, x: Sequence[float], y: Sequence[float]) -> Fit:
 
 
 def _fisher_interval(r: float, n: int) -> tuple[float, float]:
-    """Fisher's z: atanh(r) is near normal with variance 1 / (n - 3) (Fisher, 1921)."""
+    """Returns the interval by Fisher's z: atanh(r) is nearly normal with variance 1 / (n - 3) (Fisher, 1921)."""
     if abs(r) >= 1:
         return r, r
     if n <= _FEWEST_FOR_FIT:

@@ -1,4 +1,7 @@
-"""What statistics consist of: frozen models, one a row of a table, that JSON and the report share. Values only."""
+"""Models of the statistics: one frozen model for each table row, used by the JSON output and the report.
+
+Computes nothing.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +29,10 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class Published(Model):
-    """What the paper prints for one row; `None` where it prints nothing."""
+    """Values that the paper prints for one row; `None` where it prints none."""
 
     source: str
-    """Table, figure or section."""
+    """Table, figure or section of the paper."""
     n: Count | None = None
     ne_mean_m: float | None = None
     ne_std_m: float | None = None
@@ -38,16 +41,16 @@ class Published(Model):
     steps_mean: float | None = None
     steps_median: float | None = None
     share: float | None = None
-    """Of all episodes."""
+    """Share of all episodes."""
     rate: tuple[float, float] | None = None
-    """Attempt-to-success rate, from and to."""
+    """Attempt-to-success rate, lower and upper end."""
 
 
 class Remark(Model):
-    """Something that is left out or incomplete, and why."""
+    """Remark about omitted or incomplete data, with the reason."""
 
     is_damage: bool
-    """Whether the dataset contradicts itself, rather than being unfinished or small."""
+    """Whether the dataset contradicts itself; false for data that are only unfinished or few."""
     file: str
     text: str
 
@@ -58,7 +61,7 @@ class RolloutRow(Model):
     group: str
     n: Count
     share: Fraction | None
-    """Of all episodes."""
+    """Share of all episodes."""
     ne_mean_m: float | None
     tl_mean_m: float | None
     tl_median_m: float | None
@@ -68,19 +71,19 @@ class RolloutRow(Model):
 
 
 class CountRow(Model):
-    """How often a category or a template occurs."""
+    """Frequency of a category or a template."""
 
     group: str
     kind: str
-    """Of a category `seen` or `held out`; of a template its pool."""
+    """`seen` or `held out` for a category; the template pool for a template."""
     n: Count
     share: Fraction | None
-    """Of all episodes."""
+    """Share of all episodes."""
     paper: Published | None = None
 
 
 class Share(Model):
-    """A proportion with its 95 % Wilson interval."""
+    """Proportion with its 95 % Wilson interval."""
 
     count: Count
     of: Count
@@ -90,22 +93,26 @@ class Share(Model):
 
 
 class AttemptRow(Model):
-    """What became of the attempts of a group. Attempts are those the world decided; lost leases and crashes are not."""
+    """Results of the attempts of a group.
+
+    Attempts are runs that ended with success, collision or another failure of the task; lost leases and crashes do not
+    count.
+    """
 
     group: str
     attempts: Count
     success: Share
     first: Share
-    """First attempts of an episode that succeeded, as the gate measures it."""
+    """Share of first attempts that succeeded, as the acceptance gate measures it."""
     collision: Share
     timeout: Share
     reasons: dict[str, int]
-    """Failed attempts by reason; those of worker or transport, which count as no attempt, too."""
+    """Failed attempts by reason, including those caused by worker or transport, which do not count as attempts."""
     paper: Published | None = None
 
 
 class CellRow(Model):
-    """A cell of the plan: its quota and what it took to fill it."""
+    """Cell of the plan: its quota, and the attempts needed to fill it."""
 
     scene: str
     split: str
@@ -113,72 +120,72 @@ class CellRow(Model):
     planned: Count
     archived: Count
     attempts: Count | None
-    """That the world decided, failed ones included; `None` when the record of attempts cannot be read."""
+    """Attempts that ended in the simulation, including failures; `None` when the table of attempts is unreadable."""
 
 
 class ErrorRow(Model):
-    """Quantiles of the navigation error of a group, metres."""
+    """Quantiles of the navigation error (NE) of a group, metres."""
 
     group: str
     n: Count
     mean: float | None
     std: float | None
-    """Sample standard deviation; `None` for fewer than two episodes."""
+    """Sample standard deviation, metres; `None` for fewer than two episodes."""
     quantiles: dict[str, float]
-    """`p00` (smallest) to `p100` (largest); empty without episodes."""
+    """Quantiles `p00` (minimum) to `p100` (maximum), metres; empty without episodes."""
     within_radius: Share
-    """Episodes that ended inside the success radius."""
+    """Share of episodes that ended within the success radius."""
     paper: Published | None = None
 
 
 class Fit(Model):
-    """Pearson correlation of spawn distance and trajectory length, and the line through them."""
+    """Pearson correlation of spawn distance and trajectory length, and the least-squares line."""
 
     group: str
     n: Count
     r: float | None
     low: float | None
-    """Lower end of the 95 % interval of r (Fisher z)."""
+    """Lower end of the 95 % interval of r (Fisher's z)."""
     high: float | None
     p: NonNegative | None
-    """Two-sided, of no correlation."""
+    """Two-sided p value of the hypothesis of no correlation."""
     slope: float | None
-    """Metres of trajectory per metre of spawn distance, by least squares."""
+    """Slope of the line: metres of trajectory per metre of spawn distance."""
     slope_error: float | None
     """Standard error of the slope."""
     intercept_m: float | None
     remark: str = ""
-    """Why there are no numbers, when there are none."""
+    """Reason why the values are `None`; empty otherwise."""
 
 
 class OverlapRow(Model):
-    """How many named instances of a split also occur in `train_id`."""
+    """Number of target instances of a split that also occur in `train_id`."""
 
     scene: str
     split: str
     targets: Count
-    """Different instances that the split names."""
+    """Number of distinct target instances in the split."""
     shared: Count
-    """Of those, the ones that training names too."""
+    """Number of those instances that also occur in training."""
     share: Fraction | None
     episodes: Count
     episodes_on_shared: Count
-    """Episodes of the split whose instance training names too."""
+    """Episodes of the split whose target instance also occurs in training."""
 
 
 class Statistics(Model):
-    """Every table of a dataset."""
+    """All statistics tables of a dataset."""
 
     dataset: str
     run: str
     expert: str
     episodes: Count
-    """That the tables below rest on."""
+    """Number of episodes that the tables are computed from."""
     planned: Count
     complete: bool
     success_radius_m: float
     beside_paper: bool = True
-    """Whether the rows below have the paper's values beside them."""
+    """Whether the rows include values of the paper."""
     remarks: tuple[Remark, ...]
     scenes: tuple[RolloutRow, ...]
     splits: tuple[RolloutRow, ...]
@@ -189,7 +196,7 @@ class Statistics(Model):
     """Share of the three most frequent categories."""
     templates: tuple[CountRow, ...]
     attempts: tuple[AttemptRow, ...] | None
-    """By scene, tier and both; `None` when the record of attempts cannot be read."""
+    """Rows by scene, by tier, and by scene and tier; `None` when the table of attempts is unreadable."""
     cells: tuple[CellRow, ...]
     navigation_error: tuple[ErrorRow, ...]
     correlation: tuple[Fit, ...]
@@ -197,5 +204,5 @@ class Statistics(Model):
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing was left out for damage."""
+        """Returns whether no data were omitted because of damage."""
         return not any(remark.is_damage for remark in self.remarks)

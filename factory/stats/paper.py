@@ -1,4 +1,4 @@
-"""The numbers that the paper *MiniVLA-Nav v1* publishes, each with its table, figure or section. Data only."""
+"""Values published in the paper *MiniVLA-Nav v1*, each with its table, figure or section. Data only."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ CATEGORIES = MappingProxyType(
         "crate": Published(source=_IMBALANCE, share=0.112),
     }
 )
-"""All that the paper says in numbers; the other bars of its figure have none."""
+"""Counts and shares that the paper prints; the other bars of the figure have no printed value."""
 THREE_LARGEST_SHARE = 0.621
-"""Monitor, rack and crate, of all episodes (Sec. VIII)."""
+"""Share of monitor, rack and crate in all episodes (Sec. VIII)."""
 
 TEMPLATE_COUNTS = MappingProxyType({key: Published(source="Fig. 12", n=0) for key in TEMPLATES if needs_colour(key)})
-"""Templates with a colour slot have no episode; the other bars of the figure have no numbers."""
+"""Templates with a colour slot, which have no episodes; the other bars of the figure have no printed value."""
 
 _RATES = "Sec. V-A"
 ATTEMPTS = MappingProxyType(
@@ -99,6 +99,6 @@ ATTEMPTS = MappingProxyType(
 )
 
 FIT = Fit(group="paper", n=1174, r=0.94, low=0.93, high=0.95, p=0.001, slope=1.00, slope_error=None, intercept_m=None)
-"""Sec. V-F and Fig. 11; p is an upper bound there."""
+"""Sec. V-F and Fig. 11; the paper gives p as an upper bound."""
 
 NAVIGATION_ERROR = Published(source="Table VI, Fig. 8, Sec. IX", ne_mean_m=0.967, ne_std_m=0.001)

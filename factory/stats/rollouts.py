@@ -1,4 +1,7 @@
-"""Rollout statistics, navigation errors and the fit of length over distance, by group of episodes. Pure."""
+"""Computes rollout statistics, navigation errors, and the fit of trajectory length over spawn distance, by group.
+
+Pure functions; no I/O.
+"""
 
 from __future__ import annotations
 
@@ -13,27 +16,27 @@ from schemas.terms import Split, Tier
 __all__ = ["ALL", "by_scene", "by_scene_tier", "by_split", "by_tier", "correlations", "navigation_errors"]
 
 ALL = "all"
-"""Name of the group of everything."""
+"""Name of the group of all episodes."""
 Episodes = Sequence[EpisodeSummary]
 
 
 def by_scene(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:
-    """Returns a row for each scene of the plan, and one of all (paper Table V, Fig. 9)."""
+    """Returns one row for each scene of the plan, and one for all scenes (paper Table V, Fig. 9)."""
     return _rows(episodes, scenes, lambda row: row.scene, paper.SCENES)
 
 
 def by_split(episodes: Episodes) -> tuple[RolloutRow, ...]:
-    """Returns a row for each split, and one of all (paper Table VI)."""
+    """Returns one row for each split, and one for all splits (paper Table VI)."""
     return _rows(episodes, Split, lambda row: row.split, paper.SPLITS)
 
 
 def by_tier(episodes: Episodes) -> tuple[RolloutRow, ...]:
-    """Returns a row for each tier, and one of all (paper Table VII, Fig. 10)."""
+    """Returns one row for each tier, and one for all tiers (paper Table VII, Fig. 10)."""
     return _rows(episodes, Tier, lambda row: row.spawn_tier, paper.TIERS)
 
 
 def by_scene_tier(episodes: Episodes, scenes: Iterable[str]) -> tuple[RolloutRow, ...]:
-    """Returns a row for each scene and tier; the paper has none of these."""
+    """Returns one row for each scene and tier; the paper has no such table."""
     groups = [f"{scene} / {tier}" for scene in scenes for tier in Tier]
     return _rows(episodes, groups, lambda row: f"{row.scene} / {row.spawn_tier}", {})[:-1]
 
@@ -42,9 +45,9 @@ def navigation_errors(episodes: Episodes, scenes: Iterable[str], radius_m: float
     """Returns the quantiles of NE for each scene and for all (paper Fig. 8).
 
     Args:
-        episodes: rows.
-        scenes: of the plan.
-        radius_m: success radius, metres.
+        episodes: Rows of the episodes.
+        scenes: Scene names of the plan.
+        radius_m: Success radius, metres.
     """
     return tuple(
         _error_row(name, group, radius_m, paper.NAVIGATION_ERROR if name == ALL else None)
@@ -53,7 +56,7 @@ def navigation_errors(episodes: Episodes, scenes: Iterable[str], radius_m: float
 
 
 def correlations(episodes: Episodes, scenes: Iterable[str]) -> tuple[Fit, ...]:
-    """Returns the fit of trajectory length over spawn distance: of all, each scene and each tier (paper Fig. 11)."""
+    """Returns the fit of trajectory length over spawn distance for all episodes, each scene and each tier (Fig. 11)."""
     groups = [*_groups(episodes, scenes, lambda row: row.scene)]
     groups = [groups[-1], *groups[:-1], *list(_groups(episodes, Tier, lambda row: row.spawn_tier))[:-1]]
     return tuple(

@@ -1,4 +1,4 @@
-"""Reads the rows that statistics rest on, and says what it leaves out and why. Reads only; computes nothing."""
+"""Reads the rows for the statistics and records which rows are omitted and why. Computes nothing."""
 
 from __future__ import annotations
 
@@ -23,44 +23,44 @@ from schemas.terms import Split
 __all__ = ["Rows", "read_rows"]
 
 _NAMED = 3
-"""Examples that a remark names."""
+"""Maximum number of examples in a remark."""
 Row = TypeVar("Row", bound=Model)
 
 
 @dataclass
 class Rows:
-    """What could be read."""
+    """Rows read from a dataset, and remarks about those omitted."""
 
     meta: DatasetMeta
     episodes: list[EpisodeSummary] = field(default_factory=list)
     failures: list[FailedAttempt] | None = None
-    """`None` when the record of attempts cannot be read."""
+    """Failed attempts; `None` when the table of attempts cannot be read."""
     remarks: list[Remark] = field(default_factory=list)
 
-    def note(self, file: str, text: str) -> None:
-        """Notes that something is unfinished."""
+    def add_remark(self, file: str, text: str) -> None:
+        """Adds a remark about unfinished or missing data that are not damage."""
         self.remarks.append(Remark(is_damage=False, file=file, text=text))
 
-    def blame(self, file: str, text: str) -> None:
-        """Notes damage."""
+    def add_damage(self, file: str, text: str) -> None:
+        """Adds a remark about damage."""
         self.remarks.append(Remark(is_damage=True, file=file, text=text))
 
 
 def read_rows(root: Place) -> Rows:
-    """Reads the tables of a dataset; rows that are damaged or whose episode is not there are left out and said.
+    """Reads the tables of a dataset; omits damaged rows and rows without an episode file, each with a remark.
 
     Raises:
-        WorldError: there is no dataset, or it is of a newer format.
-        ArchiveCorrupt: its description or its table of episodes cannot be read at all.
+        WorldError: The dataset does not exist, or its format is newer than this software.
+        ArchiveCorrupt: `dataset_meta.json` or the table of episodes cannot be read.
     """
     dataset = Dataset(root)
     rows = Rows(dataset.meta)
-    rows.episodes = _without_twins(rows, _parse(rows, METADATA_FILE, dataset.metadata, EpisodeSummary))
+    rows.episodes = _without_duplicates(rows, _parse(rows, METADATA_FILE, dataset.metadata, EpisodeSummary))
     rows.episodes = _with_files(rows, root)
     rows.failures = _read_failures(rows, root / ATTEMPTS_FILE)
     _compare_with_meta(rows, dataset.metadata.num_rows)
     _compare_with_plan(rows)
-    _compare_with_promise(rows)
+    _compare_with_shared_instances(rows)
     return rows
 
 
@@ -71,29 +71,29 @@ def _parse(rows: Rows, file: str, table: pa.Table, model: type[Row]) -> list[Row
         try:
             found.append(model.model_validate(values))
         except ValidationError as error:
-            wrong.append(_say_wrong(number, values, error))
+            wrong.append(_describe_invalid_row(number, values, error))
     if wrong:
-        rows.blame(file, f"{len(wrong)} of {table.num_rows} rows skipped: {_some(wrong)}")
+        rows.add_damage(file, f"{len(wrong)} of {table.num_rows} rows skipped: {_some(wrong)}")
     return found
 
 
-def _say_wrong(number: int, values: dict[str, Any], error: ValidationError) -> str:
+def _describe_invalid_row(number: int, values: dict[str, Any], error: ValidationError) -> str:
     columns = sorted({str(item["loc"][0]) for item in error.errors() if item["loc"]})
     return f"row {number} ({values.get('episode_id')}) has wrong values in {', '.join(columns)}"
 
 
-def _without_twins(rows: Rows, episodes: list[EpisodeSummary]) -> list[EpisodeSummary]:
+def _without_duplicates(rows: Rows, episodes: list[EpisodeSummary]) -> list[EpisodeSummary]:
     first: dict[str, EpisodeSummary] = {}
-    twins = [row.episode_id for row in episodes if first.setdefault(row.episode_id, row) is not row]
-    if twins:
-        rows.blame(METADATA_FILE, f"{len(twins)} duplicate rows skipped: {_some(twins)}")
+    duplicates = [row.episode_id for row in episodes if first.setdefault(row.episode_id, row) is not row]
+    if duplicates:
+        rows.add_damage(METADATA_FILE, f"{len(duplicates)} duplicate rows skipped: {_some(duplicates)}")
     return list(first.values())
 
 
 def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
     found = {f"{EPISODES}/{place.name}": place for place in children(root / EPISODES)}
     if rows.episodes and not found and not (root / EPISODES).is_dir():
-        rows.note(EPISODES, "is not there; the statistics rest on the tables alone")
+        rows.add_remark(EPISODES, "does not exist; the statistics use the tables only")
         return rows.episodes
     sizes = {row.episode_id: _size_of(found.get(file_name_of(row.episode_id))) for row in rows.episodes}
     missing = [name for name, size in sizes.items() if size is None]
@@ -103,9 +103,9 @@ def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
         if sizes[row.episode_id] not in (None, row.file_bytes)
     ]
     if missing:
-        rows.blame(EPISODES, f"{len(missing)} episodes skipped, because the file is missing: {_some(missing)}")
+        rows.add_damage(EPISODES, f"{len(missing)} episodes skipped, because the file is missing: {_some(missing)}")
     if cut:
-        rows.blame(EPISODES, f"{len(cut)} episodes skipped, because the file has another size: {_some(cut)}")
+        rows.add_damage(EPISODES, f"{len(cut)} episodes skipped, because the file has another size: {_some(cut)}")
     return [row for row in rows.episodes if sizes[row.episode_id] == row.file_bytes]
 
 
@@ -120,12 +120,14 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
     try:
         table = pq.read_table(table_of(path)).select(list(FailedAttempt.model_fields))
     except FileNotFoundError:
-        rows.blame(ATTEMPTS_FILE, "is missing; attempts are not counted; resume the run to rewrite it")
+        rows.add_damage(ATTEMPTS_FILE, "is missing; attempts are not counted; resume the run to rewrite it")
     except (pa.ArrowException, OSError, KeyError) as error:
-        rows.blame(ATTEMPTS_FILE, f"cannot be read ({error}); attempts are not counted; resume the run to rewrite it")
+        rows.add_damage(
+            ATTEMPTS_FILE, f"cannot be read ({error}); attempts are not counted; resume the run to rewrite it"
+        )
     else:
         if table.num_rows != rows.meta.failed_attempts:
-            rows.blame(ATTEMPTS_FILE, f"has {table.num_rows} rows, {META_FILE} says {rows.meta.failed_attempts}")
+            rows.add_damage(ATTEMPTS_FILE, f"has {table.num_rows} rows, {META_FILE} says {rows.meta.failed_attempts}")
         return _parse(rows, ATTEMPTS_FILE, table, FailedAttempt)
     return None
 
@@ -133,15 +135,15 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
 def _compare_with_meta(rows: Rows, table_rows: int) -> None:
     meta = rows.meta
     if table_rows != meta.episodes:
-        rows.blame(METADATA_FILE, f"has {table_rows} rows, {META_FILE} says {meta.episodes} episodes")
+        rows.add_damage(METADATA_FILE, f"has {table_rows} rows, {META_FILE} says {meta.episodes} episodes")
     if not meta.complete:
-        rows.note(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
+        rows.add_remark(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
     if not rows.episodes:
-        rows.note(METADATA_FILE, "no episodes; there are no means")
+        rows.add_remark(METADATA_FILE, "no episodes; there are no means")
 
 
 def _compare_with_plan(rows: Rows) -> None:
-    """Blames cells that hold more than their quota, or less although the run says that it is complete."""
+    """Reports cells above their quota, and cells below it when the run is complete."""
     plan = rows.meta.plan
     found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.episodes)
     wanted = {(scene.name, *cell): count for scene in plan.scenes for cell, count in cells(plan, scene).items()}
@@ -151,18 +153,18 @@ def _compare_with_plan(rows: Rows) -> None:
         if found[key] > wanted.get(key, 0) or (rows.meta.complete and found[key] < wanted.get(key, 0))
     ]
     if wrong:
-        rows.blame(METADATA_FILE, f"{len(wrong)} cells differ from the plan: {_some(wrong)}")
+        rows.add_damage(METADATA_FILE, f"{len(wrong)} cells differ from the plan: {_some(wrong)}")
 
 
-def _compare_with_promise(rows: Rows) -> None:
-    """Says which categories training and evaluation share, and blames instances that they were not to share."""
+def _compare_with_shared_instances(rows: Rows) -> None:
+    """Reports categories shared by training and evaluation, and instances shared although the plan separates them."""
     shared = rows.meta.shared_instances
     if shared is None:
         return
     for scene, categories in shared.items():
         if categories:
-            text = f"{scene} has too few of {', '.join(categories)} to keep training and evaluation apart"
-            rows.note(META_FILE, text)
+            text = f"{scene} has too few instances of {', '.join(categories)} to separate training from evaluation"
+            rows.add_remark(META_FILE, text)
     train: set[tuple[str, str]] = set()
     evaluation: set[tuple[str, str]] = set()
     for row in rows.episodes:
@@ -170,7 +172,9 @@ def _compare_with_promise(rows: Rows) -> None:
             (train if row.split is Split.TRAIN_ID else evaluation).add((row.scene, row.target_id))
     both = [" ".join(key) for key in sorted(train & evaluation)]
     if both:
-        rows.blame(METADATA_FILE, f"{len(both)} instances in training and evaluation against the plan: {_some(both)}")
+        rows.add_damage(
+            METADATA_FILE, f"{len(both)} instances are in training and evaluation, against the plan: {_some(both)}"
+        )
 
 
 def _some(names: list[str]) -> str:

@@ -1,1 +1,1 @@
-"""Logs, settings and endpoints of the command line."""
+"""Configures logging, reads user settings, and validates network endpoints for the command line."""

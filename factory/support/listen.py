@@ -1,4 +1,4 @@
-"""Which endpoints may be used: without TLS loopback and nothing else, with it TLS and nothing else. Pure."""
+"""Validates zenoh endpoints: without TLS only loopback, with TLS only `tls/`. Pure functions; opens no socket."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ __all__ = ["require_endpoints", "require_loopback", "require_tls_endpoints"]
 
 
 def require_loopback(endpoints: Sequence[str]) -> None:
-    """Makes sure that every endpoint is of the form tcp/HOST:PORT with a loopback HOST.
+    """Raises an error unless every endpoint has the form tcp/HOST:PORT with a loopback HOST.
 
     Raises:
-        UsageError: an endpoint is malformed, or reachable from other machines.
+        UsageError: An endpoint is malformed, or is reachable from other machines.
     """
     for endpoint in endpoints:
         host = _host_of(endpoint, "tcp")
@@ -27,20 +27,20 @@ def require_loopback(endpoints: Sequence[str]) -> None:
 
 
 def require_endpoints(endpoints: Sequence[str], *, with_tls: bool) -> None:
-    """Makes sure that endpoints to connect to are of the form tcp/HOST:PORT, with certificates tls/HOST:PORT.
+    """Raises an error unless every endpoint has the form tcp/HOST:PORT, or tls/HOST:PORT with certificates.
 
     Raises:
-        UsageError: an endpoint is malformed, or does not go with the certificates.
+        UsageError: An endpoint is malformed, or its protocol does not match `with_tls`.
     """
     for endpoint in endpoints:
         _host_of(endpoint, "tls" if with_tls else "tcp")
 
 
 def require_tls_endpoints(endpoints: Sequence[str]) -> None:
-    """Makes sure that every endpoint is of the form tls/HOST:PORT.
+    """Raises an error unless every endpoint has the form tls/HOST:PORT.
 
     Raises:
-        UsageError: an endpoint is malformed, or would not be encrypted.
+        UsageError: An endpoint is malformed, or its protocol is not encrypted.
     """
     for endpoint in endpoints:
         _host_of(endpoint, "tls")

@@ -1,4 +1,4 @@
-"""How this process logs: one event name and fields a line on stderr. Configured by entry points only."""
+"""Configures structlog: one event name and its fields on each stderr line. Only entry points call it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import structlog
 __all__ = ["MAX_FIELD_CHARS", "bound_fields", "configure_logs"]
 
 MAX_FIELD_CHARS = 1000
-"""Of one field of a line; what a peer sends may be longer."""
+"""Maximum length of a log field, characters; text from a peer can be longer."""
 _CONTROLS = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))} | {10: "\\n", 9: "\\t"}
 
 
 def configure_logs(verbose: bool = False) -> None:
-    """Sends structlog events to stderr: warnings and worse, or everything from `info` on when verbose."""
+    """Sends structlog events to stderr: level `warning` and above, or `info` and above when `verbose` is set."""
     level = logging.INFO if verbose else logging.WARNING
     structlog.configure(
         processors=[
@@ -25,7 +25,7 @@ def configure_logs(verbose: bool = False) -> None:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             bound_fields,
-            # structlog's own choice prints the local variables of every frame: keys, tokens, megabytes of messages
+            # the default formatter prints local variables of every frame: keys, tokens, megabytes of messages
             structlog.dev.ConsoleRenderer(
                 colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
             ),
@@ -37,7 +37,7 @@ def configure_logs(verbose: bool = False) -> None:
 
 
 class _CurrentStderr:
-    """Writes to the present `sys.stderr`: loggers live long, and the stream may be replaced or closed meanwhile."""
+    """Stream that writes to the current `sys.stderr`, which can be replaced or closed during the life of a logger."""
 
     def write(self, text: str) -> int:
         return sys.stderr.write(text)
@@ -47,7 +47,7 @@ class _CurrentStderr:
 
 
 def bound_fields(_logger: Any, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """Keeps every field on its line and short: control characters are spelt out, a long text loses its end."""
+    """Escapes control characters in every field and truncates long fields to `MAX_FIELD_CHARS`."""
     for name, value in event.items():
         if isinstance(value, str):
             event[name] = _bounded(value)

@@ -1,4 +1,4 @@
-"""Where this user's caches and state live. The only reader of the environment on this side."""
+"""Reads the locations of caches and state from the environment. No other module of `factory` reads the environment."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ __all__ = ["cache_directory", "scene_cache", "state_directory", "store_endpoint"
 
 
 def cache_directory() -> Path:
-    """Returns the folder for what can be made again; `MINIVLA_CACHE` overrides the platform's place."""
+    """Returns the folder of data that can be recreated; `MINIVLA_CACHE` overrides the platform's default."""
     chosen = os.environ.get("MINIVLA_CACHE")
     return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("minivla-factory"))
 
 
 def state_directory() -> Path:
-    """Returns the folder for what must not be lost; `MINIVLA_STATE` overrides the platform's place."""
+    """Returns the folder of data that must be kept; `MINIVLA_STATE` overrides the platform's default."""
     chosen = os.environ.get("MINIVLA_STATE")
     return Path(chosen) if chosen else Path(platformdirs.user_state_dir("minivla-factory"))
 
 
 def store_endpoint() -> str:
-    """Returns the S3 server that the user has chosen; empty for the cloud's own."""
+    """Returns the URL of the S3 server set by the user; an empty string means the provider's default."""
     return os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL", "")
 
 

@@ -1,6 +1,6 @@
-"""Training of the baselines that ship with the product; needs the extra `train` (PyTorch) where a network is involved.
+"""Trains the baseline policies. Networks need the extra `train` (PyTorch).
 
-Words, labels, cache and schedule are numpy and pure; torch is imported only when a network is built or loaded.
+Vocabulary, labels, cache and learning rate schedule use numpy only; torch is imported only to build or load a network.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Random changes of pictures that leave the answer as it is, or change it in a known way. Pure; chance is given."""
+"""Augments training batches: mirroring, brightness, contrast, zoom, with matching labels. Pure; takes the generator."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ __all__ = ["Batch", "augment"]
 
 _BRIGHTNESS, _CONTRAST, _TINT = 0.25, 0.2, 0.08
 _CLOSER = 0.75
-"""How close at the most a view from the circle is enlarged: 0.75 m for 1 m."""
+"""Smallest zoom factor: a view from 1 m is enlarged to look like one from 0.75 m."""
 _ENLARGED = 0.6
-"""Share of the stop frames that are enlarged."""
+"""Share of the stop frames that are zoomed."""
 
 
 class Batch(NamedTuple):
-    """Frames on their way into the network."""
+    """Batch of network inputs and labels."""
 
     pictures: NDArray[np.float32]
-    """(N, 4, S, S) colours and nearness, about -1..1."""
+    """(N, 4, S, S) colour and nearness channels, about -1..1."""
     mask: NDArray[np.float32]
-    """(N, S/8, S/8) share of the cell that shows the target."""
+    """(N, S/8, S/8) share of each cell that shows the target, 0..1."""
     actions: NDArray[np.float32]
-    """(N, 2) v in m/s, w in rad/s."""
+    """(N, 2) action labels: v in m/s, w in rad/s."""
     is_stop: NDArray[np.bool_]
-    """(N,)."""
+    """(N,) whether the label is a stop."""
 
 
 def augment(batch: Batch, rng: np.random.Generator) -> Batch:
-    """Returns the frames mirrored, lit otherwise, and those of the stop sometimes from closer by.
+    """Returns the frames mirrored and with other brightness and contrast at random; also zooms some stop frames.
 
-    The expert stops on the circle, so no recorded frame shows what a robot sees that came too close. An enlarged frame
-    with depths shortened alike is such a view, as far as a picture can tell; to stand is right there too.
+    The expert stops on the success circle, so no recorded frame shows the view of a robot that is too close. A zoomed
+    frame with equally scaled depths approximates such a view; its label is a stop, too.
     """
     pictures, mask = batch.pictures.copy(), batch.mask.copy()
     actions = batch.actions.copy()
@@ -52,13 +52,13 @@ def augment(batch: Batch, rng: np.random.Generator) -> Batch:
 
 
 def _enlarge(picture: NDArray[np.float32], share: float) -> NDArray[np.float32]:
-    """Returns the middle part of a (C, S, S) picture at full size, by the nearest pixel."""
+    """Returns the central part of a (C, S, S) picture at full size, by nearest-neighbour sampling."""
     size = picture.shape[1]
     places = np.clip(((np.arange(size) + 0.5 - size / 2) * share + size / 2).astype(np.int64), 0, size - 1)
     return picture[:, places[:, None], places[None, :]]
 
 
 def _shorten(nearness: NDArray[np.float32], share: float) -> NDArray[np.float32]:
-    """Returns the nearness of depths that are `share` of what they were; `preprocess.to_input` takes logarithms."""
+    """Returns the nearness of depths scaled by `share`; `preprocess.to_input` takes logarithms."""
     shortened: NDArray[np.float32] = np.clip(nearness - np.float32(2 * np.log(share) / np.log(100.0)), -1, 1)
     return shortened

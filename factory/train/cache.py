@@ -1,8 +1,8 @@
-"""The shrunk frames of a split as memory-mapped arrays, so that no epoch decodes a PNG again. Made once, then read.
+"""Caches the downscaled frames of a split as memory-mapped arrays, so that no epoch decodes a PNG again.
 
-A cache is made beside its place and renamed, so that one that is there is whole; its name is a digest of all it
-depends on: the episodes' content, the size, which frames, and the version of the shrinking. Of several trainings that
-want the same one, the first makes it under a lock and the others wait.
+A cache is written to a temporary folder and renamed, so that an existing cache is complete. Its name is a digest of all
+inputs: the content of the episodes, the size, the selected frames, and the version of the preprocessing. If several
+trainings need the same cache, the first one writes it under a lock and the others wait. Trains nothing.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ __all__ = ["CACHE_FORMAT", "MASK_SHRINK", "CacheKey", "CachedEpisode", "FrameCac
 
 CACHE_FORMAT = 1
 MASK_SHRINK = 8
-"""How much smaller than the picture the map of the target is: the network's own second stage."""
+"""Downscaling factor from the picture to the target mask: the resolution of the network's second stage."""
 _INDEX = "index.json"
 _POLL_S = 0.2
 ProgressCallback = Callable[[int, int], None]
 
 
 class CacheKey(Model):
-    """What decides the content of a cache."""
+    """Inputs that determine the content of a cache."""
 
     format: int = CACHE_FORMAT
     look: int = preprocess.PREPROCESS_VERSION
     dataset: Sha256
-    """Digest of the episodes it is of."""
+    """Digest of the cached episodes."""
     size: int
     hold: int
 
     @property
     def name(self) -> str:
-        """Name of its folder."""
+        """Folder name of the cache."""
         return hashlib.sha256(canonical_json(self).encode()).hexdigest()[:32]
 
 
 class CachedEpisode(Model):
-    """One episode's part of the rows."""
+    """Rows of one episode in a cache."""
 
     episode_id: str
     instruction: str
@@ -75,41 +75,41 @@ class _Index(Model):
 
 @dataclass(frozen=True)
 class FrameCache:
-    """N frames of the episodes in order; the pictures are memory-mapped."""
+    """Cached frames: N frames of the episodes in order, with memory-mapped pictures."""
 
     index: _Index
     rgb: NDArray[np.uint8]
-    """(N, S, S, 3)."""
+    """(N, S, S, 3) sRGB."""
     depth: NDArray[np.uint16]
-    """(N, S, S) millimetres."""
+    """(N, S, S) depth, millimetres."""
     mask: NDArray[np.uint8]
-    """(N, S/8, S/8) share of each cell that shows the target."""
+    """(N, S/8, S/8) share of each cell that shows the target, 0..255."""
     actions: NDArray[np.float32]
-    """(N, 2) v in m/s and w in rad/s to hold."""
+    """(N, 2) action labels: v in m/s and w in rad/s."""
     is_stop: NDArray[np.bool_]
-    """(N,) whether to stand."""
+    """(N,) whether the label is a stop."""
     episode: NDArray[np.int32]
-    """(N,) place of the frame's episode in `index.episodes`."""
+    """(N,) index of the frame's episode in `index.episodes`."""
 
     def __len__(self) -> int:
         return len(self.actions)
 
 
 def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: ProgressCallback) -> FrameCache:
-    """Returns the frames of a dataset's episodes, from the cache or decoded now.
+    """Returns the frames of a dataset's episodes from the cache; decodes them if they are not cached.
 
     Args:
-        dataset: the episodes, filtered as wanted.
-        size: side of the pictures, pixels.
-        hold: steps between two looks.
-        root: folder of the caches.
-        tell: is told episodes done and to do while frames are decoded, 0 done while another training decodes them;
-            may raise to give up.
+        dataset: Episodes to cache.
+        size: Side of the pictures, pixels.
+        hold: Steps between two selected frames.
+        root: Folder of the caches.
+        tell: Progress callback, called with decoded and total episodes, and with 0 while another training decodes
+            them; may raise to cancel.
 
     Raises:
-        UsageError: there are no episodes, or they were recorded at different rates or with different robots.
-        ArchiveCorrupt: an episode is damaged.
-        WorldError: the cache cannot be written.
+        UsageError: The dataset has no episodes, or they were recorded with different rates, cameras or robots.
+        ArchiveCorrupt: An episode is damaged.
+        WorldError: The cache cannot be written.
     """
     if not len(dataset):
         raise UsageError(
@@ -127,7 +127,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
         with translated("write the cache", folder):
             root.mkdir(parents=True, exist_ok=True)
             with exclusive_lock(root / f".{key.name}.lock", wait):
-                index = _read_index(folder)  # another training may have made it meanwhile
+                index = _read_index(folder)  # another training may have written it in the meantime
                 if index is None or index.key != key:
                     _make(dataset, key, folder, tell)
                     index = _read_index(folder)
@@ -138,7 +138,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
 
 def _make(dataset: Dataset, key: CacheKey, folder: Path, tell: ProgressCallback) -> None:
     part = folder.with_name(f".{folder.name}.part")
-    shutil.rmtree(part, ignore_errors=True)  # of a training that was killed; the lock is ours
+    shutil.rmtree(part, ignore_errors=True)  # left by a killed training; this process holds the lock
     part.mkdir()
     try:
         _decode(dataset, key, part, tell)
@@ -223,7 +223,7 @@ def _read_index(folder: Path) -> _Index | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValidationError:
-        return None  # of another version: made anew
+        return None  # written by another version: written again
 
 
 def _open(folder: Path, index: _Index) -> FrameCache:

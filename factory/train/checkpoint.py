@@ -1,4 +1,4 @@
-"""Checkpoints: tensors and one JSON text in a file, written whole or not at all, read without running any of it."""
+"""Reads and writes checkpoints: tensors and JSON metadata in one file. Reading executes no code from the file."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from pydantic import ValidationError
 
 from factory.train.options import CHECKPOINT_FORMAT, CheckpointMeta
 from factory.train.preprocess import PREPROCESS_VERSION
-from factory.train.torch_door import load_torch
+from factory.train.torch_import import load_torch
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import sync_directory, translated
 
 __all__ = ["Checkpoint", "checkpoint_path", "parse_meta", "read_checkpoint", "write_atomically", "write_checkpoint"]
 
 MAX_BYTES = 1 << 30
-"""Largest checkpoint that is opened."""
+"""Maximum size of a checkpoint file, bytes."""
 POLICY, STATE = "policy.pt", "state.pt"
-"""Names within a training's folder: what drives, and what a resumed training goes on from."""
+"""File names in a training folder: the weights of the policy, and the state from which a training resumes."""
 
 
 class Checkpoint(NamedTuple):
-    """A file's content."""
+    """Content of a checkpoint file."""
 
     meta: CheckpointMeta
     tensors: dict[str, Any]
-    """Groups of tensors by name: `model` is the weights that drive; others are for going on with the training."""
+    """Groups of tensors by name: `model` holds the weights of the policy; the others resume the training."""
 
 
 def checkpoint_path(path: Path) -> Path:
-    """Returns the file meant by what stands after `bc:`, which may be a training's folder."""
+    """Returns the checkpoint file for the path after `bc:`, which may be a training folder."""
     return path / POLICY if path.is_dir() else path
 
 
 def parse_meta(text: object, path: Path) -> CheckpointMeta:
-    """Returns the words of a checkpoint.
+    """Parses the metadata of a checkpoint.
 
     Raises:
-        UsageError: they are not a checkpoint's, or of a newer version.
+        UsageError: The text is not the metadata of a checkpoint, or its version is not supported.
     """
     if not isinstance(text, str):
         raise UsageError(f"{path} is not a checkpoint of `factory train`: the text `meta` is missing")
@@ -51,8 +51,8 @@ def parse_meta(text: object, path: Path) -> CheckpointMeta:
         what = f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
         raise UsageError(f"{path} is not a checkpoint that this version reads ({what})") from error
     if meta.format > CHECKPOINT_FORMAT or meta.look != PREPROCESS_VERSION:
-        found = f"format {meta.format}, pictures of version {meta.look}"
-        mine = f"format {CHECKPOINT_FORMAT}, pictures of version {PREPROCESS_VERSION}"
+        found = f"format {meta.format}, preprocessing {meta.look}"
+        mine = f"format {CHECKPOINT_FORMAT}, preprocessing {PREPROCESS_VERSION}"
         raise UsageError(
             f"{path} was written by another version ({found}; this version reads {mine}): train the policy again"
         )
@@ -60,10 +60,10 @@ def parse_meta(text: object, path: Path) -> CheckpointMeta:
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Writes a checkpoint beside its place, makes it durable and renames it.
+    """Writes a checkpoint atomically and durably.
 
     Raises:
-        WorldError: the disk refuses.
+        WorldError: The file cannot be written.
     """
     torch = load_torch()
     buffer = io.BytesIO()
@@ -72,21 +72,21 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """Returns a checkpoint; only tensors and plain values are read, never code.
+    """Reads a checkpoint; loads tensors and plain values only and executes no code.
 
     Raises:
-        UsageError: there is none, or it is none.
-        WorldError: it cannot be read, or is damaged.
+        UsageError: The file does not exist, or it is not a checkpoint.
+        WorldError: The file cannot be read, or is damaged.
     """
     torch = load_torch()
     path = checkpoint_path(path)
     if not path.is_file():
         raise UsageError(f"checkpoint {path} does not exist; `factory train bc DIR -o OUT` creates OUT/{POLICY}")
     if path.stat().st_size > MAX_BYTES:
-        raise UsageError(f"{path} has {path.stat().st_size} bytes; checkpoints have at most {MAX_BYTES}")
+        raise UsageError(f"{path} has {path.stat().st_size} bytes; the maximum size of a checkpoint is {MAX_BYTES}")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # the unpickler raises a dozen types for what is no checkpoint
+    except Exception as error:  # the unpickler raises many exception types for invalid files
         first = (str(error).splitlines() or ["no reason given"])[0][:200]
         raise WorldError(f"{path} is damaged or not a checkpoint ({type(error).__name__}: {first})") from error
     if not isinstance(content, dict):
@@ -95,7 +95,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Writes a file beside its place, makes it durable and renames it."""
+    """Writes a file atomically and durably: to a temporary file, synced, then renamed."""
     part = path.with_name(f".{path.name}.part")
     with translated("write", path):
         with part.open("wb") as file:

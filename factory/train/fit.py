@@ -1,7 +1,7 @@
-"""The training loop: epochs over a cache, measures on another, and all that a resumed training needs. Touches no path.
+"""Training loop: epochs over a cache, validation, and the state from which a training resumes. Accesses no files.
 
-Every random choice of an epoch comes from (seed, epoch), so that a training that was interrupted after an epoch and
-resumed ends with the same weights, bit for bit on one device with one number of threads.
+The random numbers of an epoch depend on (seed, epoch) only, so that a training that was interrupted after an epoch and
+resumed produces the same weights, bit for bit, on the same device with the same number of threads.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from factory.train.network import BcNetwork, NetworkOutput
 from factory.train.options import BcOptions
 from factory.train.report import EpochMeasures
 from factory.train.schedule import ema_decay, learning_rate
-from factory.train.words import encode
+from factory.train.vocabulary import encode
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS, tokens_of
 
 __all__ = ["BcTraining", "TrainingLimits"]
 
 _STOP_CELL = 3
-"""Cell of the grid with v = 0 and w = 0: token 0 and token 3."""
+"""Index of the grid cell with v = 0 and w = 0: tokens 0 and 3."""
 _WARMUP_SHARE = 0.05
 _MOST_NORM = 1.0
 LossCallback = Callable[[int, int, float], None]
@@ -39,20 +39,20 @@ LossCallback = Callable[[int, int, float], None]
 
 @dataclass(frozen=True)
 class TrainingLimits:
-    """What full scale means."""
+    """Full-scale values of the actions."""
 
     max_speed_mps: float
     max_yaw_rate_rps: float
 
 
 class BcTraining:
-    """Weights, their running mean, the optimiser, and how many epochs are done.
+    """Training state: the weights, their moving average, the optimiser, and the number of finished epochs.
 
     Args:
-        options: what is learned.
-        words: the vocabulary.
-        limits: of the robot.
-        device: where to compute.
+        options: Training options.
+        words: Vocabulary.
+        limits: Action limits of the robot.
+        device: Torch device.
     """
 
     def __init__(self, options: BcOptions, words: tuple[str, ...], limits: TrainingLimits, device: Any) -> None:
@@ -68,11 +68,11 @@ class BcTraining:
 
     @property
     def parameters(self) -> int:
-        """How many numbers are learned."""
+        """Number of trainable parameters."""
         return sum(parameter.numel() for parameter in self.model.parameters())
 
     def state(self) -> dict[str, Any]:
-        """Returns everything to go on from, in tensors and plain values."""
+        """Returns the state needed to resume, as tensors and plain values."""
         return {
             "moving": self.model.state_dict(),
             "model": self.mean.state_dict(),
@@ -82,21 +82,21 @@ class BcTraining:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Goes on from what `state` returned."""
+        """Restores a state returned by `state`."""
         self.model.load_state_dict(state["moving"])
         self.mean.load_state_dict(state["model"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.epochs_done, self._steps_done = int(state["epochs_done"]), int(state["steps_done"])
 
     def run_epoch(self, train: FrameCache, val: FrameCache | None, tell: LossCallback) -> EpochMeasures:
-        """Learns from every frame once and measures what was learned.
+        """Trains for one epoch and validates the averaged weights.
 
         Args:
-            train: the frames to learn from.
-            val: the frames to measure on.
-            tell: is told batches done and to do, and the loss.
+            train: Training frames.
+            val: Validation frames; `None` skips the validation.
+            tell: Progress callback, called with finished and total batches, and the mean loss.
         """
-        begun = time.monotonic()
+        start_s = time.monotonic()
         rng = np.random.default_rng((self._options.seed, self.epochs_done))
         order = rng.permutation(len(train))
         said = self._sentences(train)
@@ -117,7 +117,7 @@ class BcTraining:
             train_loss=losses / batches,
             **{name: measured.get(name) for name in _MEASURES},
             rate=rate,
-            seconds=time.monotonic() - begun,
+            seconds=time.monotonic() - start_s,
         )
 
     def _step(self, batch: Batch, said: NDArray[np.int64], rate: float) -> float:
@@ -139,7 +139,7 @@ class BcTraining:
         return float(loss.detach())
 
     def _imitation(self, answer: NetworkOutput, batch: Batch) -> Tensor:
-        """Returns the loss of each frame: (N,)."""
+        """Returns the imitation loss of each frame, (N,)."""
         is_stop = self._tensor(batch.is_stop.astype(np.float32))
         weight = 1 + (self._options.stop_weight - 1) * is_stop
         if self._options.head == "tokens":
@@ -179,7 +179,7 @@ class BcTraining:
         }
 
     def _decide(self, answer: NetworkOutput) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Returns the twists (N, 2) and whether each is a stop."""
+        """Returns the twists, (N, 2), and whether each is a stop, (N,)."""
         if self._options.head == "tokens":
             cells = answer.cells.argmax(dim=1).cpu().numpy()
             v, w = np.divmod(cells, len(W_GRID_RPS))
@@ -189,7 +189,7 @@ class BcTraining:
         return action, (answer.stop > 0).cpu().numpy()
 
     def _sentences(self, cache: FrameCache) -> NDArray[np.int64]:
-        """Returns the words of every episode: (E, W)."""
+        """Returns the token indices of the instruction of every episode, (E, W)."""
         ablate = self._options.ablate_language
         return np.stack([encode(episode.instruction, self._words, ablate) for episode in cache.index.episodes])
 
@@ -211,13 +211,13 @@ def _blocks(rows: int, size: int) -> Iterator[NDArray[np.int64]]:
 
 
 def _mask_loss(logits: Tensor, wanted: Tensor) -> Tensor:
-    """Cross-entropy by cell; cells of the target count more, since they are few."""
+    """Returns the binary cross-entropy of the mask; target cells have a higher weight, because they are rare."""
     weight = 1 + 4 * wanted
     return (functional.binary_cross_entropy_with_logits(logits, wanted, reduction="none") * weight).mean()
 
 
 def _pointing(logits: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Returns for each frame that shows the target whether the likeliest cell does."""
+    """Returns whether the most likely cell shows the target, for each frame with a visible target."""
     n = len(logits)
     best = logits.reshape(n, -1).argmax(axis=1)
     cells = wanted.reshape(n, -1)

@@ -1,4 +1,4 @@
-"""What the network is to answer at a frame: the twist to hold, and whether to stand. Pure; arrays in, arrays out."""
+"""Computes the training labels of a frame: the twist to hold, and whether to stop. Pure functions over arrays."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from numpy.typing import NDArray
 __all__ = ["Labels", "chosen_frames", "label_episode", "stop_frame"]
 
 _TAIL_STEPS, _TAIL_STRIDE = 30, 2
-"""The end of an episode is looked at more often: the stop is decided in half a second of ten."""
+"""Length and stride of the denser sampling at the end of an episode, steps: the stop takes about half a second."""
 
 
 class Labels(NamedTuple):
-    """One row a chosen frame."""
+    """Labels of the selected frames, one row each."""
 
     actions: NDArray[np.float32]
-    """(N, 2) v in m/s and w in rad/s to hold until the next look; (0, 0) where the robot is to stand."""
+    """(N, 2) v in m/s and w in rad/s to hold until the next selected frame; (0, 0) for a stop."""
     is_stop: NDArray[np.bool_]
-    """(N,) whether the expert wants to stand from this frame on."""
+    """(N,) whether the expert stops from this frame on."""
 
 
 def stop_frame(actions: NDArray[np.float32], max_braking_mps2: float, control_hz: int) -> int:
-    """Returns the first frame whose action belongs to the last full braking; the length when there is none.
+    """Returns the first frame of the final full braking; the number of frames without one.
 
-    The recorded commands have passed the slew limit: the expert's decision to stand shows as a speed that falls at
-    the limit down to 0 and stays there. A speed that sinks with the distance falls ten times slower.
+    The recorded commands are slew limited: the expert's decision to stop appears as a speed that decreases at the
+    braking limit to 0 and remains there. A speed that decreases with the distance falls ten times more slowly.
 
     Args:
-        actions: (T, 2) as recorded.
-        max_braking_mps2: the slew limit of braking, m/s2.
-        control_hz: steps a second.
+        actions: (T, 2) recorded commands.
+        max_braking_mps2: Slew limit of braking, m/s2.
+        control_hz: Control rate, Hz.
     """
     speed = actions[:, 0].astype(np.float64)
     if not len(speed) or speed[-1] > 0:
@@ -44,22 +44,22 @@ def stop_frame(actions: NDArray[np.float32], max_braking_mps2: float, control_hz
 
 
 def chosen_frames(steps: int, stride: int) -> NDArray[np.int64]:
-    """Returns the frames that are learned from: every `stride`-th, and more of the last half second."""
+    """Returns the indices of the training frames: every `stride`-th frame, and more in the last half second."""
     tail = range(max(0, steps - _TAIL_STEPS), steps, _TAIL_STRIDE)
     return np.array(sorted({*range(0, steps, stride), *tail}), np.int64)
 
 
 def label_episode(actions: NDArray[np.float32], frames: NDArray[np.int64], stop: int, hold: int) -> Labels:
-    """Returns the labels of the chosen frames.
+    """Returns the labels of the selected frames.
 
-    The twist of a frame is the command at the end of the time it will be held for, not beyond the frame before the
-    stop: at the end, because the first commands of an episode say only that a robot cannot start at once.
+    The twist of a frame is the command at the end of its hold time, but not after the frame before the stop. The end is
+    used because the first commands of an episode only reflect the acceleration limit.
 
     Args:
-        actions: (T, 2) as recorded.
-        frames: (N,) chosen frames.
-        stop: the first frame to stand at.
-        hold: steps for which an action is held.
+        actions: (T, 2) recorded commands.
+        frames: (N,) selected frames.
+        stop: First frame of the stop.
+        hold: Steps for which an action is held.
     """
     is_stop = frames >= stop
     last = np.minimum(frames + hold - 1, max(0, min(stop, len(actions)) - 1))

@@ -1,7 +1,7 @@
-"""The network of the baseline: a small residual encoder, an LSTM over the words, and a head. Imports torch at once.
+"""Network of the baseline: a small residual encoder, an LSTM over the instruction, and a head. Imports torch.
 
-The words steer the encoder's later stages (FiLM) and point at a place of its map; the head sees what stands there,
-where it stands, and the view as a whole. Imported only when a network is wanted.
+The instruction modulates the later stages of the encoder (FiLM) and predicts a mask of the target; the head receives
+the features under the mask, their position, and the global features. Import this module only to use a network.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ _GROUPS = 4
 
 
 class NetworkOutput(NamedTuple):
-    """What the network says of N views."""
+    """Network output for N frames."""
 
     action: Tensor
-    """(N, 2) v as a share of the top speed 0..1 and w of the top yaw rate -1..1; of the continuous head."""
+    """(N, 2) v over the maximum speed, 0..1, and w over the maximum yaw rate, -1..1; continuous head only."""
     stop: Tensor
-    """(N,) logit of standing; of the continuous head."""
+    """(N,) stop logits; continuous head only."""
     cells: Tensor
-    """(N, 49) logits of the grid's points, 7 v + w; of the token head."""
+    """(N, 49) logits of the grid points, index 7 v + w; token head only."""
     mask: Tensor
-    """(N, S/8, S/8) logits of where the named object shows."""
+    """(N, S/8, S/8) logits of the target mask."""
 
 
 class BcNetwork(nn.Module):  # type: ignore[misc]
-    """From pictures (N, 4, S, S) and words (N, W) to an answer.
+    """Network from pictures (N, 4, S, S) and tokens (N, W) to actions.
 
     Args:
-        options: size and head.
-        words: length of the vocabulary.
+        options: Training options, with size and head.
+        words: Size of the vocabulary.
     """
 
     def __init__(self, options: BcOptions, words: int) -> None:
@@ -63,11 +63,11 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         self.twist = nn.Linear(128, _CELLS if self._is_tokens else 3)
 
     def forward(self, pictures: Tensor, words: Tensor) -> NetworkOutput:
-        """Returns what to do, and where the network points.
+        """Returns the actions and the target mask.
 
         Args:
-            pictures: (N, 4, S, S) as `preprocess.to_input` makes them, sRGB and nearness.
-            words: (N, L) numbers of the words, 0 behind the last one.
+            pictures: (N, 4, S, S) output of `preprocess.to_input`, sRGB and nearness.
+            words: (N, L) token indices, padded with 0.
         """
         said = self._read(words)
         low = self.stage2(self.stage1(self.stem(pictures), said), said)
@@ -83,14 +83,14 @@ class BcNetwork(nn.Module):  # type: ignore[misc]
         return NetworkOutput(action, out[:, 2], empty, mask[:, 0])
 
     def _read(self, words: Tensor) -> Tensor:
-        """Returns the state after the last word: (N, 64)."""
+        """Returns the LSTM state after the last word, (N, 64)."""
         states, _ = self.reader(self.embedding(words))
         last = (words != 0).sum(dim=1).clamp(min=1) - 1
         return states[torch.arange(len(words), device=words.device), last]
 
 
 class _Block(nn.Module):  # type: ignore[misc]
-    """Two convolutions and a way around them, scaled and shifted by the words."""
+    """Residual block with FiLM: two convolutions and a shortcut, scaled and shifted by the instruction state."""
 
     def __init__(self, into: int, out: int, stride: int, said: int) -> None:
         super().__init__()
@@ -109,7 +109,7 @@ class _Block(nn.Module):  # type: ignore[misc]
 
         Args:
             x: (N, into, H, W) features.
-            said: (N, said) state after the last word.
+            said: (N, said) LSTM state after the last word.
         """
         scale, shift = self.film(said)[:, :, None, None].chunk(2, dim=1)
         y = functional.relu(self.norm1(self.conv1(x)))
@@ -118,7 +118,7 @@ class _Block(nn.Module):  # type: ignore[misc]
 
 
 def _attend(features: Tensor, mask: Tensor, nearness: Tensor) -> Tensor:
-    """Returns what stands where the mask points, and where that is: (N, C + 4)."""
+    """Returns the features pooled under the mask, with position, nearness and mask size, (N, C + 4)."""
     n, _, rows, columns = features.shape
     share = torch.softmax(mask.reshape(n, 1, rows * columns), dim=2)
     y, x = torch.meshgrid(

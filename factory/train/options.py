@@ -1,4 +1,4 @@
-"""The settings of a training and what a checkpoint says of itself. Models only; opens nothing."""
+"""Models of training options and checkpoint metadata. Opens no files."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from schemas.base import Fraction, Model, NonNegative, Positive, Sha256
 __all__ = ["CHECKPOINT_FORMAT", "BcOptions", "CheckpointMeta", "Head"]
 
 CHECKPOINT_FORMAT = 1
-"""Version of the checkpoint. A reader opens its own version and older ones; a newer one it refuses by name."""
+"""Format version of a checkpoint. Readers accept this version and older ones, and raise an error for a newer one."""
 Head = Literal["continuous", "tokens"]
 
 
 class BcOptions(Model):
-    """Everything that decides what is learned; a resumed training must have the same."""
+    """Training options; a resumed training must have the same options."""
 
     head: Head = "continuous"
-    """`continuous`: v, w and whether to stand; `tokens`: one of the 49 points of the action grid."""
+    """Output head. `continuous`: v, w and a stop logit; `tokens`: one of the 49 points of the action grid."""
     ablate_language: bool = False
     """Whether every instruction is replaced by one constant token."""
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 30
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     size: int = 128
-    """Side of the picture the network sees, pixels."""
+    """Side of the network's input picture, pixels."""
     width: Annotated[int, Field(ge=4, le=256, multiple_of=4)] = 24
-    """Channels of the first stage; the later ones have two and four times as many. Normalised in four groups."""
+    """Channels of the first stage, a multiple of four (GroupNorm); later stages have two and four times as many."""
     hold: Annotated[int, Field(ge=1, le=60)] = 6
-    """Steps for which an action is held; 6 is ten looks a second at 60 Hz."""
+    """Steps for which an action is held; 6 means ten inferences per second at 60 Hz."""
     batch: Annotated[int, Field(ge=1, le=4096)] = 32
     peak_rate: Positive = 1e-3
     weight_decay: NonNegative = 0.02
     ema: Fraction = 0.995
-    """Limit of the running mean of the weights."""
+    """Maximum decay of the moving average of the weights."""
     mask_weight: NonNegative = 1.0
-    """Of the loss that asks where the named object stands in the picture; 0 leaves plain imitation."""
+    """Weight of the target mask loss; 0 disables it."""
     stop_weight: Positive = 1.0
-    """Of the frames at which to stand."""
+    """Weight of the stop frames."""
 
     @field_validator("size")
     @classmethod
@@ -50,22 +50,22 @@ class BcOptions(Model):
 
 
 class CheckpointMeta(Model):
-    """The words beside the weights: all a policy needs to know to use them."""
+    """Checkpoint metadata that a policy needs to use the weights."""
 
     format: int = CHECKPOINT_FORMAT
     kind: Literal["bc"] = "bc"
     look: int = PREPROCESS_VERSION
     options: BcOptions
     words: tuple[str, ...]
-    """The vocabulary by number."""
+    """Vocabulary: words by token index."""
     control_hz: Annotated[int, Field(ge=1)]
-    """Steps a second that the hold was learned at."""
+    """Control rate of the training data, Hz."""
     fov_deg: Positive
     max_speed_mps: Positive
     max_yaw_rate_rps: Positive
     epochs_done: Annotated[int, Field(ge=0)] = 0
     train_digest: Sha256
-    """Digest of the episodes it learned from."""
+    """Digest of the training episodes."""
     train_episodes: Annotated[int, Field(ge=1)]
     train_frames: Annotated[int, Field(ge=1)]
     software: str

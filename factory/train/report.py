@@ -1,4 +1,4 @@
-"""What a training measured, epoch by epoch: the content of `metrics.json` and of `--json`. Models only."""
+"""Models of the training measures: the content of `metrics.json` and of `--json`. Computes nothing."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ __all__ = ["EpochMeasures", "TrainReport"]
 
 
 class EpochMeasures(Model):
-    """One epoch; the measures are of the running mean of the weights, which is what drives."""
+    """Measures of one epoch; validation uses the averaged weights, which are those of the policy."""
 
     epoch: int
-    """From 1."""
+    """Number of the epoch, from 1."""
     train_loss: NonNegative
-    """Mean over the epoch, of the weights in motion, on pictures varied at random."""
+    """Mean training loss over the epoch, with the current weights and augmented pictures."""
     val_loss: NonNegative | None
-    """Imitation alone, without the loss of the mask; `None` without validation episodes."""
+    """Imitation loss without the mask loss; `None` without validation episodes."""
     val_v_mps: NonNegative | None
-    """Mean error of v where the expert drives, m/s."""
+    """Mean absolute error of v on frames without a stop, m/s."""
     val_w_rps: NonNegative | None
-    """Mean error of w where the expert drives, rad/s."""
+    """Mean absolute error of w on frames without a stop, rad/s."""
     stop_precision: Fraction | None
-    """Of the frames said to be stops, how many are; `None` when none is said to be."""
+    """Precision of predicted stops; `None` without predicted stops."""
     stop_recall: Fraction | None
-    """Of the stops, how many are found."""
+    """Recall of stops; `None` without stops."""
     pointing: Fraction | None
-    """How often the likeliest cell of the mask shows the target, where the target is in view."""
+    """Share of frames with a visible target in which the most likely mask cell shows it."""
     rate: NonNegative
-    """Learning rate at its end."""
+    """Learning rate at the end of the epoch."""
     seconds: NonNegative
 
 
 class TrainReport(Model):
-    """The whole training."""
+    """Report of a training."""
 
     out: str
     finished: bool
-    """Whether all epochs are done; else the same command continues."""
+    """Whether all epochs are done; otherwise, the same command resumes the training."""
     options: BcOptions
     device: str
     parameters: int

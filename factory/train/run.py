@@ -1,7 +1,7 @@
-"""One training from a dataset to a folder: caches, epochs, checkpoints, logs. Resumes where it was.
+"""Runs a training from a dataset to a folder: caches, epochs, checkpoints, logs. Resumes an interrupted training.
 
-The folder holds `policy.pt` (what `--policy bc:OUT` drives with), `state.pt` (what a resumed training goes on from),
-`metrics.json`, and `tensorboard/`. Both checkpoints are written after every epoch, whole or not at all.
+The folder contains `policy.pt` (used by `--policy bc:OUT`), `state.pt` (the state to resume from), `metrics.json` and
+`tensorboard/`. Both checkpoints are written atomically after every epoch. Defines no network and no loss.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from factory.train.checkpoint import (
 )
 from factory.train.options import BcOptions, CheckpointMeta
 from factory.train.report import EpochMeasures, TrainReport
-from factory.train.torch_door import choose_device, load_torch, require_logs, summary_writer
-from factory.train.words import vocabulary
+from factory.train.torch_import import choose_device, load_torch, require_logs, summary_writer
+from factory.train.vocabulary import vocabulary
 from schemas.errors import UsageError, WorldError
 from schemas.storage.disk import translated
 from schemas.terms import Split
@@ -38,67 +38,67 @@ from schemas.terms import Split
 if TYPE_CHECKING:
     from factory.train.fit import BcTraining
 
-__all__ = ["TrainOrder", "Watcher", "train_bc"]
+__all__ = ["TrainCallbacks", "TrainOrder", "train_bc"]
 
 _METRICS = "metrics.json"
 
 
 @dataclass(frozen=True)
 class TrainOrder:
-    """What is wanted of a training beside what decides its outcome."""
+    """Training request: dataset, output folder and limits, with the options that determine the result."""
 
     dataset: Dataset
-    """Filtered by scene and tier where that is wanted; the splits are taken from it here."""
+    """Dataset, filtered by scene and tier if required, but not by split."""
     out: Path
     options: BcOptions
     split: Split = Split.TRAIN_ID
     device: str = "auto"
     minutes: float | None = None
-    """No epoch is begun that would end later than this."""
+    """Time limit, minutes: no epoch starts that would end later. `None` means no limit."""
 
 
 @dataclass(frozen=True)
-class Watcher:
-    """Whom to tell and whom to ask on the way."""
+class TrainCallbacks:
+    """Callbacks of a training."""
 
     caching: Callable[[int, int], None]
-    """Episodes decoded and to decode."""
+    """Called with decoded and total episodes."""
     learning: Callable[[int, int, int, float], None]
-    """Epochs done; batches done and to do in this one; its loss."""
+    """Called with finished epochs, finished and total batches of the current epoch, and its mean loss."""
     measured: Callable[[EpochMeasures], None]
     is_stopped: Callable[[], bool]
 
 
-def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
-    """Trains until the epochs are done, the minutes are used up or the watcher stops; continues what the folder holds.
+def train_bc(order: TrainOrder, callbacks: TrainCallbacks) -> TrainReport:
+    """Trains until all epochs are done, the time limit is reached or the caller stops it; resumes from the folder.
 
     Raises:
-        UsageError: torch is missing, the folder holds a training with other options or episodes, or there is nothing
-            to learn from.
-        ArchiveCorrupt: an episode is damaged.
-        WorldError: the disk refuses, or the losses are no numbers any more.
+        UsageError: PyTorch is not installed, the folder contains a training with other options or episodes, or the
+            split has no episodes.
+        ArchiveCorrupt: An episode is damaged.
+        WorldError: A file cannot be written, or the loss is NaN.
     """
     device = choose_device(order.device)
     require_logs()
-    begun_with = _check_folder(order)
-    train, val = _caches(order, watcher)
+    resumed = _check_folder(order)
+    train, val = _caches(order, callbacks)
     meta = _meta(order, train)
-    if begun_with is not None:
-        _require_same_data(begun_with, meta, order.out)
+    if resumed is not None:
+        _require_same_data(resumed, meta, order.out)
     from factory.train.fit import BcTraining, TrainingLimits
 
     limits = TrainingLimits(meta.max_speed_mps, meta.max_yaw_rate_rps)
     training = BcTraining(order.options, meta.words, limits, device)
-    epochs = _restore(order, training, begun_with) if begun_with is not None else []
-    begun, longest = time.monotonic(), 0.0
+    epochs = _restore(order, training, resumed) if resumed is not None else []
+    start_s, longest = time.monotonic(), 0.0
     with closing(summary_writer(str(order.out / "tensorboard"), training.epochs_done + 1)) as log:
-        while training.epochs_done < order.options.epochs and not watcher.is_stopped():
-            spent = time.monotonic() - begun
+        while training.epochs_done < order.options.epochs and not callbacks.is_stopped():
+            spent = time.monotonic() - start_s
             if order.minutes is not None and longest and spent + longest > 60 * order.minutes:
                 break
 
             def tell(done: int, of: int, loss: float) -> None:
-                watcher.learning(training.epochs_done, done, of, loss)
+                callbacks.learning(training.epochs_done, done, of, loss)
 
             measured = training.run_epoch(train, val, tell)
             _require_sound(measured)
@@ -107,15 +107,15 @@ def train_bc(order: TrainOrder, watcher: Watcher) -> TrainReport:
             _log(log, measured)
             report = _report(order, training, train, val, epochs, str(device))
             _write(order.out, training, meta, report)
-            watcher.measured(measured)
+            callbacks.measured(measured)
     return _report(order, training, train, val, epochs, str(device))
 
 
 def _check_folder(order: TrainOrder) -> Checkpoint | None:
-    """Returns the state of the training that the folder holds, if any; makes the folder.
+    """Returns the training state in the folder, if any; creates the folder.
 
     Raises:
-        UsageError: that training has other options.
+        UsageError: The training in the folder has other options.
     """
     found = read_checkpoint(order.out / STATE) if (order.out / STATE).exists() else None
     if found is not None:
@@ -136,16 +136,16 @@ def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> No
     then = found.meta
     if (then.train_digest, then.words) != (meta.train_digest, meta.words):
         raise UsageError(
-            f"{out} contains a training on other episodes ({_say_data(then)}; now {_say_data(meta)}): give the same "
-            "dataset, --split, --scene and --tier to continue it, or choose another --out"
+            f"{out} contains a training on other episodes ({_describe_data(then)}; now {_describe_data(meta)}): "
+            "give the same dataset, --split, --scene and --tier to continue it, or choose another --out"
         )
 
 
-def _say_data(meta: CheckpointMeta) -> str:
+def _describe_data(meta: CheckpointMeta) -> str:
     return f"{meta.train_episodes} episodes, {meta.train_frames} frames, digest {meta.train_digest[:12]}"
 
 
-def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache | None]:
+def _caches(order: TrainOrder, callbacks: TrainCallbacks) -> tuple[FrameCache, FrameCache | None]:
     root, options = cache_directory() / "train", order.options
     part = order.dataset.filter(split=order.split)
     if not len(part):
@@ -155,8 +155,8 @@ def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache
         )
 
     def tell(done: int, of: int) -> None:
-        watcher.caching(done, of)
-        if watcher.is_stopped():
+        callbacks.caching(done, of)
+        if callbacks.is_stopped():
             raise KeyboardInterrupt
 
     train = open_cache(part, options.size, options.hold, root, tell)
@@ -184,13 +184,13 @@ def _meta(order: TrainOrder, train: FrameCache) -> CheckpointMeta:
 
 
 def _restore(order: TrainOrder, training: BcTraining, found: Checkpoint) -> list[EpochMeasures]:
-    """Continues from the folder's state and returns the epochs it has."""
+    """Restores the state of the folder and returns the measures of its finished epochs."""
     try:
         training.restore(found.tensors)
         report = TrainReport.model_validate_json((order.out / _METRICS).read_bytes())
     except (KeyError, ValueError, RuntimeError, OSError, ValidationError) as error:
         first = (str(error).splitlines() or ["no reason given"])[0]
-        raise WorldError(f"{order.out} cannot be continued ({first}): choose another --out") from error
+        raise WorldError(f"the training in {order.out} cannot be resumed ({first}): choose another --out") from error
     return [measured for measured in report.epochs if measured.epoch <= training.epochs_done]
 
 
@@ -202,7 +202,7 @@ def _require_sound(measured: EpochMeasures) -> None:
 def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport) -> None:
     done = meta.model_copy(update={"epochs_done": training.epochs_done})
     state = training.state()
-    # metrics first: a resumed training drops epochs that its state does not know
+    # metrics first: a resumed training discards epochs that are newer than its state
     write_atomically(out / _METRICS, report.model_dump_json(indent=2).encode())
     write_checkpoint(out / POLICY, Checkpoint(done, {"model": state["model"]}))
     write_checkpoint(out / STATE, Checkpoint(done, state))

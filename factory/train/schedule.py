@@ -1,4 +1,4 @@
-"""The learning rate over a training: a short rise, then half a cosine down. Pure."""
+"""Schedules of a training: learning rate with linear warm-up and cosine decay, and averaging decay. Pure functions."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _FINAL_SHARE = 0.02
 
 
 def learning_rate(step: int, steps: int, peak: float, warmup: int) -> float:
-    """Returns the rate of a step.
+    """Returns the learning rate of a step.
 
     Args:
-        step: from 0 to `steps` - 1.
-        steps: of the whole training.
-        peak: highest rate.
-        warmup: steps of the rise.
+        step: Step, from 0 to `steps` - 1.
+        steps: Number of steps of the training.
+        peak: Maximum learning rate.
+        warmup: Number of warm-up steps.
     """
     if step < warmup:
         return peak * (step + 1) / warmup
@@ -25,5 +25,5 @@ def learning_rate(step: int, steps: int, peak: float, warmup: int) -> float:
 
 
 def ema_decay(step: int, limit: float) -> float:
-    """Returns how much of the running mean of the weights a step keeps; little at first, when it holds only noise."""
+    """Returns the decay of the moving average of the weights at a step; small at first, when the average is noise."""
     return min(limit, (1 + step) / (10 + step))

@@ -1,6 +1,6 @@
-"""Verification of a dataset: every file against the tables, and deep: every byte against itself and the plan.
+"""Verifies a dataset: every file against the tables and, with `deep`, every frame and digest against the plan.
 
-Reads only, needs no ledger, prints nothing; finds all, never stops at the first.
+Returns all findings; does not stop at the first. Does not write, print or need a ledger.
 """
 
 from __future__ import annotations
@@ -59,20 +59,20 @@ _CHECKS_AT_A_TIME = 4
 def verify(
     root: Place, deep: bool = False, on_progress: ProgressCallback = lambda _done, _all: None, processes: int = 1
 ) -> VerifyReport:
-    """Checks a whole dataset.
+    """Verifies a dataset.
 
-    Shallow: tables readable and agreeing with each other, every file there with its size and SHA-256, none too many.
-    Deep: besides, every frame decoded, digests and motion recomputed, rows compared with the episodes, scene packages
-    hashed and quotas compared with the plan.
+    The shallow check reads all tables, compares them with each other, and compares size and SHA-256 of every file with
+    them; it reports missing and additional files. The deep check also decodes every frame, recomputes digests and
+    motion, compares rows with the episodes, hashes the scene packages, and compares the quotas with the plan.
 
     Args:
-        root: of the dataset.
-        deep: whether to look into the episodes.
-        on_progress: called with the number of episodes checked and their total.
-        processes: how many processes check episodes; 1 stays in this one.
+        root: Location of the dataset.
+        deep: Whether to check the content of the episodes.
+        on_progress: Called with the number of checked episodes and the total.
+        processes: Number of processes that check episodes; 1 runs in the calling process.
 
     Raises:
-        WorldError: there is no dataset, or it is of a newer format.
+        WorldError: The dataset does not exist, or its format is newer than this software.
     """
     report = VerifyReport(root, deep)
     try:
@@ -85,7 +85,7 @@ def verify(
     _check_listing(root, rows, report)
     _check_tables(dataset, rows, report)
     checks = _plan_checks(rows, _check_scenes(root, dataset.meta, report), report)
-    for done, findings in enumerate(_carry_out(checks, processes), 1):
+    for done, findings in enumerate(_run_checks(checks, processes), 1):
         report.findings += findings
         on_progress(done, len(rows))
     if deep:
@@ -105,7 +105,7 @@ def _rows(dataset: Dataset, report: VerifyReport) -> Rows:
                 report.add(Kind.DAMAGED, METADATA_FILE, f"{name}: wrong values in {', '.join(where)}")
                 continue
             if row.episode_id in rows:
-                report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} stands twice")
+                report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} has more than one row")
             if row.episode_id != episode_id(row.index):
                 report.add(Kind.CONTRADICTION, METADATA_FILE, f"{row.episode_id} has index {row.index}")
             rows[row.episode_id] = row
@@ -121,11 +121,11 @@ def _plan_checks(rows: Rows, scenes: dict[str, SceneEntry], report: VerifyReport
     return checks
 
 
-def _carry_out(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Finding]]:
+def _run_checks(checks: list[EpisodeCheck], processes: int) -> Iterator[list[Finding]]:
     if processes <= 1 or len(checks) <= 1:
         yield from map(check_episode, checks)
         return
-    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks that threads of ours may hold
+    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by other threads
     with ProcessPoolExecutor(min(processes, len(checks)), mp_context=fresh) as pool:
         yield from pool.map(check_episode, checks, chunksize=_CHECKS_AT_A_TIME if len(checks) > 100 else 1)
 
@@ -159,7 +159,7 @@ def _check_tables(dataset: Dataset, rows: Rows, report: VerifyReport) -> None:
     try:
         attempts = pq.read_table(table_of(dataset.root / ATTEMPTS_FILE)).num_rows
     except FileNotFoundError:
-        report.add(Kind.MISSING, ATTEMPTS_FILE, "is not there")
+        report.add(Kind.MISSING, ATTEMPTS_FILE, "is missing")
     except (pa.ArrowException, OSError) as error:
         report.add(Kind.DAMAGED, ATTEMPTS_FILE, f"cannot be read: {error}")
     else:
@@ -169,11 +169,11 @@ def _check_tables(dataset: Dataset, rows: Rows, report: VerifyReport) -> None:
 
 
 def _check_split_tables(dataset: Dataset, report: VerifyReport) -> None:
-    """Compares them with `metadata.parquet` once the run is complete; they may be absent if the card names none."""
+    """Compares the split tables with `metadata.parquet` once the run is complete; optional if the card lists none."""
     try:
         card = (dataset.root / CARD_FILE).read_text(encoding="utf-8")
     except FileNotFoundError:
-        report.add(Kind.MISSING, CARD_FILE, "is not there")
+        report.add(Kind.MISSING, CARD_FILE, "is missing")
         card = ""
     lags = not dataset.meta.complete
     if not names_split_tables(card) and not children(dataset.root / SPLITS_FOLDER):
@@ -189,13 +189,13 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
     for_people = {list_file_name(name) for name in meta.scenes}
     for entry in children(root / SCENES):
         if entry.name not in expected and entry.name not in for_people:
-            report.add(Kind.FOREIGN, f"{SCENES}/{entry.name}", f"{META_FILE} does not name it")
+            report.add(Kind.FOREIGN, f"{SCENES}/{entry.name}", f"{META_FILE} does not list it")
     for file, (name, sha256) in expected.items():
         try:
             with at_hand(root / SCENES / file) as package:
                 scene = read_entry(package)
         except FileNotFoundError:
-            report.add(Kind.MISSING, f"{SCENES}/{file}", "is not there")
+            report.add(Kind.MISSING, f"{SCENES}/{file}", "is missing")
         except (InvalidBundle, OSError) as error:
             report.add(Kind.DAMAGED, f"{SCENES}/{file}", str(error))
         else:
@@ -207,7 +207,7 @@ def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[
 
 
 def _check_quotas(meta: DatasetMeta, rows: Rows, report: VerifyReport) -> None:
-    """Compares the counts of every cell with the plan; an unfinished dataset may only have too few."""
+    """Compares the number of episodes in every cell with the plan; an incomplete dataset may have fewer."""
     found = Counter((row.scene, row.split, row.spawn_tier) for row in rows.values())
     wanted = {
         (scene.name, split, tier): count

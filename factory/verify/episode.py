@@ -1,4 +1,4 @@
-"""Verification of one episode file against its row, its scene and itself. A function of the disk; changes nothing."""
+"""Verifies one episode file against its row, its scene and its own digests. Changes no files."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _OF_THE_FILE = frozenset({"file_sha256", "file_bytes"})
 
 @dataclass(frozen=True)
 class EpisodeCheck:
-    """What to check of one episode; travels to another process."""
+    """Arguments of the check of one episode; picklable."""
 
     root: Place
     row: EpisodeSummary
     target: Target | None
-    """As the scene has it; `None` where the scene could not be read."""
+    """Target in the scene; `None` where the scene cannot be read."""
     deep: bool
 
 
 def check_episode(check: EpisodeCheck) -> list[Finding]:
-    """Returns all that is wrong with the file: size and SHA-256, and deep: every frame, the motion and the row."""
+    """Returns all findings of an episode file: size, SHA-256 and, with `deep`, every frame, the motion and the row."""
     row = check.row
     path = check.root / file_name_of(row.episode_id)
     found: list[Finding] = []
@@ -51,7 +51,7 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
                 found += [Finding(Kind.INVALID, row.file_name, text) for text in violations]
                 found += [Finding(Kind.CONTRADICTION, row.file_name, text) for text in differences]
     except FileNotFoundError:
-        found.append(Finding(Kind.MISSING, row.file_name, "is not there"))
+        found.append(Finding(Kind.MISSING, row.file_name, "is missing"))
     except InvalidBundle as error:
         found += [Finding(Kind.INVALID, row.file_name, text) for text in error.findings]
     except OSError as error:
@@ -60,11 +60,11 @@ def check_episode(check: EpisodeCheck) -> list[Finding]:
 
 
 def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | None, list[Finding]]:
-    """Returns the row's target as its scene has it, and what contradicts it.
+    """Returns the target of a row as defined in its scene, and findings where both contradict each other.
 
     Args:
-        row: of the episode.
-        scene: its package; `None` where it cannot be read, which is a finding of its own already.
+        row: Row of the episode.
+        scene: Scene package; `None` where it cannot be read, which is a separate finding.
     """
     if scene is None:
         return None, []
@@ -74,7 +74,7 @@ def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | N
     try:
         return scene.info.target(row.target_id), []
     except KeyError:
-        text = f"its target {row.target_id} is not in the scene {row.scene}"
+        text = f"target {row.target_id} is not in the scene {row.scene}"
         return None, [Finding(Kind.CONTRADICTION, row.file_name, text)]
 
 

@@ -1,6 +1,6 @@
-"""Finds out what a damaged dataset directory was: its plan and its scenes, from what is still whole. Writes nothing.
+"""Determines the plan and the scenes of a damaged dataset from its intact files. Writes nothing into the dataset.
 
-What is missing is built again in the user's cache, and used only when it comes out bit for bit as recorded.
+Missing scenes are built in the user's cache, and used only when their bytes match the recorded digest.
 """
 
 from __future__ import annotations
@@ -29,29 +29,30 @@ MessageCallback = Callable[[str], None]
 
 @dataclass(frozen=True)
 class _Record:
-    """What some witness says of the run."""
+    """Plan and scenes as recorded in one source, the ledger or `dataset_meta.json`."""
 
     plan: Plan
     scenes: Mapping[str, str]
-    """Scene name -> SHA-256 of its package; empty when only the plan is known."""
+    """Scene name -> SHA-256 of its package; empty when the source contains the plan only."""
 
 
 def inspect_dataset(
     root: Place, home: Path, plan: Plan | None, url: str | None, cache: Path, tell: MessageCallback
 ) -> RepairInput:
-    """Returns what a repair has to know.
+    """Returns the input of a repair.
 
     Args:
-        root: of the dataset.
-        home: where its ledger lies, unless `url` says so: the directory itself, or the home of one in object storage.
-        plan: as the user gives it; `None` takes what ledger or `dataset_meta.json` say.
-        url: of the ledger, when not in the directory.
-        cache: where missing scenes are built.
-        tell: told the name of a scene that has to be built.
+        root: Location of the dataset.
+        home: Directory of the ledger, unless `url` is given: the dataset directory, or the state directory of a dataset
+            in object storage.
+        plan: Plan given by the user; `None` uses the plan in the ledger or in `dataset_meta.json`.
+        url: URL of the ledger, if it is not in `home`.
+        cache: Folder in which missing scenes are built.
+        tell: Called with the name of each scene to be built.
 
     Raises:
-        UsageError: there is no such directory, or nothing says what was planned.
-        WorldError: a scene is not as recorded and cannot be built so again.
+        UsageError: The directory does not exist, or no source contains the plan.
+        WorldError: A scene does not match its recorded digest and cannot be rebuilt.
     """
     if not root.is_dir():
         raise UsageError(f"directory {root} does not exist; give the --out of a run")
@@ -70,9 +71,9 @@ def inspect_dataset(
 def _settle_plan(
     root: Place, noted: _Record | None, described: _Record | None, plan: Plan | None
 ) -> tuple[_Record | None, str]:
-    """Returns what the run was, and why the ledger is not of it where it names another plan.
+    """Returns the record of the run, and the reason why the ledger belongs to another run, if it does.
 
-    Ledger, description and user may name different plans; which one is right, the episodes say.
+    Ledger, `dataset_meta.json` and user can name different plans; the plan of most episodes decides.
     """
     records = [record for record in (noted, described) if record is not None]
     if plan is not None and all(record.plan.digest != plan.digest for record in records):
@@ -85,7 +86,7 @@ def _settle_plan(
         require_plan(record.plan, plan)
     if noted is None or noted.plan.digest == record.plan.digest:
         return record, ""
-    return record, f"is of run {noted.plan.run}, the episodes of run {record.plan.run}"
+    return record, f"belongs to run {noted.plan.run}, the episodes to run {record.plan.run}"
 
 
 def _from_ledger(url: str) -> _Record | None:
@@ -126,7 +127,7 @@ def _kept(path: Place, sha256: str) -> SceneEntry | str:
         with at_hand(path) as package:
             entry = read_entry(package)
     except FileNotFoundError:
-        return f"{path.name} is not there"
+        return f"{path.name} is missing"
     except (InvalidBundle, OSError) as error:
         return f"{path.name} is damaged: {error}"
     if entry.sha256 != sha256:

@@ -1,4 +1,4 @@
-"""What a verification says: findings about files, and the report that gathers them. Values only."""
+"""Models of a verification: findings about files, and the report. Reads no files."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ __all__ = ["Finding", "Kind", "VerifyReport"]
 
 
 class Kind(StrEnum):
-    """What is wrong, in one word."""
+    """Kind of a finding."""
 
-    MISSING = "missing"  # a table names it, the disk does not have it
-    SURPLUS = "surplus"  # an episode file or split table that no row of the metadata names
-    FOREIGN = "foreign"  # a file that is no part of a dataset
-    TRUNCATED = "truncated"  # shorter or longer than recorded
-    CHANGED = "changed"  # other bytes than recorded
-    INVALID = "invalid"  # breaks the format, the laws of motion or its own digests
-    CONTRADICTION = "contradiction"  # the tables say something else than the episode, the scene or the plan
+    MISSING = "missing"  # a table lists the file, but it does not exist
+    SURPLUS = "surplus"  # an episode file or split table without a metadata row
+    FOREIGN = "foreign"  # a file that is not part of a dataset
+    TRUNCATED = "truncated"  # the size differs from the recorded size
+    CHANGED = "changed"  # the SHA-256 differs from the recorded one
+    INVALID = "invalid"  # violates the format, the motion limits or its own digests
+    CONTRADICTION = "contradiction"  # the tables contradict the episode, the scene or the plan
     DAMAGED = "damaged"  # a table or scene that cannot be read
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong."""
+    """Finding of a verification."""
 
     kind: Kind
     file: str
-    """Below the dataset's directory."""
+    """Path relative to the dataset directory."""
     text: str
-    """What was found, with values."""
+    """Description of the finding, with values."""
 
 
 @dataclass
 class VerifyReport:
-    """What a verification found."""
+    """Result of a verification."""
 
     root: Place
     deep: bool
     episodes: int = 0
-    """In the tables."""
+    """Number of episodes in the tables."""
     complete: bool = False
-    """Whether the dataset says that every planned episode is there."""
+    """Whether the dataset is marked as complete."""
     digest: str | None = None
-    """Of the dataset, from its tables; `None` when they cannot be read."""
+    """Digest of the dataset, computed from its tables; `None` when they cannot be read."""
     findings: list[Finding] = field(default_factory=list)
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong."""
+        """Returns whether there are no findings."""
         return not self.findings
 
     def add(self, kind: Kind, file: str, text: str) -> None:
-        """Notes a finding."""
+        """Adds a finding."""
         self.findings.append(Finding(kind, file, text))

@@ -1,1 +1,1 @@
-"""Pictures and films of episodes, and the Rerun viewer."""
+"""Renders episodes as contact sheets and films, and shows them in the Rerun viewer. Changes no datasets."""

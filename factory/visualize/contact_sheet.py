@@ -1,4 +1,4 @@
-"""One picture of an episode for people: frames in colour, depth and ids over time, and the track from above. Pure."""
+"""Draws a contact sheet of an episode: colour, depth and ids over time, and the track on the map. Writes no files."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ __all__ = ["draw_contact_sheet"]
 _TILE_PX = 240
 _MARGIN_PX = 8
 _HEAD_SHARE, _WORDS_SHARE, _FACTS_SHARE = 1 / 30, 1 / 80, 1 / 100
-"""Height of the head and of its letters, over the width of the sheet: it is looked at as a whole."""
+"""Heights of the header and of its two text lines, as shares of the sheet's width."""
 
 
 def draw_contact_sheet(episode: BundleReader, scene: CompiledScene, columns: int = 6) -> Image.Image:
-    """Returns a sheet: three rows of frames from start to stop, the track above the map, and the instruction.
+    """Returns a contact sheet: three rows of frames from start to end, the track on the map, and the instruction.
 
     Args:
-        episode: the bundle.
-        scene: the package it was made in, for the map.
-        columns: frames across.
+        episode: Bundle of the episode.
+        scene: Scene in which the episode was recorded, for the map.
+        columns: Number of frames in a row.
     """
     steps = np.linspace(0, episode.length - 1, columns).round().astype(int)
     rows = [
@@ -56,7 +56,7 @@ def _write_head(sheet: Image.Image, episode: BundleReader) -> None:
 
 
 def _write_line(sheet: Image.Image, middle: float, text: str, share: float) -> None:
-    """Writes a line of the head, in smaller letters where it would run over the edge."""
+    """Writes a line of the header; reduces the font size where the text is wider than the sheet."""
     draw = ImageDraw.Draw(sheet)
     size = sheet.width * share
     over = draw.textlength(text, ImageFont.load_default(size)) / (sheet.width - 2 * _MARGIN_PX)

@@ -1,6 +1,6 @@
-"""A short film of an episode for people: colour, depth, ids and the track from above, the instruction beneath.
+"""Writes a film of an episode: colour, depth, ids and the track on the map, with the instruction as a caption.
 
-Shown at the speed of life, every so many frames left out; written as MP4 (H.264) or GIF.
+The film plays in real time; frames are skipped to limit the frame rate. Formats: MP4 (H.264) and GIF. Reads no dataset.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ _TILE_PX = 320
 _CAPTION_PX = 56
 _MARGIN_PX = 10
 _HOLD_S = 1
-"""How long the last picture stays."""
+"""Duration for which the last picture is repeated, seconds."""
 _GIF_COLOURS = 128
 _FPS = 30
 Rgb = NDArray[np.uint8]
 
 
 def film_rate(control_hz: int, fps: int = _FPS) -> tuple[int, Fraction]:
-    """Returns every how many frames one is shown so that at most `fps` are, and the rate that gives, 1/s."""
+    """Returns the frame stride for at most `fps` pictures per second, and the resulting rate, 1/s."""
     stride = max(1, -(-control_hz // fps))
     return stride, Fraction(control_hz, stride)
 
 
 def draw_film(episode: BundleReader, scene: CompiledScene, stride: int) -> Iterator[Rgb]:
-    """Yields pictures (H, W, 3) of even size: every `stride`-th frame and the last one.
+    """Yields pictures (H, W, 3) of even size for every `stride`-th frame and the last frame.
 
     Args:
-        episode: the bundle.
-        scene: the package it was made in, for the map.
-        stride: frames from one picture to the next.
+        episode: Bundle of the episode.
+        scene: Scene in which the episode was recorded, for the map.
+        stride: Number of frames from one picture to the next.
     """
     chart = TrackMap(episode, scene, _TILE_PX)
     last = episode.length - 1
@@ -64,7 +64,7 @@ def draw_film(episode: BundleReader, scene: CompiledScene, stride: int) -> Itera
 
 
 def require_mp4() -> None:
-    """Makes sure that MP4 can be written, before anything is drawn.
+    """Raises an error unless the package for MP4 is installed.
 
     Raises:
         UsageError: PyAV is not installed.
@@ -73,17 +73,17 @@ def require_mp4() -> None:
 
 
 def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction, crf: int = 20) -> None:
-    """Writes H.264 in yuv420p, which every player and browser shows; `path` is replaced as a whole.
+    """Writes H.264 in yuv420p, which all common players and browsers support; replaces `path` atomically.
 
     Args:
-        path: of the file.
-        pictures: (H, W, 3) sRGB of even size.
-        rate: pictures a second.
-        crf: constant rate factor of x264; a larger one gives a smaller file.
+        path: Path of the file.
+        pictures: (H, W, 3) sRGB images of even size.
+        rate: Pictures per second.
+        crf: Constant rate factor of x264; a larger value gives a smaller file.
 
     Raises:
         UsageError: PyAV is not installed.
-        WorldError: the file cannot be written.
+        WorldError: The file cannot be written.
     """
     require_mp4()
     import av
@@ -97,21 +97,21 @@ def write_mp4(path: Path, pictures: Iterable[Rgb], rate: Fraction, crf: int = 20
                     stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf), "preset": "veryfast"})
                     stream.height, stream.width = picture.shape[:2]
                     stream.pix_fmt = "yuv420p"
-                    stream.codec_context.thread_count = 1  # the bytes do not depend on the number of cores
+                    stream.codec_context.thread_count = 1  # so that the bytes do not depend on the number of cores
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
             container.mux(stream.encode())
         beside.replace(path)
-    except OSError as error:  # PyAV's errors are of this kind too
+    except OSError as error:  # includes the errors of PyAV
         raise _unwritten(path, error) from error
     finally:
         beside.unlink(missing_ok=True)
 
 
 def write_gif(path: Path, pictures: Iterable[Rgb], rate: Fraction) -> None:
-    """Writes an endless GIF; `path` is replaced as a whole.
+    """Writes a looping GIF; replaces `path` atomically.
 
     Raises:
-        WorldError: the file cannot be written.
+        WorldError: The file cannot be written.
     """
     beside = path.with_name(f".{path.name}.part")
     frames = (Image.fromarray(picture).quantize(_GIF_COLOURS) for picture in _held(pictures, rate))
@@ -145,7 +145,7 @@ def _write_caption(film: Image.Image, episode: BundleReader, t: int) -> None:
 
 
 def facts_of_step(episode: BundleReader, t: int) -> str:
-    """Returns what stands beneath the picture of a step: episode, time, command, planar distance."""
+    """Returns the caption of a step: episode, time, command, planar distance to the target."""
     meta, job = episode.meta, episode.meta.job
     speed, turn = episode.arrays.actions_continuous[t]
     distance = float(np.linalg.norm(episode.arrays.poses[t, :2] - np.array(meta.target_centroid_m[:2])))

@@ -1,4 +1,4 @@
-"""What pictures and films of an episode are put together from: depth and ids in colour, the track from above. Pure."""
+"""Draws the panels of contact sheets and films: depth and ids in colour, and the track on the map. Writes no files."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from schemas.scene import CompiledScene
 __all__ = ["DEPTH_SHOWN_M", "TrackMap", "show_depth", "show_ids"]
 
 DEPTH_SHOWN_M = 10.0
-"""Depth at the dark end of the colours, metres."""
+"""Depth at the dark end of the colour map, metres."""
 _LEAST_SPAN_M = 8.0
 _RIM_M = 3.0
 _DEPTH_COLOURS = ((252, 253, 191), (254, 159, 109), (222, 73, 104), (140, 41, 129), (59, 15, 112), (8, 8, 30))
-"""Near to far, as dark as it is far; between them linear."""
+"""Colour map from near (bright) to far (dark), interpolated linearly."""
 _TARGET, _TRACK, _START = (230, 30, 30), (20, 80, 220), (20, 160, 60)
 Rgb = NDArray[np.uint8]
 
@@ -31,15 +31,15 @@ _TABLE = _depth_table()
 
 
 def show_depth(depth: NDArray[np.float32]) -> Rgb:
-    """Returns depth (H, W) in metres as colour (H, W, 3): bright is near, black is nothing."""
-    shade = np.sqrt(np.clip(depth / DEPTH_SHOWN_M, 0, 1))  # most of what is seen is near
+    """Returns depth (H, W) in metres as colour (H, W, 3): near is bright; pixels without a hit are black."""
+    shade = np.sqrt(np.clip(depth / DEPTH_SHOWN_M, 0, 1))  # more resolution for near depths, which are frequent
     colours: Rgb = _TABLE[(255 * shade).astype(np.uint8)]
     colours[depth == 0] = 0
     return colours
 
 
 def show_ids(ids: NDArray[np.uint16], target: int) -> Rgb:
-    """Returns ids of any shape as colours (..., 3), one an instance in every frame and episode; the target is red."""
+    """Returns ids of any shape as colours (..., 3); an id has the same colour in all episodes, the target is red."""
     mixed = ids.astype(np.uint32) * np.uint32(2654435761)
     colours = np.stack([mixed >> 24, mixed >> 16, mixed >> 8], axis=-1).astype(np.uint8) // 2 + 40
     colours[ids == 0] = 0
@@ -48,12 +48,12 @@ def show_ids(ids: NDArray[np.uint16], target: int) -> Rgb:
 
 
 class TrackMap:
-    """A window of the scene's floor plan, north up, on which an episode's track is drawn.
+    """Part of the scene's floor plan, +y up, on which the track of an episode is drawn.
 
     Args:
-        episode: the bundle.
-        scene: the package it was made in.
-        size: of the square picture, pixels.
+        episode: Bundle of the episode.
+        scene: Scene in which the episode was recorded.
+        size: Side of the square picture, pixels.
     """
 
     def __init__(self, episode: BundleReader, scene: CompiledScene, size: int) -> None:

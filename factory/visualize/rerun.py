@@ -1,6 +1,6 @@
-"""One episode in the Rerun viewer: frames, the robot on the map, the way it drove, actions, instruction.
+"""Shows an episode in the Rerun viewer: frames, robot on the map, driven and planned track, actions, instruction.
 
-The door to `rerun`. Logs what is recorded and nothing else; writes a recording or opens the viewer.
+`rerun` is imported here only. Logs recorded data only; writes a recording or opens the viewer.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["FloorPicture", "floor_picture", "view_episode"]
 _ROBOT_BOX_M = (
     (-0.607, -0.25, 0.06),
     (0.14, 0.25, 0.556),
-)  # the body's corners from base_link, as workers/physics/robot.py has them
+)  # corners of the body relative to base_link, as in workers/physics/robot.py
 _CAMERA_PATH = "world/robot/camera"
 _LINES = {"action/v_mps": (30, 110, 220), "action/w_rps": (240, 160, 30), "distance/planar_m": (255, 40, 40)}
 _FREE, _OCCUPIED, _HIDING = (236, 239, 243), (150, 158, 170), (84, 92, 106)
@@ -36,7 +36,7 @@ FrameCallback = Callable[[int], None]
 
 
 class FloorPicture(NamedTuple):
-    """The occupancy grid as a textured rectangle on the floor, world frame."""
+    """Occupancy grid as a textured rectangle on the floor, in the world frame."""
 
     corners_m: NDArray[np.float32]
     """(4, 3): lower left, lower right, upper right, upper left, metres."""
@@ -49,18 +49,18 @@ class FloorPicture(NamedTuple):
 def view_episode(
     episode: Episode, scene: CompiledScene, save: Path | None, stride: int = 1, tell: FrameCallback | None = None
 ) -> None:
-    """Logs an episode to the Rerun viewer, or to a recording.
+    """Logs an episode to the Rerun viewer or to a recording.
 
     Args:
-        episode: what to show.
-        scene: the package it was made in.
-        save: an `.rrd` to write; `None` opens the viewer.
-        stride: show every n-th frame; poses and actions are shown in full.
-        tell: told the number of every frame that was logged.
+        episode: Episode to show.
+        scene: Scene in which the episode was recorded.
+        save: Path of the `.rrd` file to write; `None` opens the viewer.
+        stride: Log every n-th frame; poses and actions are logged at every step.
+        tell: Progress callback, called with the index of every logged frame.
 
     Raises:
         UsageError: rerun-sdk is not installed.
-        WorldError: the recording cannot be written.
+        WorldError: The recording cannot be written.
     """
     rerun = _library()
     part = None if save is None else save.with_name(f".{save.name}.part")
@@ -72,7 +72,7 @@ def view_episode(
         raise WorldError(f"cannot write {save} ({error.strerror}); free space or choose another --out") from error
     finally:
         if part is not None:
-            with suppress(OSError):  # where no file can be, there is none
+            with suppress(OSError):  # the folder may not exist
                 part.unlink()
 
 
@@ -84,7 +84,7 @@ def _record(
     stride: int,
     tell: FrameCallback | None,
 ) -> None:
-    """Logs all of an episode; the recording is whole when this returns."""
+    """Logs an episode; the recording is complete when this function returns."""
     with rerun.RecordingStream("minivla_factory", recording_id=f"{episode.meta.job.run}_{episode.episode_id}") as log:
         _open(rerun, log, save)
         log.send_blueprint(_layout(rerun))
@@ -101,7 +101,7 @@ def _record(
 
 
 def floor_picture(scene: CompiledScene) -> FloorPicture:
-    """Returns the map of a scene as a picture on its floor."""
+    """Returns the occupancy grid of a scene as a textured rectangle on its floor."""
     info = scene.info
     rows, columns = scene.occupancy.shape
     left, bottom = info.grid_origin_m
@@ -183,7 +183,7 @@ def _log_still(rerun: ModuleType, log: Any, episode: Episode, scene: CompiledSce
     )
     for name, colour in _LINES.items():
         log.log(name, rerun.SeriesLines(colors=[colour], widths=[2.0]), static=True)
-    log.log("instruction", rerun.TextDocument(_say_episode(episode), media_type="text/markdown"), static=True)
+    log.log("instruction", rerun.TextDocument(_describe_episode(episode), media_type="text/markdown"), static=True)
     _log_robot(rerun, log, job.camera)
     ids = np.array([0, *(instance.id for instance in meta.instances)], np.uint16)
     names = ["nothing", *(_name_of(instance.prim_path, instance.category) for instance in meta.instances)]
@@ -236,7 +236,7 @@ def _name_of(prim_path: str, category: str | None) -> str:
     return f"{category} {leaf}" if category else leaf
 
 
-def _say_episode(episode: Episode) -> str:
+def _describe_episode(episode: Episode) -> str:
     job, rollout = episode.meta.job, episode.meta.rollout
     return (
         f"# {job.instruction}\n\n"

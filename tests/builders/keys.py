@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from factory.keys import admit, found
+from factory.keys import admit, create_authority
 from schemas.identity import Role, TlsFiles, tls_files
 
 __all__ = ["files_of", "make_authority"]
@@ -22,7 +22,7 @@ def make_authority(
 ) -> Path:
     """Returns the folder of an authority with a coordinator named hub and these hosts."""
     now = datetime.now(UTC)
-    found(folder, "test", days, now)
+    create_authority(folder, "test", days, now)
     admit(folder, "hub", Role.COORDINATOR, (), days, now)
     named = {
         Role.WORKER: workers,

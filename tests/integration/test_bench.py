@@ -16,7 +16,7 @@ from factory.bench.memory import bench_memory
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import BenchSample
-from factory.bench.watch import ProcessWatch
+from factory.bench.stage_times import StageRecorder
 from schemas.config import CameraConfig, TaskConfig
 from schemas.errors import WorldError
 from schemas.job import Job
@@ -55,7 +55,7 @@ def job_in(room: Path, **changes: object) -> Job:
 
 @pytest.mark.gl
 def test_rollout_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) -> None:
-    watch, told = ProcessWatch(), []
+    watch, told = StageRecorder(), []
     with SceneRenderer("gl", watch) as stage:
         found = bench_rollout([job_in(room)], read_entry(room), stage, watch, 2, 2, lambda: told.append(1))
     assert [cost.stage for cost in found.stages] == LOOP
@@ -77,7 +77,7 @@ def test_rollout_is_timed_by_stage_and_against_the_plain_pipeline(room: Path) ->
 @pytest.mark.gl
 def test_a_scene_without_a_successful_rollout_is_reported(room: Path) -> None:
     hasty = job_in(room, task=TaskConfig(max_steps=3))
-    watch = ProcessWatch()
+    watch = StageRecorder()
     with (
         SceneRenderer("gl", watch) as stage,
         pytest.raises(WorldError, match=r"none of 1 jobs in box_room succeeded.*timeout"),
@@ -87,7 +87,7 @@ def test_a_scene_without_a_successful_rollout_is_reported(room: Path) -> None:
 
 @pytest.mark.gl
 def test_rendering_and_readback_are_timed_separately() -> None:
-    watch = ProcessWatch()
+    watch = StageRecorder()
     with open_renderer("gl", lap=watch) as renderer:
         found = bench_render(box_room(), renderer, watch, CameraConfig(), 3, 2)
     assert [cost.stage for cost in found.stages] == ["render", "read-back"]

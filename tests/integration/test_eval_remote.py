@@ -17,7 +17,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
-from factory.eval.policies import Outside, make_policy
+from factory.eval.policies import PolicyLimits, make_policy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.wire import WireError, pack, unpack
 from schemas.errors import UsageError
@@ -30,7 +30,7 @@ VIEW = PolicyInput(
     instruction="Go to the chair.",
     step=0,
 )
-QUICK = Outside(act_timeout_s=0.5, load_timeout_s=2.0, reconnect_s=0.3)
+QUICK = PolicyLimits(act_timeout_s=0.5, load_timeout_s=2.0, reconnect_s=0.3)
 Answer = Callable[[ServerConnection, dict[str, Any]], None]
 
 
@@ -53,8 +53,8 @@ def server(answer: Answer, greeting: bytes | str = pack({"name": "test"})) -> It
             thread.join()
 
 
-def begin(address: str, outside: Outside = QUICK) -> RemotePolicy:
-    policy = make_policy(address, outside)
+def begin(address: str, limits: PolicyLimits = QUICK) -> RemotePolicy:
+    policy = make_policy(address, limits)
     assert isinstance(policy, RemotePolicy)
     policy.reset("Go to the chair.", INFO)
     return policy
@@ -154,7 +154,7 @@ def test_a_restarted_server_gets_the_long_timeout_for_its_first_answer() -> None
         connection.send(pack({"actions": np.full(2, 0.1 * len(calls))}))
 
     with server(answer) as address:
-        policy = begin(address, Outside(act_timeout_s=0.1, load_timeout_s=120.0, reconnect_s=60.0))
+        policy = begin(address, PolicyLimits(act_timeout_s=0.1, load_timeout_s=120.0, reconnect_s=60.0))
         policy.act(VIEW)
         with pytest.raises(PolicyFailure):
             policy.act(VIEW)
@@ -168,7 +168,7 @@ def test_an_unreachable_server_is_not_a_policy_failure() -> None:
         policy = begin(address)
         with pytest.raises(PolicyFailure):
             policy.act(VIEW)
-    with pytest.raises(ServerAway, match=r"no policy server at ws://127.0.0.1:\d+ for 0.3 s"):
+    with pytest.raises(ServerAway, match=r"no policy server responded at ws://127.0.0.1:\d+ for 0.3 s"):
         policy.reset("Go to the chair.", INFO)
     with pytest.raises(ServerAway):
         begin(address)
@@ -222,7 +222,7 @@ def test_the_example_server_drives_forward_on_free_floor_and_turns_before_a_wall
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
-        policy = begin(process.stdout.readline().split()[-1], Outside())
+        policy = begin(process.stdout.readline().split()[-1], PolicyLimits())
         found = [read_actions(policy.act(look(depth_m)), "continuous", 1.0, 1.5) for depth_m in (3.0, 0.4)]
         policy.close()
     finally:

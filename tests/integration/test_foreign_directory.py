@@ -84,7 +84,7 @@ def test_a_policy_of_the_working_directory_does_not_replace_product_modules(trap
     (traps / "own_helper.py").write_text("V = 0.5")
     (traps / "own_later.py").write_text("")
     code = (
-        "from factory.eval.policies.foreign import load_class\n"
+        "from factory.eval.policies.user_class import load_class\n"
         "pilot = load_class('own_pilot:Pilot'); pilot.reset('', None)\n"
         "import isal, zstandard\nprint(pilot.act({}), isal.__file__)"
     )

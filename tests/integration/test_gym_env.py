@@ -130,8 +130,8 @@ def test_an_invalid_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) ->
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"size": 0}, "choose 1 to 2048 pixels"),
-        ({"size": 4096}, "choose 1 to 2048 pixels"),
+        ({"size": 0}, "use 1 to 2048 pixels"),
+        ({"size": 4096}, "use 1 to 2048 pixels"),
         ({"actions": "joints"}, "tokens"),
         ({"split": "test"}, "unknown split test"),
         ({"instruction": "words"}, "choose text, tokens, none"),

@@ -15,7 +15,7 @@ import pytest
 
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
-from factory.eval.policies import Outside, make_policy
+from factory.eval.policies import PolicyLimits, make_policy
 from tests.builders.dataset import make_dataset
 from tests.builders.evaluation import archive_drives
 from tests.builders.needs_torch import needs_torch
@@ -53,7 +53,7 @@ def test_a_model_is_trained_on_tokens_and_drives_with_them(
     assert first > 4, "a random model knows nothing of 512 words"
     assert last < 0.5 * first
     monkeypatch.setenv("VLA_CHECKPOINT", str(tmp_path / "tiny"))
-    policy = make_policy("finetune_tokens:VlaPolicy", Outside())
+    policy = make_policy("finetune_tokens:VlaPolicy", PolicyLimits())
     policy.reset("Go to the chair.", INFO)
     rgb = np.zeros((640, 640, 3), np.uint8)
     answer = policy.act(PolicyInput(rgb=rgb, depth=np.ones((640, 640), np.float32), instruction="", step=0))

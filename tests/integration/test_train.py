@@ -16,9 +16,9 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.eval.driving.action import read_actions
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
-from factory.eval.policies import Outside, find_policy, make_policy
+from factory.eval.policies import PolicyLimits, find_policy, make_policy
 from factory.train.options import BcOptions
-from factory.train.run import TrainOrder, Watcher, train_bc
+from factory.train.run import TrainCallbacks, TrainOrder, train_bc
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import install_command
 from tests.builders.dataset import make_dataset
@@ -53,7 +53,7 @@ def options(**changes: Any) -> BcOptions:
 def train(root: Path, out: Path, options: BcOptions, stop_after: int = 99) -> list[float]:
     """Trains for some epochs and returns the losses of all epochs."""
     seen: list[int] = []
-    watcher = Watcher(
+    watcher = TrainCallbacks(
         caching=lambda _done, _of: None,
         learning=lambda _epochs, _done, _of, _loss: None,
         measured=lambda measured: seen.append(measured.epoch),
@@ -82,7 +82,7 @@ def test_without_torch_the_extra_is_named(root: Path, tmp_path: Path) -> None:
     assert install_command("train") in done.stderr
     assert not (tmp_path / "out").exists()
     with pytest.raises(UsageError, match=re.escape(install_command("train"))):
-        make_policy(f"bc:{tmp_path}", Outside())
+        make_policy(f"bc:{tmp_path}", PolicyLimits())
 
 
 def test_a_trained_policy_is_known_to_read_its_instruction() -> None:
@@ -126,7 +126,7 @@ def test_resuming_with_other_options_is_refused_with_their_names(root: Path, tmp
 def test_resuming_with_other_episodes_is_refused(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(), stop_after=1)
     order = TrainOrder(Dataset(root).filter(episode="ep_000001"), tmp_path, options(), device="cpu")
-    watcher = Watcher(lambda *_: None, lambda *_: None, lambda _: None, lambda: False)
+    watcher = TrainCallbacks(lambda *_: None, lambda *_: None, lambda _: None, lambda: False)
     with pytest.raises(UsageError, match=r"on other episodes \(\d+ episodes, .* now \d+ episodes"):
         train_bc(order, watcher)
 
@@ -144,7 +144,7 @@ def test_the_seed_determines_the_weights(root: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("head", ["continuous", "tokens"])
 def test_the_policy_returns_actions_for_the_hold_time(root: Path, tmp_path: Path, head: str) -> None:
     train(root, tmp_path, options(head=head, epochs=1))
-    policy = make_policy(f"bc:{tmp_path}", Outside())
+    policy = make_policy(f"bc:{tmp_path}", PolicyLimits())
     policy.reset("Go to the chair.", INFO)
     for step in range(3):
         chunk = read_actions(policy.act(observation(step)), "continuous", 1.0, 1.5)
@@ -157,7 +157,7 @@ def test_the_policy_returns_actions_for_the_hold_time(root: Path, tmp_path: Path
 def test_the_instruction_changes_the_action_except_in_the_ablated_model(root: Path, tmp_path: Path) -> None:
     for name, ablate in (("reads", False), ("blind", True)):
         train(root, tmp_path / name, options(epochs=2, ablate_language=ablate))
-        policy = make_policy(f"bc:{tmp_path / name}", Outside())
+        policy = make_policy(f"bc:{tmp_path / name}", PolicyLimits())
         answers = []
         for instruction in ("Go to the chair.", "Approach the red sofa and stop."):
             policy.reset(instruction, INFO)
@@ -168,7 +168,7 @@ def test_the_instruction_changes_the_action_except_in_the_ablated_model(root: Pa
 @needs_torch
 def test_another_clock_or_camera_is_refused(root: Path, tmp_path: Path) -> None:
     train(root, tmp_path, options(epochs=1))
-    policy = make_policy(f"bc:{tmp_path}", Outside())
+    policy = make_policy(f"bc:{tmp_path}", PolicyLimits())
     with pytest.raises(UsageError, match=r"trained at 60 Hz .* the episodes have 30 Hz"):
         policy.reset("Go to the chair.", INFO.__class__("spec_1", 7, 30, 1000, (0.0, 1.0), (-1.5, 1.5), 90.0))
 
@@ -176,15 +176,15 @@ def test_another_clock_or_camera_is_refused(root: Path, tmp_path: Path) -> None:
 @needs_torch
 def test_a_file_that_is_not_a_checkpoint_is_refused_before_loading(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"checkpoint .*nothing.* does not exist"):
-        make_policy(f"bc:{tmp_path / 'nothing'}", Outside())
+        make_policy(f"bc:{tmp_path / 'nothing'}", PolicyLimits())
     import torch
 
     torch.save({"meta": "{}"}, tmp_path / "policy.pt")
     with pytest.raises(UsageError, match="not a checkpoint that this version reads"):
-        make_policy(f"bc:{tmp_path}", Outside())
+        make_policy(f"bc:{tmp_path}", PolicyLimits())
     (tmp_path / "policy.pt").write_bytes(b"PK\x03\x04 not really")
     with pytest.raises(WorldError, match="damaged or not a checkpoint"):
-        make_policy(f"bc:{tmp_path}", Outside())
+        make_policy(f"bc:{tmp_path}", PolicyLimits())
 
 
 class WritesOnUnpickling:
@@ -205,7 +205,7 @@ def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
 
     torch.save({"meta": "{}", "model": WritesOnUnpickling(tmp_path / "written")}, tmp_path / "policy.pt")
     with pytest.raises(WorldError, match="damaged or not a checkpoint"):
-        make_policy(f"bc:{tmp_path}", Outside())
+        make_policy(f"bc:{tmp_path}", PolicyLimits())
     assert not (tmp_path / "written").exists()
 
 

@@ -15,7 +15,7 @@ from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.file import shrink
 from factory.cli.common.bars import Bars
 from factory.cli.common.output import print_table, stderr
-from factory.runs.gate import GateReport, Pilot, judge, run_pilot
+from factory.runs.gate import GateReport, Pilot, evaluate_gate, run_pilot
 from factory.stats.model import Share
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
@@ -98,7 +98,7 @@ def try_scene(
     with Bars() as bar:
         task = bar.add_task(f"gate {name}", total=len(pilot.jobs))
         trials = run_pilot(pilot, stop, lambda done: bar.update(task, completed=done))
-    return None if len(trials) < len(pilot.jobs) else judge(name, plan.expert, trials, min_success)
+    return None if len(trials) < len(pilot.jobs) else evaluate_gate(name, plan.expert, trials, min_success)
 
 
 def _outcome(report: GateReport) -> GateOutcome:

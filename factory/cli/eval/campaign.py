@@ -17,7 +17,7 @@ from factory.eval.models.messages import Setup
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet
 from factory.eval.models.spec_file import read_specs
-from factory.eval.policies import check_name, require_at_hand
+from factory.eval.policies import check_name, require_available
 from factory.eval.process.run import Pace
 from factory.eval.results.publish import publish
 from factory.eval.results.score import Evaluation
@@ -63,7 +63,7 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
     for name in asked.policies:
         check_name(name)
         if drives_here:
-            require_at_hand(name)
+            require_available(name)
     specs = _specs(Dataset(asked.root), asked)
     setup = Setup(
         settings=specs.settings,

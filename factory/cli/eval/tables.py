@@ -9,8 +9,8 @@ import click
 from factory.cli.common.output import print_table, print_text
 from factory.eval.results.compare import PairedComparison
 from factory.eval.results.estimate import IntervalEstimate
-from factory.eval.results.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
+from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
 from factory.stats.model import Share
 
 __all__ = ["print_comparison", "print_evaluation"]
@@ -35,8 +35,8 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     _print_ablations(evaluation.policies)
     click.echo("")
     for policy in evaluation.policies:
-        print_text(f"{policy.policy}: input: {policy.knows}; {ends_of(policy)}")
-        for line in faults_in_words(policy):
+        print_text(f"{policy.policy}: input: {policy.knows}; {describe_ends(policy)}")
+        for line in fault_lines(policy):
             print_text(line)
     for remark in evaluation.remarks:
         print_text(f"note: {remark}")
@@ -71,7 +71,7 @@ def _print_ablations(policies: Sequence[PolicyScores]) -> None:
     if rows:
         head = ("policy", "instruction", "episodes", "n", "SR %", "SR difference to the original", "McNemar p")
         print_table("\nInstruction ablation", head, rows)
-        for name in deaf_policies(policies):
+        for name in policies_without_instruction(policies):
             print_text(f"{name}: does not use the instruction, difference 0 by construction")
 
 

@@ -11,7 +11,7 @@ import click
 
 from factory.cli.common.groups import CommandGroup
 from factory.cli.common.output import json_option, print_json, print_table
-from factory.keys import HostKeys, admit, found, list_hosts, revoke
+from factory.keys import HostKeys, admit, create_authority, list_hosts, revoke
 from schemas.identity import Role
 
 __all__ = ["command"]
@@ -58,7 +58,7 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
 
     DIR is the directory to create. Keep DIR/ca.key secret.
     """
-    found(folder, name, days, datetime.now(UTC))
+    create_authority(folder, name, days, datetime.now(UTC))
     if as_json:
         print_json({"authority": str(folder), "key": str(folder / "ca.key"), "certificate": str(folder / "ca.pem")})
     else:

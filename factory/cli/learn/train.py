@@ -18,7 +18,7 @@ from factory.dataset.reader import Dataset
 from factory.support.logs import configure_logs
 from factory.train import BcOptions, EpochMeasures, TrainReport
 from factory.train.preprocess import SIZES
-from factory.train.run import TrainOrder, Watcher, train_bc
+from factory.train.run import TrainCallbacks, TrainOrder, train_bc
 from schemas.errors import UsageError
 from schemas.storage.place import Place
 from schemas.support.closing import Closing
@@ -153,7 +153,7 @@ def bc(
     wanted = {name: values for name, values in (("scene", scenes), ("tier", tiers)) if values}
     order = TrainOrder(Dataset(root).filter(**wanted), out, options, Split(split), device, minutes)
     with stop_on_signals() as (stop, _), _TrainBar(epochs) as bar:
-        report = train_bc(order, Watcher(bar.caching, bar.learning, bar.measured, stop.is_set))
+        report = train_bc(order, TrainCallbacks(bar.caching, bar.learning, bar.measured, stop.is_set))
     if as_json:
         print_json(report.model_dump(mode="json"))
     else:

@@ -26,7 +26,7 @@ from factory.bench.read import bench_read
 from factory.bench.render import bench_render
 from factory.bench.rollout import bench_rollout
 from factory.bench.sample import make_sample
-from factory.bench.watch import ProcessWatch
+from factory.bench.stage_times import StageRecorder
 from factory.bench.work import first_attempts, narrow
 from factory.cli.common.bars import Bars
 from factory.cli.common.filters import scene_filter
@@ -96,15 +96,15 @@ def rollout(
     CPU time of the process, which does not depend on the load of the machine.
     """
     plan = narrow(load_plan(plan_name), scenes or (), episodes)
-    machine, watch = describe_machine(), ProcessWatch()
+    machine, recorder = describe_machine(), StageRecorder()
     with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(cast(RendererKind, renderer), watch) as stage:
+            with SceneRenderer(cast(RendererKind, renderer), recorder) as stage:
                 jobs = first_attempts(plan, catalog, name)
                 plain_frames = frames if against else 0
-                results[name] = bench_rollout(jobs, entry, stage, watch, repeats, plain_frames, tell)
+                results[name] = bench_rollout(jobs, entry, stage, recorder, repeats, plain_frames, tell)
                 described = stage.renderer.description
     report = RolloutBench(machine=machine, renderer=described, plan=plan.name, repeats=repeats, scenes=results)
     _print(report, as_json, show_rollout)
@@ -122,14 +122,14 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
     All runs render the same random poses of each scene.
     """
     plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
-    machine, watch = describe_machine(), ProcessWatch()
+    machine, recorder = describe_machine(), StageRecorder()
     with _bar("render", len(plan.scenes)) as tell, _temporary_folder() as folder:
         catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
-            with SceneRenderer(cast(RendererKind, renderer), watch) as stage:
+            with SceneRenderer(cast(RendererKind, renderer), recorder) as stage:
                 scene = stage.load(entry.path, entry.sha256).scene
-                results[name] = bench_render(scene, stage.renderer, watch, CameraConfig(), frames, repeats)
+                results[name] = bench_render(scene, stage.renderer, recorder, CameraConfig(), frames, repeats)
                 described = stage.renderer.description
             tell()
     _print(RenderBench(machine=machine, renderer=described, repeats=repeats, scenes=results), as_json, show_render)

@@ -1,1 +1,1 @@
-"""Drives evaluation episodes: simulator, actions, measures, the policy interface."""
+"""Runs evaluation episodes: simulator, actions, metrics and the policy interface. Starts no processes."""

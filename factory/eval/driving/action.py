@@ -1,4 +1,4 @@
-"""From a policy's answer to twists: shape, kind, range. Pure; an answer that is no action is the policy's failure."""
+"""Parses the output of a policy into twists; checks shape, type and range. Pure functions; simulates nothing."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ __all__ = ["ACTION_KINDS", "MAX_CHUNK", "ActionChunk", "read_actions"]
 
 ACTION_KINDS = ("continuous", "tokens")
 MAX_CHUNK = 1000
-"""Most actions of one answer."""
+"""Maximum number of actions in one policy output."""
 
 
 class ActionChunk(NamedTuple):
-    """The actions of one answer, in order."""
+    """Actions of one policy output, in order."""
 
     twists: tuple[Twist, ...]
-    """As asked for; the simulator cuts them to the robot's range."""
+    """Requested twists; the simulator clips them to the range of the robot."""
     beyond: int
-    """How many of them were out of range."""
+    """Number of actions outside of the range."""
 
 
 def read_actions(answer: Any, kind: str, max_v_mps: float, max_w_rps: float) -> ActionChunk:
-    """Returns the twists that an answer asks for.
+    """Returns the twists of a policy output.
 
     Args:
-        answer: (2,) or (H, 2) numbers; or a mapping with one of the keys `actions` (v, w) and `tokens`.
-        kind: `continuous` or `tokens`, for answers that are no mapping.
-        max_v_mps: speeds outside of 0 to this are out of range.
-        max_w_rps: yaw rates beyond plus or minus this are out of range.
+        answer: (2,) or (H, 2) numbers, or a mapping with one of the keys `actions` (v, w) and `tokens`.
+        kind: `continuous` or `tokens`, for outputs that are not a mapping.
+        max_v_mps: Maximum speed; the range is 0 to this value.
+        max_w_rps: Maximum yaw rate; the range is plus or minus this value.
 
     Raises:
-        PolicyFailure: it is no action; the message says what was expected and what came.
+        PolicyFailure: The output is not a valid action; the message names the expected and the actual value.
     """
     if isinstance(answer, Mapping):
         answer, kind = _unwrap(answer)

@@ -1,4 +1,6 @@
-"""The measures of one drive: progress, SPL, soft-SPL, the success rule for any instance. Pure; world frame, metres.
+"""Metrics of one rollout: progress, SPL, soft-SPL, and the success rule for any instance.
+
+Pure functions; positions in the world frame, metres. Simulates nothing.
 
 SPL: P. Anderson et al., "On Evaluation of Embodied Navigation Agents", arXiv:1807.06757, 2018. Soft-SPL: S. Datta et
 al., "Integrating Egocentric Localization for More Realistic Point-Goal Navigation Agents", CoRL 2020.
@@ -21,15 +23,15 @@ from workers.planning import geodesic_field, geodesic_m
 __all__ = ["floor_distance_m", "has_stopped_at", "path_length_m", "progress", "soft_spl", "spl", "stops_at_any"]
 
 _NEARBY_M = 0.6
-"""How far around a pose close to furniture the floor is looked for."""
+"""Search radius for the nearest reachable grid cell around a pose close to furniture, metres."""
 
 
 def progress(start_m: float, now_m: float) -> float:
-    """Returns the fraction of the starting distance that is covered (paper Sec. V, OP); negative when driven away.
+    """Returns the covered fraction of the initial distance (paper Sec. V, OP); negative if the distance increased.
 
     Args:
-        start_m: distance to the target at the start, or that less the success radius for the normalised measure.
-        now_m: the same distance at the end, or the least of the drive.
+        start_m: Distance to the target at the start, minus the success radius for the normalised metric.
+        now_m: The same distance at the end, or its minimum over the rollout.
     """
     return (start_m - now_m) / start_m if start_m > 0 else 0.0
 
@@ -39,19 +41,19 @@ def spl(success: bool, shortest_m: float, driven_m: float) -> float:
 
     Args:
         success: S.
-        shortest_m: l, the shortest way from the start to success.
-        driven_m: p, the way that was driven.
+        shortest_m: l, length of the shortest path from the start to the success circle.
+        driven_m: p, length of the driven path.
     """
     return _efficiency(shortest_m, driven_m) if success else 0.0
 
 
 def soft_spl(start_m: float, end_m: float, driven_m: float) -> float:
-    """Returns max(0, 1 - d_T / d_0) l / max(p, l) with l = d_0 (Datta et al. 2020): progress in the place of success.
+    """Returns max(0, 1 - d_T / d_0) l / max(p, l) with l = d_0 (Datta et al. 2020): SPL with progress for success.
 
     Args:
-        start_m: d_0, the way along the floor to the success circle at the start.
-        end_m: d_T, the same at the end.
-        driven_m: p.
+        start_m: d_0, geodesic distance to the success circle at the start.
+        end_m: d_T, geodesic distance to the success circle at the end.
+        driven_m: p, length of the driven path.
     """
     covered = max(0.0, 1.0 - end_m / start_m) if start_m > 0 else float(end_m <= 0)
     return covered * _efficiency(start_m, driven_m)
@@ -68,12 +70,12 @@ def path_length_m(track: Floats) -> float:
 
 
 def has_stopped_at(track: Floats, centre_xy: ArrayLike, task: TaskConfig) -> bool:
-    """Whether a drive fulfils the success rule at a place: inside the radius and stationary for the hold steps.
+    """Returns whether a track meets the success rule at a position: in the radius and stationary for the hold steps.
 
     Args:
         track: (frames, >= 2) positions of base_link.
-        centre_xy: of the place.
-        task: radius, speed limit and hold steps.
+        centre_xy: Position of the goal.
+        task: Success radius, speed limit and hold steps.
     """
     inside = np.linalg.norm(track[1:, :2] - np.asarray(centre_xy), axis=1) <= task.success_radius_m
     speed = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1) * task.control_hz
@@ -84,15 +86,15 @@ def has_stopped_at(track: Floats, centre_xy: ArrayLike, task: TaskConfig) -> boo
 
 
 def stops_at_any(track: Floats, targets: Iterable[Target], category: str, task: TaskConfig) -> bool:
-    """Whether a drive fulfils the success rule at any target of a category."""
+    """Returns whether a track meets the success rule at any target of a category."""
     return any(has_stopped_at(track, target.centroid_m[:2], task) for target in targets if target.category == category)
 
 
 def floor_distance_m(grid: Grid, xy: ArrayLike, target: Target, radius_m: float) -> float | None:
-    """Returns the way along the floor from a point to the success circle, metres; `None` where there is none.
+    """Returns the geodesic distance from a point to the success circle, metres; `None` without a path.
 
-    A robot beside furniture may stand where the floor is too narrow for the field; then its way begins at the nearest
-    cell that has one.
+    A robot next to furniture can be outside of the distance field, where the floor is too narrow; then the distance is
+    measured via the nearest cell of the field.
     """
     direct = geodesic_m(grid, xy, target, radius_m)
     if direct is not None:

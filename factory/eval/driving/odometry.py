@@ -1,4 +1,4 @@
-"""Headings of a track, and where its last pose is as seen from the first. Pure."""
+"""Computes headings of a track, and its last pose in the frame of the first. Pure functions."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ __all__ = ["odometry", "yaws_of"]
 
 
 def yaws_of(track: Floats) -> Floats:
-    """Returns the headings (frames,) in radians of a (frames, 7) track x, y, z, qw, qx, qy, qz."""
+    """Returns the headings, (frames,) radians, of a (frames, 7) track x, y, z, qw, qx, qy, qz."""
     w, x, y, z = track[:, 3:].T
     return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 def odometry(track: Floats) -> Floats:
-    """Returns the last pose of a (frames, 7) track in the frame of its first: x, y in metres and yaw in radians."""
+    """Returns the last pose of a (frames, 7) track in the frame of its first pose: x, y in metres, yaw in radians."""
     yaws = yaws_of(track[[0, -1]])
     dx, dy = track[-1, :2] - track[0, :2]
     cos, sin = math.cos(yaws[0]), math.sin(yaws[0])

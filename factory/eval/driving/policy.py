@@ -1,6 +1,6 @@
-"""What a policy is: told an instruction once, then shown a view and asked for an action, again and again.
+"""Interface of policies: `reset` with an instruction at the start of an episode, then `act` for each action.
 
-A model sees the camera and the words and nothing else. Drives nothing itself.
+A model receives camera images and the instruction only. This module runs no episodes.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ __all__ = [
 
 
 class PolicyInput(TypedDict):
-    """What a policy is shown before each action."""
+    """Observation passed to a policy before each action."""
 
     rgb: NDArray[np.uint8]
     """(640, 640, 3) sRGB, top row first."""
     depth: NDArray[np.float32]
-    """(640, 640) metres along the optical axis; 0 where nothing was hit."""
+    """(640, 640) depth in metres along the optical axis; 0 where the ray hits nothing."""
     instruction: str
     step: int
-    """Actions carried out so far, from 0."""
+    """Number of executed actions, from 0."""
     pose: NotRequired[NDArray[np.float64]]
-    """(3,) x, y in metres and yaw in radians of base_link in the frame of its start; only with `--pose`."""
+    """(3,) pose of base_link in the frame of the start pose: x, y in metres, yaw in radians; only with `--pose`."""
 
 
 @dataclass(frozen=True)
 class EpisodeInfo:
-    """What a policy may know of an episode beside its instruction; nothing of the goal."""
+    """Episode information for a policy; contains no information about the goal."""
 
     episode: str
-    """Name of the spec."""
+    """Id of the spec."""
     seed: int
-    """For the policy's own chances: the same episode gives the same seed."""
+    """Random seed for the policy, equal for equal episodes."""
     control_hz: int
     max_steps: int
     v_range_mps: tuple[float, float]
@@ -64,14 +64,14 @@ class EpisodeInfo:
 
 @runtime_checkable
 class Policy(Protocol):
-    """A driver. The optional attribute `actions` is `"continuous"` (the default) or `"tokens"`."""
+    """Policy. The optional attribute `actions` is `"continuous"` (the default) or `"tokens"`."""
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
-        """Begins an episode and forgets the one before."""
+        """Starts an episode and clears the state of the previous one."""
         ...
 
     def act(self, observation: PolicyInput) -> Any:
-        """Returns an action: v in m/s and w in rad/s, or two tokens 0..6; or a chunk (H, 2) of them to carry out."""
+        """Returns an action (v in m/s and w in rad/s, or two tokens 0..6), or a chunk (H, 2) of actions to execute."""
         ...
 
 
@@ -92,13 +92,13 @@ class BlindPolicy(ABC):
 
 @dataclass(frozen=True)
 class PrivilegedState:
-    """What a `PrivilegedPolicy` gets: the running simulation, goal and map included."""
+    """Privileged state for built-in policies: the running simulation, including goal and map."""
 
     simulator: Simulator
     job: Job
-    """The episode as the experts take it."""
+    """Episode as a job, the input of the experts."""
     actions: Actions | None
-    """Those of an archived episode, for policies that carry them out."""
+    """Actions of an archived episode, for policies that replay them."""
 
 
 class PrivilegedPolicy(BlindPolicy):
@@ -113,17 +113,17 @@ class PrivilegedPolicy(BlindPolicy):
 
 
 class PolicyFault(StrEnum):
-    """How a policy failed an episode by itself."""
+    """Kind of a policy failure."""
 
-    RAISED = "policy_raised"  # it raised an exception, or its server answered with an error
-    HUNG = "policy_hung"  # no answer within the time limit
-    INVALID = "policy_invalid"  # NaN, infinity, or another shape than an action has
-    DIED = "policy_died"  # the process it ran in died while it was asked
-    LOST = "policy_lost"  # its server closed the connection in the middle of an episode, twice
+    RAISED = "policy_raised"  # the policy raised an exception, or its server replied with an error
+    HUNG = "policy_hung"  # no output within the time limit
+    INVALID = "policy_invalid"  # NaN, infinity, or a shape that is not valid for actions
+    DIED = "policy_died"  # the policy process died during a call
+    LOST = "policy_lost"  # the server closed the connection during an episode, twice
 
 
 class PolicyFailure(Exception):
-    """A policy failed this episode: counted, never a crash."""
+    """Failure of a policy in one episode; counted in the results, does not stop the evaluation."""
 
     def __init__(self, fault: PolicyFault, detail: str) -> None:
         super().__init__(detail)
@@ -132,7 +132,7 @@ class PolicyFailure(Exception):
 
 
 class ServerAway(Exception):
-    """A policy's server cannot be reached: no fault of an episode, the run stops and can be resumed."""
+    """The server of a policy cannot be reached; the evaluation stops and can be resumed."""
 
 
 def uses_camera(policy: Policy) -> bool:
@@ -141,5 +141,5 @@ def uses_camera(policy: Policy) -> bool:
 
 
 def kind_of_actions(policy: Policy) -> str:
-    """Returns `continuous` or `tokens`: what the numbers of a policy mean."""
+    """Returns the kind of actions of a policy, `continuous` or `tokens`."""
     return str(getattr(policy, "actions", "continuous"))

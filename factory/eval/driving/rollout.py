@@ -37,23 +37,23 @@ from schemas.config import TaskConfig
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
-__all__ = ["TRACK_HZ", "StatusWatch", "describe_request", "progresses", "run_episode", "thin_track"]
+__all__ = ["TRACK_HZ", "PolicyCallObserver", "describe_request", "progresses", "run_episode", "thin_track"]
 
 TRACK_HZ = 10
 
 
-class StatusWatch(Protocol):
+class PolicyCallObserver(Protocol):
     """Is told what goes on, so that somebody outside can tell a policy that hangs from a simulation that does."""
 
-    def asks(self, simulator: Simulator, view: Observation) -> None:
+    def before_call(self, simulator: Simulator, view: Observation) -> None:
         """The policy is about to be asked about a view; the first call of an episode is its reset."""
 
-    def has_answer(self) -> None:
+    def after_call(self) -> None:
         """The policy has answered, or failed to."""
 
 
 def run_episode(
-    task: EvalTask, policy: Policy, simulator: Simulator, place: LoadedScene, watch: StatusWatch
+    task: EvalTask, policy: Policy, simulator: Simulator, place: LoadedScene, watch: PolicyCallObserver
 ) -> EpisodeResult:
     """Drives an episode to its end and measures it.
 
@@ -82,7 +82,7 @@ class _Drive:
     task: EvalTask
     policy: Policy
     simulator: Simulator
-    watch: StatusWatch
+    watch: PolicyCallObserver
     clipped: int = 0
     answers: int = 0
     act_s: float = 0.0
@@ -149,7 +149,7 @@ class _Drive:
     @contextmanager
     def _asking(self, view: Observation) -> Iterator[None]:
         """Around a call of the policy: watched, timed, and every exception of it turned into its failure."""
-        self.watch.asks(self.simulator, view)
+        self.watch.before_call(self.simulator, view)
         begun = time.monotonic()
         try:
             yield
@@ -159,7 +159,7 @@ class _Drive:
             raise PolicyFailure(PolicyFault.RAISED, describe_error(error)) from error
         finally:
             self.act_s += time.monotonic() - begun
-            self.watch.has_answer()
+            self.watch.after_call()
 
 
 def describe_error(error: BaseException) -> str:
@@ -193,7 +193,7 @@ def _measured(
     start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
-    is_at_any = is_success or measure.stops_at_any(track, simulator.place.scene.info.targets, spec.category, rules)
+    is_at_any = is_success or measure.stops_at_any(track, simulator.loaded.scene.info.targets, spec.category, rules)
     return EpisodeResult(
         **describe_request(task),
         end=end,
@@ -255,5 +255,5 @@ def _soft_spl(
     if is_success:
         return measure.soft_spl(spec.geodesic_m, 0.0, driven_m)
     radius_m = simulator.settings.task.success_radius_m
-    left_m = measure.floor_distance_m(simulator.place.grid, track[-1, :2], simulator.target, radius_m)
+    left_m = measure.floor_distance_m(simulator.loaded.grid, track[-1, :2], simulator.target, radius_m)
     return 0.0 if left_m is None else measure.soft_spl(spec.geodesic_m, left_m, driven_m)

@@ -1,6 +1,6 @@
-"""Episodes of evaluation, stepped from outside: a spec's start, then the same closed loop as a collected rollout.
+"""Simulator of evaluation episodes: starts at the pose of a spec, then runs the closed loop used for data collection.
 
-Drives nobody and measures nothing; experts, policies and the Gymnasium environment all stand on it.
+The caller supplies the actions: experts, policies and the Gymnasium environment. Computes no metrics.
 """
 
 from __future__ import annotations
@@ -27,40 +27,40 @@ __all__ = ["NoFirmStand", "Simulator"]
 
 
 class NoFirmStand(WorldError):
-    """The robot does not stand firm at the start of a spec."""
+    """The robot is not stable at the start pose of a spec."""
 
 
 class Simulator(Closing):
-    """One episode at a time; `reset`, then `step` until a view has an end. A context manager."""
+    """Simulator of one episode at a time: call `reset`, then `step` until the view has an end. A context manager."""
 
     def __init__(self, stage: SceneRenderer, settings: EvalSettings) -> None:
-        """Keeps the caller's open stage, whose renderer it uses."""
+        """Stores the scene renderer, which the caller opens and closes."""
         self._stage = stage
         self.settings = settings
         self._held = ExitStack()
         self._loop: ClosedLoop | None = None
 
     def close(self) -> None:
-        """Frees the world of the last episode; the stage stays open."""
+        """Closes the simulation of the last episode; the scene renderer stays open."""
         self._held.close()
         self._loop = None
 
-    def reset(self, spec: EvalSpec, place: LoadedScene) -> Observation:
-        """Puts the robot at the start of an episode and returns the first view.
+    def reset(self, spec: EvalSpec, loaded: LoadedScene) -> Observation:
+        """Places the robot at the start pose of an episode and returns the first view.
 
         Args:
-            spec: the episode.
-            place: its scene, loaded.
+            spec: Spec of the episode.
+            loaded: Scene of the spec.
 
         Raises:
-            NoFirmStand: the robot does not stand firm there.
-            WorldError: the scene has no such target.
+            NoFirmStand: The robot is not stable at the start pose.
+            WorldError: The scene does not have the target.
         """
         self.close()
-        self.spec, self.place = spec, place
-        self.target = _target(spec, place)
-        job, scene = spec.job(self.settings), place.scene
-        world = self._held.enter_context(World(scene, place.collider, job.robot, job.task.control_hz))
+        self.spec, self.loaded = spec, loaded
+        self.target = _target(spec, loaded)
+        job, scene = spec.job(self.settings), loaded.scene
+        world = self._held.enter_context(World(scene, loaded.collider, job.robot, job.task.control_hz))
         x, y, yaw = spec.spawn_pose
         if not is_spawn_stable(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
@@ -73,47 +73,47 @@ class Simulator(Closing):
         return self._loop.view
 
     def step(self, wanted: Twist) -> Observation:
-        """Asks for a twist and simulates one period, unless the episode ends with this action.
+        """Simulates one control period with a twist, unless the episode ends with this action.
 
         Args:
-            wanted: before the slew limit; speeds beyond the robot's are cut to its range.
+            wanted: Twist before the slew limit; values outside of the robot's range are clipped.
 
         Raises:
-            RuntimeError: there is no episode, or it has ended.
+            RuntimeError: No episode is running.
         """
         loop = self._running
         if loop.view.end is not None:
-            raise RuntimeError("step() after the end of the episode; call reset() first")
+            raise RuntimeError("step() was called after the end of the episode; call reset() first")
         if loop.decide(self._within_bounds(wanted)) is None:
             loop.advance()
         return loop.view
 
     @property
     def steps(self) -> int:
-        """Actions so far."""
+        """Number of executed actions."""
         return self._running.steps
 
     @property
     def command(self) -> Twist:
-        """The twist in force, after the slew limit."""
+        """Current twist, after the slew limit."""
         return self._running.command
 
     @property
     def contact_steps(self) -> int:
-        """Steps with a contact other than the floor."""
+        """Number of steps with a contact other than the floor."""
         return self._running.contact_steps
 
     @property
     def track(self) -> NDArray[np.float64]:
-        """(frames, 7) x, y, z, qw, qx, qy, qz of base_link of every frame so far."""
+        """(frames, 7) poses of base_link up to the current frame: x, y, z, qw, qx, qy, qz."""
         return self._running.track
 
     def arrays(self) -> EpisodeArrays:
-        """Returns the steps so far as the archive has them: poses and actions of equal length."""
+        """Returns the recorded arrays of the steps so far: poses and actions of equal length."""
         return self._running.arrays()
 
     def observe(self) -> Observation:
-        """Returns the present view: ground truth, never given to a model."""
+        """Returns the current view, which contains ground truth and must not be passed to a model."""
         return self._running.view
 
     @property
@@ -130,9 +130,9 @@ class Simulator(Closing):
         )
 
 
-def _target(spec: EvalSpec, place: LoadedScene) -> Target:
+def _target(spec: EvalSpec, loaded: LoadedScene) -> Target:
     try:
-        return place.scene.info.target(spec.target_id)
+        return loaded.scene.info.target(spec.target_id)
     except KeyError as error:
         raise WorldError(
             f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; create new specs"

@@ -1,1 +1,1 @@
-"""Models of evaluation: specs, requests, messages, results. No I/O except the spec file."""
+"""Models of the evaluation: specs, requests, messages, results. Does no I/O, except for the file of specs."""

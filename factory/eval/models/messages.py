@@ -1,4 +1,4 @@
-"""What the evaluating process and its driving processes say to each other, one JSON line at a time. Opens no pipe."""
+"""Messages between the evaluation process and its driver processes, one JSON line each. Opens no pipe."""
 
 from __future__ import annotations
 
@@ -50,26 +50,26 @@ class DriverOrder(Model):
 
 
 class EvalReportKind(StrEnum):
-    """What a report is about."""
+    """Kind of a driver report."""
 
     READY = "ready"  # the renderer is open
-    POLICY = "policy"  # the policy is made
-    RESULT = "result"  # an episode is over
-    REFUSED = "refused"  # the policy cannot be made, or the spec does not fit: the caller's mistake
-    AWAY = "away"  # the policy's server cannot be reached
-    DEFECT = "defect"  # our own mistake
+    POLICY = "policy"  # the policy is created
+    RESULT = "result"  # an episode has ended
+    REFUSED = "refused"  # the policy cannot be created, or the spec does not match the dataset: a usage error
+    AWAY = "away"  # the server of the policy cannot be reached
+    DEFECT = "defect"  # internal error
 
 
 class EvalReport(Model):
-    """What a driving process has to say."""
+    """Report of a driver process."""
 
     kind: EvalReportKind
     number: int = -1
     """Of the task."""
     detail: str = ""
-    """In words: the renderer, the policy's knowledge, or what is wrong."""
+    """Description: the renderer, the information used by the policy, or the error."""
     exit_code: int = 1
-    """Of the command, for `refused`."""
+    """Exit code of the command, for `refused`."""
     result: EpisodeResult | None = None
 
     @model_validator(mode="after")
@@ -80,12 +80,12 @@ class EvalReport(Model):
 
 
 def to_line(message: Model) -> bytes:
-    """Returns the message as one line."""
+    """Encodes a message as one line."""
     return message.model_dump_json().encode() + b"\n"
 
 
 def read_report(line: bytes) -> EvalReport | None:
-    """Returns the report on a line; `None` for anything else, such as the chatter of a library."""
+    """Decodes a report; returns `None` for any other line, such as the output of a library."""
     try:
         return EvalReport.model_validate_json(line)
     except ValidationError:

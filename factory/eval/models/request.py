@@ -1,4 +1,4 @@
-"""What is asked of a policy: an episode under one instruction. A model; the same question has the same answer."""
+"""Model of an evaluation request: an episode with one instruction. Equal requests have equal results. Does no I/O."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from schemas.base import Model, Name, Sha256
 __all__ = ["Actions", "EvalRequest", "Key"]
 
 Actions = tuple[tuple[float, float], ...]
-"""(v, w) in m/s and rad/s, one pair a step."""
+"""Actions (v, w) in m/s and rad/s, one pair per step."""
 Key = tuple[str, Variant, str]
-"""Spec id, variant and words: what a finished episode is known by among those of one policy."""
+"""Spec id, variant and instruction, which identify an episode among the results of a policy."""
 
 
 class EvalRequest(Model):
-    """An episode, and what the policy is told of it."""
+    """Episode and instruction for a policy."""
 
     spec: EvalSpec
     spec_digest: Sha256
     instruction: str
     variant: Variant = Variant.ORIGINAL
     recorded: Name | None = None
-    """The archived episode that `replay` or `playback` carries out."""
+    """Archived episode whose actions `replay` or `playback` executes."""
     with_pose: bool = False
 
     @property
     def key(self) -> Key:
-        """By which its answer is found again."""
+        """Key of its result."""
         return self.spec.spec_id, self.variant, self.instruction

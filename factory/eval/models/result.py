@@ -1,4 +1,4 @@
-"""What came of one evaluation episode: one row of the results. A model; computes nothing."""
+"""Model of the result of one evaluation episode, a row of the results table. Computes nothing."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from schemas.terms import Split, Tier
 __all__ = ["RESULTS_FORMAT", "EpisodeResult", "EvalEnd", "Variant"]
 
 RESULTS_FORMAT = 1
-"""Version of the results. A reader opens its own version and older ones; a newer one it refuses by name."""
+"""Format version of the results. Readers accept this version and older ones, and raise an error for a newer one."""
 
 
 class Variant(StrEnum):
-    """Which instruction the policy was given."""
+    """Instruction variant."""
 
-    ORIGINAL = "original"  # the spec's own
-    SHUFFLED = "shuffled"  # that of another episode of the set
-    WRONG = "wrong"  # the same template, naming another category of the scene
-    EMPTY = "empty"  # none
+    ORIGINAL = "original"  # the instruction of the spec
+    SHUFFLED = "shuffled"  # the instruction of another episode of the set
+    WRONG = "wrong"  # the same template with another category of the scene
+    EMPTY = "empty"  # an empty instruction
 
 
 class EvalEnd(StrEnum):
-    """Why an episode ended; all but the first are failures."""
+    """End of an episode; all except `success` are failures."""
 
     SUCCESS = "success"
     COLLISION = "collision"
@@ -39,20 +39,20 @@ class EvalEnd(StrEnum):
 
     @property
     def is_of_the_policy(self) -> bool:
-        """Whether the policy failed as a program."""
+        """Returns whether the end is a policy failure."""
         return self.value.startswith("policy_")
 
 
 class EpisodeResult(Model):
-    """One episode under one policy and one instruction; distances planar, metres."""
+    """Result of one episode with one policy and one instruction; distances are planar, metres."""
 
     spec_id: Name
     spec_digest: Sha256
-    """Results with equal digests answer the same question."""
+    """Digest of spec and settings; results with equal digests are comparable."""
     policy: str
     variant: Variant
     instruction: str
-    """As given to the policy."""
+    """Instruction given to the policy."""
     split: Split
     scene: Name
     tier: Tier
@@ -60,48 +60,48 @@ class EpisodeResult(Model):
     target_id: Name
     template_id: Name
     categories_in_view: Annotated[int, Field(ge=0)]
-    """Categories in view at the start."""
+    """Number of categories in view at the start."""
     end: EvalEnd
     detail: str
-    """The end in words."""
+    """Description of the end."""
     success: bool
     any_instance: bool
     """Whether the success rule was met at the target or at another object of its category."""
     num_steps: Annotated[int, Field(ge=0)]
     spawn_dist_m: NonNegative
     trajectory_length_m: NonNegative
-    """TL."""
+    """Trajectory length (TL)."""
     final_ne_m: NonNegative
-    """NE: distance to the target's centroid at the end."""
+    """Navigation error (NE): distance to the target's centroid at the end."""
     min_ne_m: NonNegative
     geodesic_m: NonNegative | None
-    """l: the way along the floor at the start."""
+    """Geodesic distance at the start, the l of SPL."""
     spl: Fraction | None
-    """`None` where there is no way along the floor."""
+    """SPL; `None` without a path on the floor."""
     soft_spl: Fraction | None
     progress_final: float
-    """OP from the start to the end: negative when driven away."""
+    """OP from the start to the end; negative if the distance increased."""
     progress_max: float
-    """OP to the closest point of the drive."""
+    """OP from the start to the closest point of the track."""
     progress_normalised: float
-    """The same with the success radius taken off both ends, so that 1 is a success; at most 1."""
+    """`progress_max` with the success radius subtracted from both distances, at most 1; 1 means inside the radius."""
     contact_steps: Annotated[int, Field(ge=0)]
-    """Steps with a contact other than the floor."""
+    """Number of steps with a contact other than the floor."""
     clipped_actions: Annotated[int, Field(ge=0)]
-    """Actions beyond the robot's range, which were cut to it."""
+    """Number of actions that were clipped to the range of the robot."""
     act_ms: NonNegative
-    """Mean wall time of an answer of the policy, milliseconds; not part of the numbers that repeat."""
+    """Mean wall time of a policy call, milliseconds; not reproducible."""
     seconds: NonNegative
-    """Wall time of the episode; not part of the numbers that repeat."""
+    """Wall time of the episode, seconds; not reproducible."""
     track: tuple[tuple[float, float, float], ...]
-    """x, y in metres (to 1 mm) and yaw in radians (to 1 mrad), every tenth of a second, the last frame included."""
+    """x, y in metres (to 1 mm) and yaw in radians (to 1 mrad), at 10 Hz and at the last frame."""
 
     @property
     def key(self) -> tuple[str, Variant, str]:
-        """By which it is known among the results of its policy, as its question is."""
+        """Key among the results of its policy, equal to the key of its request."""
         return self.spec_id, self.variant, self.instruction
 
     @property
     def is_grounded(self) -> bool:
-        """Whether at least two categories were in view at the start, so that the words were needed."""
+        """Returns whether at least two categories were in view at the start, so that the instruction was needed."""
         return self.categories_in_view >= 2

@@ -1,6 +1,6 @@
-"""Evaluation episodes as data: where the robot starts, what it is told, what counts. Models only; opens nothing.
+"""Models of evaluation episodes: start pose, instruction, target and settings. Opens nothing.
 
-The same set gives the same numbers with the same policy and software.
+The same spec set gives the same results with the same policy and software.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from schemas.terms import ExpertName, Split
 __all__ = ["SPECS_FORMAT", "EvalSettings", "EvalSpec", "SpecSet", "spread"]
 
 SPECS_FORMAT = 1
-"""Version of the file of specs. A reader opens its own version and older ones; a newer one it refuses by name."""
+"""Format version of the file of specs. Readers accept this version and older ones; a newer one raises an error."""
 _NO_PLAN = "0" * 64
 
 
 class EvalSettings(Model):
-    """What all episodes of a set share; the numbers the dataset was collected with."""
+    """Settings shared by all episodes of a set, equal to those of data collection."""
 
     task: TaskConfig = TaskConfig()
-    """Success, collision and timeout; `max_steps` is the limit of an episode."""
+    """Rules of success, collision and timeout; `max_steps` is the step limit of an episode."""
     robot: RobotConfig = RobotConfig()
     camera: CameraConfig = CameraConfig()
     spawn: SpawnConfig = SpawnConfig()
     gains: ExpertConfig = ExpertConfig()
-    """Of the experts, and how large a mask counts as in view."""
+    """Settings of the experts, and the minimum mask size of an object in view."""
     planner: PlannerConfig = PlannerConfig()
 
     @classmethod
@@ -51,25 +51,25 @@ class EvalSpec(EpisodeSpec):
     scene_sha256: Sha256
     """Digest of the compiled package."""
     seed: Annotated[int, Field(ge=0, lt=2**32)]
-    """For the policy's own chances; the simulation has none."""
+    """Random seed for the policy; the simulation is deterministic."""
     spawn_pose: tuple[float, float, float]
-    """x, y in metres and yaw in radians at which base_link is put down, before the warm-up steps."""
+    """Pose of base_link before the warm-up steps: x, y in metres, yaw in radians."""
     spawn_source: Literal["job", "frame", "drawn"]
-    """`job`: drawn again as the collection drew it, to the last bit; `frame`: frame 0 of the episode, where another
-    version of the software collected it; `drawn`: drawn for this set."""
+    """`job`: drawn as in the data collection, bit for bit; `frame`: frame 0 of the episode, because another version of
+    the software recorded it; `drawn`: drawn for this set."""
     spawn_dist_m: NonNegative
-    """Planar distance from the spawn to the target's centroid."""
+    """Planar distance from the start pose to the target's centroid, metres."""
     geodesic_m: NonNegative | None
-    """Shortest way along the floor to the success circle; the l of SPL. `None` where there is none."""
+    """Geodesic distance to the success circle, metres, the l of SPL; `None` without a path."""
     categories_in_view: tuple[Name, ...]
-    """Categories of which an object is in view at the start, by name."""
+    """Categories with an object in view at the start, sorted by name."""
     is_target_in_view: bool
-    """Whether the target itself is in view at the start."""
+    """Whether the target is in view at the start."""
     source_episode: Name | None = None
-    """The archived episode it was taken from."""
+    """Archived episode from which the spec was created."""
 
     def job(self, settings: EvalSettings, expert: ExpertName = ExpertName.PROPORTIONAL) -> Job:
-        """Returns the spec as a job, the form in which simulation and experts take it."""
+        """Returns the spec as a job, the input of simulation and experts."""
         return Job(
             **dict(EpisodeSpec.of(self)),
             run="evaluation",
@@ -86,13 +86,13 @@ class EvalSpec(EpisodeSpec):
 
 
 class SpecSet(Model):
-    """The whole file of specs."""
+    """Content of a file of specs."""
 
     format: int = SPECS_FORMAT
     source: str
-    """Where the specs come from, in words."""
+    """Description of the origin of the specs."""
     run: str
-    """Name of the run whose dataset has the scenes."""
+    """Run name of the dataset with the scenes."""
     settings: EvalSettings
     specs: Annotated[tuple[EvalSpec, ...], Field(min_length=1)]
 
@@ -106,19 +106,19 @@ class SpecSet(Model):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what decides the numbers: settings and specs."""
+        """SHA-256 of settings and specs, which determine the results."""
         return hashlib.sha256(canonical_json(self, exclude={"source", "run"}).encode()).hexdigest()
 
     def spec_digest(self, spec: EvalSpec) -> str:
-        """SHA-256 of one spec with the settings: results with equal digests answer the same question."""
+        """Returns the SHA-256 of a spec with the settings; results with equal digests are comparable."""
         text = canonical_json(self.settings) + canonical_json(spec)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def only(self, splits: frozenset[Split] | None = None, episodes: int | None = None) -> SpecSet:
-        """Returns the set with some splits only, and of those at most `episodes`, spread evenly over the list.
+        """Returns a part of the set: some splits, and at most `episodes` episodes, spread evenly over the list.
 
         Raises:
-            UsageError: none is left.
+            UsageError: No spec matches.
         """
         specs = [spec for spec in self.specs if splits is None or spec.split in splits]
         specs = [specs[place] for place in spread(len(specs), episodes)]
@@ -132,7 +132,7 @@ class SpecSet(Model):
 
 
 def spread(count: int, wanted: int | None) -> list[int]:
-    """Returns at most `wanted` places of a list of `count`, evenly apart; all of them where none is wanted."""
+    """Returns at most `wanted` indices of a list of `count` elements, evenly spread; all if `wanted` is `None`."""
     if wanted is None or wanted >= count:
         return list(range(count))
     return [number * count // wanted for number in range(wanted)]

@@ -1,4 +1,4 @@
-"""The file of specs on disk: JSON with a format version. Reads and writes one file."""
+"""Reads and writes the file of specs, JSON with a format version. Creates no specs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def read_specs(path: Path) -> SpecSet:
     """Reads a file of specs.
 
     Raises:
-        UsageError: there is no such file, it is no file of specs, or of a newer format.
+        UsageError: The file does not exist, is not a file of specs, or its format is newer than this software.
     """
     try:
         if path.stat().st_size > _MOST_BYTES:
@@ -37,10 +37,10 @@ def read_specs(path: Path) -> SpecSet:
 
 
 def write_specs(specs: SpecSet, path: Path) -> None:
-    """Writes a file of specs, whole or not at all.
+    """Writes a file of specs atomically.
 
     Raises:
-        WorldError: it cannot be written.
+        WorldError: The file cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:

@@ -1,4 +1,4 @@
-"""Every policy that `--policy` can name: built-in ones, a class of the user's, a server. One registry."""
+"""Registry of the policies for `--policy`: built-in policies, user classes, policy servers. Runs no episodes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import NamedTuple
 from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.experts import ExpertPolicy
-from factory.eval.policies.foreign import load_class, require_module
-from factory.eval.policies.outside import Outside
+from factory.eval.policies.limits import PolicyLimits
 from factory.eval.policies.recorded import PlaybackPolicy, ReplayPolicy
 from factory.eval.policies.remote import RemotePolicy
 from factory.eval.policies.simple import RandomPolicy, StopPolicy
+from factory.eval.policies.user_class import load_class, require_module
 from schemas.errors import UsageError
 from schemas.support.extras import require_package
 from schemas.support.suggest import did_you_mean
@@ -22,38 +22,38 @@ from schemas.terms import ExpertName
 
 __all__ = [
     "POLICIES",
-    "Outside",
     "PolicyEntry",
+    "PolicyLimits",
     "check_name",
     "describe_knowledge",
     "file_of",
     "find_policy",
-    "is_foreign",
+    "is_user_class",
     "make_policy",
     "renders_apart",
-    "require_at_hand",
+    "require_available",
 ]
 
-Maker = Callable[[str, Outside], Policy]
-"""Takes what stands behind the first colon of the name, and what a policy may need."""
+PolicyFactory = Callable[[str, PolicyLimits], Policy]
+"""Function of the text after the first colon of the policy name and the time limits; returns the policy."""
 
 
 class PolicyEntry(NamedTuple):
-    """A kind of policy."""
+    """Registry entry of a kind of policy."""
 
-    make: Maker
+    make: PolicyFactory
     usage: str
-    """How it is written after `--policy`."""
+    """Form of the name after `--policy`."""
     needs_recording: bool = False
-    """Whether it carries out actions of archived episodes."""
+    """Whether the policy replays actions of archived episodes."""
     reads_instruction: bool = False
     file_of: Callable[[str], Path] | None = None
-    """Returns the file that it is made of, from what stands behind the first colon."""
+    """Function that returns the file of the policy from the text after the first colon; `None` without a file."""
     needs: tuple[str, ...] = ()
-    """Optional packages that it imports, as top-level modules."""
+    """Optional packages that the policy imports, as top-level modules."""
     renders_apart: bool = False
-    """Whether a separate process renders, because the policy loads libraries that crash in one process with OpenGL's:
-    PyTorch, or whatever a class of the user's imports."""
+    """Whether a separate process renders, because the policy can load libraries, such as PyTorch, that crash in one
+    process with the OpenGL libraries."""
 
 
 _WIRE = ("websockets", "msgpack")
@@ -67,53 +67,53 @@ POLICIES: Mapping[str, PolicyEntry] = MappingProxyType(
         "playback": PolicyEntry(lambda _rest, _: PlaybackPolicy(), "playback", needs_recording=True),
         "bc": PolicyEntry(lambda rest, _: BcPolicy(rest), "bc:OUT", False, True, bc_file, ("torch",), True),
         "ws": PolicyEntry(
-            lambda rest, outside: RemotePolicy(f"ws:{rest}", outside), "ws://HOST:PORT", False, True, None, _WIRE
+            lambda rest, limits: RemotePolicy(f"ws:{rest}", limits), "ws://HOST:PORT", False, True, None, _WIRE
         ),
         "wss": PolicyEntry(
-            lambda rest, outside: RemotePolicy(f"wss:{rest}", outside), "wss://HOST:PORT", False, True, None, _WIRE
+            lambda rest, limits: RemotePolicy(f"wss:{rest}", limits), "wss://HOST:PORT", False, True, None, _WIRE
         ),
     }
 )
-"""By the word before the first colon; any other name is taken for `package.module:Class`."""
-_FOREIGN = PolicyEntry(
+"""Registry by the text before the first colon; any other name means `package.module:Class`."""
+_USER_CLASS = PolicyEntry(
     lambda name, _: load_class(name), "package.module:Class", reads_instruction=True, renders_apart=True
 )
 
 
 def find_policy(name: str) -> PolicyEntry:
-    """Returns the kind of a policy without making it.
+    """Returns the registry entry of a policy name; creates no policy.
 
     Raises:
-        UsageError: nothing is called that.
+        UsageError: The name is not valid.
     """
     kind = name.partition(":")[0]
     if kind in POLICIES:
         return POLICIES[kind]
     if ":" not in name or not all(part.isidentifier() for part in name.replace(":", ".").split(".")):
-        known = ", ".join(entry.usage for entry in (*POLICIES.values(), _FOREIGN))
+        known = ", ".join(entry.usage for entry in (*POLICIES.values(), _USER_CLASS))
         raise UsageError(f"unknown policy {name!r}; built-in policies: {known}{did_you_mean(kind, POLICIES)}")
-    return _FOREIGN
+    return _USER_CLASS
 
 
-def is_foreign(name: str) -> bool:
-    """Whether making the policy imports a module of the user's.
+def is_user_class(name: str) -> bool:
+    """Returns whether the policy is a user class, so that creating it imports a user module.
 
     Raises:
-        UsageError: nothing is called that.
+        UsageError: The name is not valid.
     """
-    return find_policy(name) is _FOREIGN
+    return find_policy(name) is _USER_CLASS
 
 
 def renders_apart(name: str) -> bool:
-    """Returns whether frames are rendered in a process of their own while the policy of that name drives."""
-    return POLICIES.get(name.partition(":")[0], _FOREIGN).renders_apart
+    """Returns whether a separate process renders the frames for the policy of that name."""
+    return POLICIES.get(name.partition(":")[0], _USER_CLASS).renders_apart
 
 
 def check_name(name: str) -> None:
-    """Makes sure that a policy can be called that, without making it.
+    """Raises an error unless a policy name is valid; creates no policy.
 
     Raises:
-        UsageError: nothing is called that.
+        UsageError: The name is not valid.
     """
     find_policy(name)
     kind, _, rest = name.partition(":")
@@ -121,39 +121,39 @@ def check_name(name: str) -> None:
         _expert_name(rest)
 
 
-def require_at_hand(name: str) -> None:
-    """Makes sure that what a policy is made of is on this machine, as far as that can be told without making it.
+def require_available(name: str) -> None:
+    """Raises an error unless the packages, the file and the module of a policy are installed; creates no policy.
 
     Raises:
-        UsageError: a package, its file or its module is not there.
+        UsageError: A package, the file or the module is missing.
     """
     entry = find_policy(name)
     for module in entry.needs:
         require_package(module, f"policy {name}")
     file_of(name)
-    if entry is _FOREIGN:
+    if entry is _USER_CLASS:
         require_module(name)
 
 
-def make_policy(name: str, outside: Outside, file: Path | None = None) -> Policy:
-    """Returns the policy of that name, ready for its first episode.
+def make_policy(name: str, limits: PolicyLimits, file: Path | None = None) -> Policy:
+    """Creates the policy of a name.
 
     Args:
-        name: as after `--policy`.
-        outside: what policies may need of their surroundings.
-        file: what it is made of, where that is not at the place its name says.
+        name: Name, as after `--policy`.
+        limits: Time limits.
+        file: File of the policy, if it is not at the path in the name.
 
     Raises:
-        UsageError: nothing is called that, or it cannot be made; the message says why.
-        ServerAway: its server cannot be reached.
+        UsageError: The name is not valid, or creating the policy failed; the message contains the reason.
+        ServerAway: The server of the policy cannot be reached.
     """
     entry = find_policy(name)
-    rest = name if entry is _FOREIGN else name.partition(":")[2]
-    policy = entry.make(rest if file is None else str(file), outside)
+    rest = name if entry is _USER_CLASS else name.partition(":")[2]
+    policy = entry.make(rest if file is None else str(file), limits)
     missing = [method for method in ("reset", "act") if not callable(getattr(policy, method, None))]
     if missing:
         raise UsageError(f"policy {name} has no method {' and no '.join(missing)}; see docs/evaluation/README.md")
-    if entry is _FOREIGN and isinstance(policy, PrivilegedPolicy):
+    if entry is _USER_CLASS and isinstance(policy, PrivilegedPolicy):
         raise UsageError(
             f"policy {name} derives from PrivilegedPolicy, which gives the goal and the map to built-in policies only"
         )
@@ -161,10 +161,10 @@ def make_policy(name: str, outside: Outside, file: Path | None = None) -> Policy
 
 
 def file_of(name: str) -> Path | None:
-    """Returns the file that a policy is made of, if it is.
+    """Returns the file of a policy, or `None` for policies without a file.
 
     Raises:
-        UsageError: it is not there.
+        UsageError: The file does not exist.
     """
     find = find_policy(name).file_of
     return None if find is None else find(name.partition(":")[2])

@@ -1,6 +1,6 @@
-"""A trained network at the wheel: looks every few steps, holds its twist meanwhile, stands once it is sure of it.
+"""Policy with a trained behaviour cloning network: infers every few steps, holds the twist, and stops at the target.
 
-Loads the checkpoint when it is made; reads nothing but the camera and the words.
+Loads the checkpoint on construction. Uses camera and instruction only.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from numpy.typing import NDArray
 from factory.eval.driving.policy import EpisodeInfo, PolicyInput
 from factory.train import preprocess
 from factory.train.checkpoint import POLICY, checkpoint_path, read_checkpoint
-from factory.train.torch_door import load_torch
-from factory.train.words import encode
+from factory.train.torch_import import load_torch
+from factory.train.vocabulary import encode
 from schemas.errors import UsageError
 from schemas.tokens import V_GRID_MPS, W_GRID_RPS
 
 __all__ = ["LOOKS_TO_STAND", "BcPolicy", "bc_file"]
 
 LOOKS_TO_STAND = 2
-"""Looks in a row that must say stop before the robot stands. It drives on meanwhile: a single wrong look on the way
-would leave a robot, whose view no longer changes, standing for good."""
+"""Consecutive stop predictions after which the robot stops. It continues to drive until then: after a single wrong
+prediction, a stopped robot would see the same view again and never move."""
 _STOP_CELL = 3
 
 
 def bc_file(name: str) -> Path:
-    """Returns the checkpoint meant by what stands behind `bc:`.
+    """Returns the checkpoint file for the text after `bc:`.
 
     Raises:
-        UsageError: there is none.
+        UsageError: The file does not exist.
     """
     if not name:
         raise UsageError("policy bc needs a folder: write bc:OUT with the OUT of `factory train bc -o OUT`")
@@ -42,12 +42,12 @@ def bc_file(name: str) -> Path:
 
 
 class BcPolicy:
-    """Behaviour cloning as `factory train bc` makes it.
+    """Behaviour cloning policy, trained by `factory train bc`.
 
-    An answer is a chunk of as many steps as an action was held for in training, at the same steps a second.
+    Each call of `act` returns a chunk of as many steps as an action was held for in training, at the same control rate.
 
     Args:
-        name: a training's folder or its `policy.pt`.
+        name: Training folder, or its `policy.pt`.
     """
 
     def __init__(self, name: str) -> None:
@@ -55,7 +55,7 @@ class BcPolicy:
         path = bc_file(name)
         from factory.train.network import BcNetwork
 
-        torch.set_num_threads(1)  # a driving process has one core
+        torch.set_num_threads(1)  # a driver process uses one core
         checkpoint = read_checkpoint(path)
         self.meta = checkpoint.meta
         self._network = BcNetwork(self.meta.options, len(self.meta.words))
@@ -70,10 +70,10 @@ class BcPolicy:
         self._scale = np.array((self.meta.max_speed_mps, self.meta.max_yaw_rate_rps), np.float32)
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
-        """Reads the instruction.
+        """Encodes the instruction and starts an episode.
 
         Raises:
-            UsageError: the camera or the clock is another one than it learned with.
+            UsageError: The camera or the control rate differs from the training.
         """
         mine, found = (self.meta.control_hz, self.meta.fov_deg), (info.control_hz, info.fov_deg)
         if mine != found:
@@ -87,7 +87,7 @@ class BcPolicy:
         self._stops = 0
 
     def act(self, observation: PolicyInput) -> NDArray[np.float32]:
-        """Returns (hold, 2) twists."""
+        """Returns an action chunk, (hold, 2) twists."""
         size = self.meta.options.size
         picture = preprocess.to_input(
             preprocess.shrink_rgb(observation["rgb"], size)[None],
@@ -102,7 +102,7 @@ class BcPolicy:
         return np.tile(twist, (self.meta.options.hold, 1))
 
     def _decide(self, answer: Any) -> tuple[NDArray[np.float32], bool]:
-        """Returns the twist to drive with, and whether the network says stop."""
+        """Returns the twist, and whether the network predicts a stop."""
         if self.meta.options.head == "tokens":
             cells = answer.cells[0].numpy().copy()
             is_stop = int(cells.argmax()) == _STOP_CELL

@@ -1,4 +1,4 @@
-"""The experts as policies: they know the goal and the map, and the results say so."""
+"""Experts as policies. They use the goal and the map; the results state this. Plans no paths itself."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ class ExpertPolicy(PrivilegedPolicy):
     def __init__(self, expert: ExpertName) -> None:
         self.expert = expert
 
-    def enter(self, situation: PrivilegedState) -> None:
-        """Takes the running simulation."""
-        self._situation = situation
+    def enter(self, state: PrivilegedState) -> None:
+        """Stores the privileged state."""
+        self._state = state
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:  # noqa: ARG002
-        """Plans, where the expert plans.
+        """Starts the expert, which plans a path if it uses one.
 
         Raises:
-            PolicyFailure: it finds no way.
+            PolicyFailure: The expert finds no path.
         """
-        simulator = self._situation.simulator
-        self._expert = make_expert(self._situation.job)
+        simulator = self._state.simulator
+        self._expert = make_expert(self._state.job)
         start = simulator.observe().pose
-        if self._expert.begin(start, simulator.place.grid, simulator.target) is None:
+        if self._expert.begin(start, simulator.loaded.grid, simulator.target) is None:
             where = f"({start.x:.2f}, {start.y:.2f}) m"
             raise PolicyFailure(PolicyFault.RAISED, f"no drivable path to {simulator.target.target_id} from {where}")
 
     def act(self, observation: PolicyInput) -> Twist:  # noqa: ARG002
-        """Returns the wanted twist."""
-        return self._expert.act(self._situation.simulator.observe())
+        """Returns the twist of the expert."""
+        return self._expert.act(self._state.simulator.observe())

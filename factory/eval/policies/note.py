@@ -1,4 +1,4 @@
-"""What is known of a policy beside its results: how it was made, with what, and what it goes by."""
+"""Metadata of an evaluated policy: the information it uses, the renderer and the software versions. Runs no policy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["PolicyNote", "note_of"]
 
 
 class PolicyNote(Model):
-    """Stands beside the results of a policy."""
+    """Metadata stored next to the results of a policy."""
 
     policy: str
     knows: str
@@ -20,7 +20,7 @@ class PolicyNote(Model):
 
 
 def note_of(policy: str, knows: str, renderer: str) -> PolicyNote:
-    """Returns the note of a policy that was made on this machine."""
+    """Returns the metadata of a policy that was created on this machine."""
     return PolicyNote(
         policy=policy,
         knows=knows,

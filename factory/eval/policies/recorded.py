@@ -1,4 +1,7 @@
-"""Open loop: recorded actions carried out blindly, the episode's own (about 1) or another one's (about 0)."""
+"""Open-loop policies: replay recorded actions of the same episode (SR about 1) or of another one (SR about 0).
+
+They do not use observations.
+"""
 
 from __future__ import annotations
 
@@ -19,21 +22,21 @@ class _Recorded(PrivilegedPolicy):
         self._actions = situation.actions
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
-        """Has nothing to forget."""
+        """Does nothing."""
 
     def act(self, observation: PolicyInput) -> Twist:
-        """Returns the action that was recorded at this step."""
+        """Returns the recorded action of this step, and zero after the last one."""
         step = observation["step"]
         return Twist(*self._actions[step]) if step < len(self._actions) else Twist(0.0, 0.0)
 
 
 class ReplayPolicy(_Recorded):
-    """The episode's own actions: a test of determinism, whose success rate is about 1."""
+    """Policy that replays the actions of the same episode: a test of determinism with a success rate of about 1."""
 
     knows = "the episode's recorded actions"
 
 
 class PlaybackPolicy(_Recorded):
-    """Another episode's actions: what driving without looking is worth, about 0."""
+    """Policy that replays the actions of another episode: the success rate without observations, about 0."""
 
     knows = "another episode's recorded actions"

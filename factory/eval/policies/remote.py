@@ -1,6 +1,6 @@
-"""A policy behind a websocket, spoken to as openpi's client does: metadata on connect, observation in, actions out.
+"""Policy on a websocket server with the protocol of openpi's client: metadata on connect, observation in, actions out.
 
-One question at a time; what the server sends is bounded and never unpickled.
+Sends one request at a time. The size of a reply is limited, and replies are never unpickled. Runs no model itself.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from typing import Any
 
 from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, ServerAway
-from factory.eval.policies.outside import Outside
+from factory.eval.policies.limits import PolicyLimits
 from factory.eval.policies.wire import MAX_ANSWER_BYTES, WireError, pack, unpack
 from schemas.errors import UsageError
 from schemas.support.extras import missing_package
@@ -22,32 +22,32 @@ _RETRY_S = 0.5
 
 
 class RemotePolicy:
-    """Asks a server for each action.
+    """Policy that requests each action from a server.
 
-    The observation travels as `rgb`, `depth`, `prompt` (the instruction), `step` (0 begins an episode), `episode` and
-    `seed`, and `pose` where it is given; the answer holds `actions` (v, w) or `tokens`, as (2,) or as a chunk (H, 2).
+    A request contains `rgb`, `depth`, `prompt` (the instruction), `step` (0 starts an episode), `episode` and `seed`,
+    and `pose` if enabled. The reply contains `actions` (v, w) or `tokens`, of shape (2,) or as a chunk (H, 2).
     """
 
-    def __init__(self, address: str, outside: Outside) -> None:
+    def __init__(self, address: str, limits: PolicyLimits) -> None:
         self._address = address
-        self._outside = outside
+        self._limits = limits
         self._connection: Any = None
         self._has_answered = False
-        """Over this connection; the first answer of one may take long."""
+        """Whether this connection has received a reply; the first reply has a longer timeout."""
         self._held = ExitStack()
-        self._connect(min(outside.reconnect_s, outside.load_timeout_s))
+        self._connect(min(limits.reconnect_s, limits.load_timeout_s))
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
-        """Notes what goes with every observation; the server hears of it with step 0."""
+        """Stores the fields sent with every observation; the server learns of the new episode by step 0."""
         self._fixed = {"prompt": instruction, "episode": info.episode, "seed": info.seed}
         if self._connection is None:
-            self._connect(self._outside.reconnect_s)
+            self._connect(self._limits.reconnect_s)
 
     def act(self, observation: PolicyInput) -> Any:
-        """Returns the server's answer, for the caller to judge.
+        """Returns the reply of the server, which the caller validates.
 
         Raises:
-            PolicyFailure: the server is late, reports an error, answers rubbish or closes the connection.
+            PolicyFailure: The server timed out, reported an error, sent an invalid reply or closed the connection.
         """
         message = {**self._fixed, **{key: value for key, value in observation.items() if key != "instruction"}}
         answer = self._ask(pack(message))
@@ -60,20 +60,20 @@ class RemotePolicy:
             raise PolicyFailure(PolicyFault.INVALID, f"the server's answer {error}") from error
 
     def close(self) -> None:
-        """Closes the connection; closing twice is harmless."""
+        """Closes the connection; can be called more than once."""
         self._connection = None
-        with suppress(Exception):  # whatever state the other side left it in
+        with suppress(Exception):  # the connection may be in any state
             self._held.close()
 
     def _ask(self, data: bytes) -> Any:
         from websockets.exceptions import ConnectionClosed
 
-        limit_s = self._outside.act_timeout_s if self._has_answered else self._outside.load_timeout_s
+        limit_s = self._limits.act_timeout_s if self._has_answered else self._limits.load_timeout_s
         try:
             self._connection.send(data)
             answer = self._connection.recv(timeout=limit_s)
         except TimeoutError as error:
-            self.close()  # a late answer would be taken for the next one
+            self.close()  # otherwise a late reply would be read as the next one
             raise PolicyFailure(PolicyFault.HUNG, f"no answer from {self._address} within {limit_s:g} s") from error
         except (ConnectionClosed, OSError) as error:
             self.close()
@@ -83,10 +83,10 @@ class RemotePolicy:
         return answer
 
     def _connect(self, patience_s: float) -> None:
-        """Connects and takes the server's metadata.
+        """Connects to the server and reads its metadata.
 
         Raises:
-            ServerAway: nobody answers there for as long as that.
+            ServerAway: The server did not accept a connection within `patience_s`.
         """
         deadline = time.monotonic() + patience_s
         while True:
@@ -97,7 +97,7 @@ class RemotePolicy:
             except (OSError, TimeoutError, EOFError) as error:
                 reason = f"{type(error).__name__}: {error}"
             if time.monotonic() >= deadline:
-                raise ServerAway(f"no policy server at {self._address} for {patience_s:g} s ({reason})")
+                raise ServerAway(f"no policy server responded at {self._address} for {patience_s:g} s ({reason})")
             time.sleep(_RETRY_S)
 
     def _open(self) -> Any:
@@ -114,7 +114,7 @@ class RemotePolicy:
                         ping_interval=None,
                     )
                 )
-                self.metadata = unpack(connection.recv(timeout=self._outside.load_timeout_s))
+                self.metadata = unpack(connection.recv(timeout=self._limits.load_timeout_s))
             except bad as error:
                 raise UsageError(f"policy server {self._address}: {error}; write ws://HOST:PORT") from error
             except (WireError, TypeError) as error:

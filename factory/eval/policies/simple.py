@@ -1,4 +1,4 @@
-"""The floor of every table: a policy that stands still and one that drives at random."""
+"""Baseline policies: one that never moves and one with random twists. They do not use observations."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from workers.geometry.slew import Twist
 __all__ = ["RandomPolicy", "StopPolicy"]
 
 _HELD_S = 0.5
-"""How long a random twist is held; drawn anew at every step, the slew limit would average it away."""
+"""Duration for which a random twist is held, seconds; with a new twist at every step, the slew limit would average
+them out."""
 
 
 class StopPolicy(BlindPolicy):
     """Never moves."""
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
-        """Has nothing to forget."""
+        """Does nothing."""
 
     def act(self, observation: PolicyInput) -> Twist:  # noqa: ARG002
-        """Returns standstill."""
+        """Returns a zero twist."""
         return Twist(0.0, 0.0)
 
 
@@ -28,13 +29,13 @@ class RandomPolicy(BlindPolicy):
     """Uniform twists over the action range, one every half second, by the episode's seed."""
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:  # noqa: ARG002
-        """Seeds itself."""
+        """Seeds the random generator."""
         self._info = info
         self._rng = np.random.default_rng(info.seed)
         self._held = max(1, round(_HELD_S * info.control_hz))
 
     def act(self, observation: PolicyInput) -> Twist:
-        """Returns the twist of this half second."""
+        """Returns the twist of the current half second."""
         if observation["step"] % self._held == 0:
             v, w = (float(self._rng.uniform(*bounds)) for bounds in (self._info.v_range_mps, self._info.w_range_rps))
             self._twist = Twist(v, w)

@@ -1,6 +1,6 @@
-"""Arrays in msgpack as openpi's client packs them: a map of data, dtype and shape; never pickle. Bytes to values, pure.
+"""Encodes arrays in msgpack as openpi's client does: a map of data, dtype and shape, without pickle. Does no I/O.
 
-The keys are those of `openpi_client.msgpack_numpy`, so that its servers and ours understand each other.
+The keys are those of `openpi_client.msgpack_numpy`, for compatibility with its servers.
 """
 
 from __future__ import annotations
@@ -16,37 +16,37 @@ __all__ = ["MAX_ANSWER_BYTES", "WireError", "pack", "unpack"]
 
 MAX_ANSWER_BYTES = 16 << 20
 _KINDS = "biuf"
-"""Kinds of dtype that may travel: no objects, no records, no complex numbers."""
+"""Supported dtype kinds: bool, integers, unsigned integers and floats; no objects, records or complex numbers."""
 
 
 class WireError(Exception):
-    """Bytes that are no message, or a value that cannot travel."""
+    """Invalid message bytes, or a value that cannot be encoded."""
 
 
 def pack(message: Any) -> bytes:
-    """Returns a message as msgpack.
+    """Encodes a message as msgpack.
 
     Raises:
-        WireError: it holds something that cannot travel.
+        WireError: The message contains a value that cannot be encoded.
     """
     try:
         data: bytes = _msgpack().packb(message, default=_pack_numpy)
     except (TypeError, ValueError, OverflowError) as error:
-        raise WireError(f"cannot be packed: {error}") from error
+        raise WireError(f"cannot be encoded: {error}") from error
     return data
 
 
 def unpack(data: bytes) -> Any:
-    """Returns the message in msgpack bytes; arrays share the memory of `data` and are read-only.
+    """Decodes a msgpack message; arrays share the memory of `data` and are read-only.
 
     Raises:
-        WireError: it is no message, or an array in it contradicts itself.
+        WireError: The bytes are not a valid message, or an array in it is inconsistent.
     """
     try:
         return _msgpack().unpackb(data, object_hook=_unpack_numpy, strict_map_key=False)
     except WireError:
         raise
-    except Exception as error:  # the extension raises a dozen types of its own
+    except Exception as error:  # the extension raises many exception types
         raise WireError(f"is not a valid msgpack message: {type(error).__name__}: {error}") from error
 
 

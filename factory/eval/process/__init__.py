@@ -1,1 +1,1 @@
-"""Evaluates on one machine in driver processes."""
+"""Evaluates policies on one machine in driver processes. Does not use the network."""

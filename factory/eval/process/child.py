@@ -25,9 +25,9 @@ from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
-from factory.eval.policies import Outside, describe_knowledge, make_policy
+from factory.eval.policies import PolicyLimits, describe_knowledge, make_policy
 from factory.eval.process.shared_status import Activity, SharedStatus
-from factory.eval.process.status_updates import SheetWatch
+from factory.eval.process.status_updates import StatusWriter
 from schemas.errors import FactoryError, UsageError
 from workers.process.pipes import listen, take_stdout
 from workers.sim.scene_renderer import SceneRenderer
@@ -83,7 +83,7 @@ class _Driver:
         self, setup: Setup, stage: SceneRenderer, simulator: Simulator, sheet: SharedStatus, tell: SendReport
     ) -> None:
         self._setup, self._stage, self._simulator, self._tell = setup, stage, simulator, tell
-        self._watch = SheetWatch(sheet)
+        self._watch = StatusWriter(sheet)
         self._name = ""
         self._policy: Policy | None = None
 
@@ -133,7 +133,7 @@ class _Driver:
                 with contextlib.suppress(Exception):
                     close()
             self._policy, self._name = None, name
-            outside = Outside(
+            outside = PolicyLimits(
                 act_timeout_s=self._setup.act_timeout_s,
                 load_timeout_s=self._setup.load_timeout_s,
                 reconnect_s=self._setup.reconnect_s,

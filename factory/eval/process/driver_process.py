@@ -1,6 +1,6 @@
-"""The evaluating process's handle on one driving process: order, hear, and end it when its policy hangs.
+"""Manages one driver process: sends orders, receives reports, and kills the process when its policy hangs.
 
-Knows no set of episodes and no results on disk.
+Does not select episodes and does not store results.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ _MOST_WORDS_CHARS = 300
 
 
 class DriverEnded(NamedTuple):
-    """A driving process is no more; it has been reaped."""
+    """End of a driver process, which has been reaped."""
 
     fault: PolicyFault | None
-    """What the policy did, or `None` where it was not being asked."""
+    """Kind of the policy failure; `None` if no policy call was in progress."""
     detail: str
     state: DriverStatus
-    """What it was at."""
+    """Last shared status of the process."""
 
 
 class DriverProcess:
-    """One driving process, started again when needed."""
+    """Driver process, restarted when needed."""
 
     def __init__(self) -> None:
         self._setup: Setup | None = None
@@ -47,18 +47,18 @@ class DriverProcess:
         self.current: EvalTask | None = None
         """What it is driving."""
         self.made: dict[str, str] = {}
-        """What the policies that could be made here go by."""
+        """Policy name -> description of the information it uses, for policies created in this process."""
         self.renderer = ""
-        """What draws here, once it is known."""
+        """Description of the renderer; empty until the process reports it."""
 
     @property
     def pid(self) -> int | None:
-        """Of the process, if there is one."""
+        """Process id; `None` without a running process."""
         return self._process.pid if self._process is not None else None
 
     @property
     def steps(self) -> int:
-        """Of the episode that is being driven."""
+        """Number of steps of the current episode."""
         return self._sheet.read().steps if self._sheet is not None else 0
 
     def give(self, order: DriverOrder) -> None:
@@ -79,7 +79,7 @@ class DriverProcess:
         self._process.send(to_line(order))
 
     def hear(self, timeout_s: float) -> EvalReport | DriverEnded | None:
-        """Returns what came of its task, its end, or `None` after `timeout_s` or news on the way."""
+        """Returns the report of the current order, the end of the process, or `None` after a timeout or progress."""
         if self._process is None:
             return None
         try:
@@ -91,7 +91,7 @@ class DriverProcess:
         return report if self._is_outcome(report) else None
 
     def kill(self) -> None:
-        """Ends the process at once, if there is one."""
+        """Kills the process immediately, if it is running."""
         process, self._process = self._process, None
         if process is not None:
             process.kill()
@@ -132,7 +132,7 @@ class DriverProcess:
         words = _last_output(process)
         self.kill()
         is_policy = state.busy in {Activity.ASKING, Activity.MAKING}
-        who = "no answer from the policy" if is_policy else "no progress of the simulation"
+        who = "the policy did not respond" if is_policy else "the simulation made no progress"
         return DriverEnded(PolicyFault.HUNG if is_policy else None, f"{who} within {limit_s:g} s, killed{words}", state)
 
     @property
@@ -154,5 +154,5 @@ def _last_output(process: JsonlProcess[EvalReport]) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """Returns the surroundings of a process that may run a policy of the user's, whose own scripts import as usual."""
+    """Returns the environment of a process that can run a user's policy, whose imports must work as in a script."""
     return {name: value for name, value in child_environment(os.environ).items() if name != SAFE_PATH}

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies.note import note_of
-from factory.eval.process.broken_off import result_of_end
 from factory.eval.process.driver_process import DriverEnded, DriverProcess
+from factory.eval.process.interrupted import interrupted_result
 from factory.eval.results.store import Store
 from factory.eval.specs.campaign import Campaign, tasks_for, with_actions
 from factory.eval.specs.from_dataset import Places
@@ -139,7 +139,7 @@ class _Round:
         if task is None:
             return None
         if ended.fault is not None and self._made() is not None:
-            return result_of_end(task, ended.detail, ended.fault, ended.state)
+            return interrupted_result(task, ended.detail, ended.fault, ended.state)
         if ended.fault is not None:
             raise WorldError(f"policy {task.policy} cannot be created: {ended.detail}")
         self._deaths[task.number] = self._deaths.get(task.number, 0) + 1

@@ -1,7 +1,7 @@
-"""A few numbers in shared memory: what a driving process is busy with, for the one that watches it.
+"""Status of a driver process in shared memory, read by the monitoring process.
 
-Written without a lock and without a system call, so that a policy that hangs with the interpreter's lock in its hands
-is found out all the same; a checksum tells the reader what it caught half written. Knows no policy and no process.
+Writing needs no lock and no system call, so that the monitor also detects a policy that hangs while it holds the GIL. A
+checksum lets the reader detect a partial write. Starts no process and calls no policy.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ _TRIES = 100
 
 
 class Activity(IntEnum):
-    """What the process is at."""
+    """Activity of the driver process."""
 
     STARTING = 0  # opening the renderer
-    MAKING = 1  # making or loading the policy, or waiting for its first answer
-    ASKING = 2  # waiting for the policy
-    SIMULATING = 3  # loading a scene, stepping, measuring
+    MAKING = 1  # creating or loading the policy, or waiting for its first output
+    ASKING = 2  # waiting for an output of the policy
+    SIMULATING = 3  # loading a scene, stepping, computing metrics
     IDLE = 4  # waiting for an order
 
 
 class DriverStatus(NamedTuple):
-    """What stands on a sheet; the distances are those of the running episode, metres."""
+    """Content of the shared status; distances are those of the current episode, metres."""
 
     busy: Activity = Activity.STARTING
     since_s: float = 0.0
-    """On the monotonic clock, which all processes of a machine share."""
+    """Start of the activity on the system's monotonic clock, seconds."""
     steps: int = 0
     start_m: float = 0.0
     now_m: float = 0.0
@@ -47,7 +47,7 @@ class DriverStatus(NamedTuple):
 
 
 class SharedStatus:
-    """One writer, one reader; handed on by its file descriptor."""
+    """Shared memory for one writer and one reader, inherited by its file descriptor."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
@@ -56,18 +56,18 @@ class SharedStatus:
 
     @classmethod
     def fresh(cls) -> Self:
-        """Returns a new sheet in an unnamed file."""
+        """Creates a shared status in an unnamed file."""
         with tempfile.TemporaryFile() as file:
             file.truncate(_LAYOUT.size + _CHECK.size)
             return cls(os.dup(file.fileno()))
 
     def write(self, state: DriverStatus) -> None:
-        """Replaces what stands there."""
+        """Replaces the status."""
         body = _LAYOUT.pack(*state)
         self._memory[:] = body + _CHECK.pack(zlib.crc32(body))
 
     def read(self) -> DriverStatus:
-        """Returns what stands there, or what was read last where the writer got stuck or died in the middle."""
+        """Returns the status, or the last one read if the writer stopped during a write."""
         for _ in range(_TRIES):
             data = self._memory[:]
             body, check = data[: _LAYOUT.size], data[_LAYOUT.size :]
@@ -78,6 +78,6 @@ class SharedStatus:
         return self._last
 
     def close(self) -> None:
-        """Frees the memory and the descriptor."""
+        """Closes the memory map and the file descriptor."""
         self._memory.close()
         os.close(self.descriptor)

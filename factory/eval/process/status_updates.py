@@ -1,6 +1,6 @@
-"""Notes on the sheet what an episode is at: who is waited for, under which limit, and how far the robot has come.
+"""Updates the shared status during an episode: the current activity, its time limit, and the progress of the robot.
 
-Knows no process and no policy but for what it is told of it.
+Starts no process and calls no policy.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from factory.eval.driving.simulator import Simulator
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from workers.experts.observation import Observation
 
-__all__ = ["SheetWatch"]
+__all__ = ["StatusWriter"]
 
 
-class SheetWatch:
-    """Writes every turn down; a `Watch` of the rollout."""
+class StatusWriter:
+    """Observer of policy calls that writes every change to the shared status."""
 
-    def __init__(self, sheet: SharedStatus) -> None:
-        self._sheet = sheet
+    def __init__(self, shared: SharedStatus) -> None:
+        self._shared = shared
         self._state = DriverStatus()
         self._last: tuple[float, float] | None = None
         self._calls = 0
@@ -29,17 +29,17 @@ class SheetWatch:
         """Whether the policy renders and plans itself; its time counts as the simulation's."""
 
     def note(self, busy: Activity) -> None:
-        """Writes down what is being done from now on."""
+        """Writes the current activity."""
         self._state = self._state._replace(busy=busy, since_s=time.monotonic())
-        self._sheet.write(self._state)
+        self._shared.write(self._state)
 
     def begin(self, busy: Activity) -> None:
-        """The same, with the distances of a new episode."""
+        """Writes the current activity and resets the distances for a new episode."""
         self._state, self._last, self._calls = DriverStatus(), None, 0
         self.note(busy)
 
-    def asks(self, simulator: Simulator, view: Observation) -> None:
-        """The policy is about to be asked."""
+    def before_call(self, simulator: Simulator, view: Observation) -> None:
+        """Writes the progress before a policy call."""
         self._calls += 1
         here, state = (view.pose.x, view.pose.y), self._state
         moved = 0.0 if self._last is None else math.dist(self._last, here)
@@ -56,7 +56,7 @@ class SheetWatch:
             is_reset = self._calls == 1
             self.note(Activity.ASKING if self.is_warm and not is_reset else Activity.MAKING)
 
-    def has_answer(self) -> None:
-        """The policy has answered."""
+    def after_call(self) -> None:
+        """Writes the activity after a policy call."""
         self.is_warm = self.is_warm or self._calls > 1  # the first one is the reset
         self.note(Activity.SIMULATING)

@@ -1,1 +1,1 @@
-"""Evaluates on many machines through the coordinator."""
+"""Distributes evaluation episodes to workers of the data factory, and collects and checks their results."""

@@ -1,6 +1,6 @@
-"""Whether a result that came from another machine can be the answer to the question that was asked. Pure.
+"""Checks whether a result from another machine is plausible for its request. Pure functions.
 
-Compares it with the question, with itself and with what a robot can do; the drive is not simulated again.
+Compares the result with the request, with itself and with the limits of the robot; does not repeat the simulation.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ __all__ = ["result_findings"]
 _TRACK_SLACK_M = 0.003
 """Poses of a track are rounded to 1 mm."""
 _SPAWN_SLACK_M, _SPAWN_SLACK_RAD = 0.1, 0.2
-"""The warm-up steps let the robot settle."""
+"""Displacement during the warm-up steps, in which the robot settles."""
 _SPEED_SLACK, _PUSH_M = 1.5, 0.05
-"""A skidding robot is faster than it was told, and an obstacle pushes it aside."""
+"""A sliding robot can be faster than commanded, and contacts with obstacles can displace it."""
 
 
 def result_findings(result: EpisodeResult, task: EvalTask, target: Target) -> list[str]:
@@ -65,7 +65,7 @@ def _of_the_end(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
 
 
 def _of_the_measures(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
-    """What follows from other fields must follow to the last bit: it was computed by the same software."""
+    """Checks derived fields for exact equality, because the same software computed them."""
     wanted = progresses(result.spawn_dist_m, result.final_ne_m, result.min_ne_m, settings.task)
     way = result.geodesic_m
     if not result.end.is_of_the_policy:
@@ -90,7 +90,7 @@ def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iter
     ):
         yield f"the track starts at {track[0]}, the episode at ({x:.3f}, {y:.3f}, {yaw:.3f})"
     if len(track) == 1 and result.end.is_of_the_policy:
-        return  # the process was ended, and its poses are lost
+        return  # the driver process was killed, so its poses are not available
     frames = {result.num_steps, result.num_steps + 1}
     if len(track) not in {math.ceil((count - 1) / every) + 1 for count in frames}:
         yield f"{len(track)} poses in the track of {result.num_steps} steps, one every {every}"

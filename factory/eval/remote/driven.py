@@ -1,6 +1,6 @@
 """What a worker returns for an evaluation task: a result and the note of its policy, as a bundle of one member.
 
-Reads and writes open files; bounded before anything is allocated, and judged elsewhere.
+Reads and writes open files; limits sizes before allocating memory. Does not check the content of a result.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _LIMITS = ContainerLimits(members=1, member_bytes=4 << 20)
 
 
 class Driven(Model):
-    """One episode that was driven."""
+    """Result of one episode with the metadata of its policy."""
 
     result: EpisodeResult
     note: PolicyNote
@@ -38,11 +38,11 @@ def read_driven(file: BinaryIO) -> Driven:
     """Reads a bundle.
 
     Raises:
-        InvalidBundle: it is none.
+        InvalidBundle: The file is not a valid bundle.
     """
     text = ContainerReader(file, _LIMITS).read(_MEMBER)
     try:
         return Driven.model_validate_json(text)
     except ValidationError as error:
         places = [f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()[:20]]
-        raise InvalidBundle(f"{_MEMBER} refused", places) from error
+        raise InvalidBundle(f"{_MEMBER} is not valid", places) from error

@@ -17,10 +17,10 @@ from typing import BinaryIO, cast
 from factory.eval.models.messages import DriverOrder, EvalReportKind, EvalTask
 from factory.eval.models.messages import EvalReport as Outcome
 from factory.eval.models.result import EpisodeResult
-from factory.eval.policies import is_foreign
+from factory.eval.policies import is_user_class
 from factory.eval.policies.note import note_of
-from factory.eval.process.broken_off import result_of_end
 from factory.eval.process.driver_process import DriverEnded, DriverProcess
+from factory.eval.process.interrupted import interrupted_result
 from factory.eval.remote.driven import Driven, write_driven
 from schemas.terms import FailReason, RendererKind
 from workers.process import messages as worker
@@ -71,7 +71,7 @@ class _Station:
         """Executes one order and tells what came of it."""
         begun, seat = time.monotonic(), self._seat
         task = EvalTask.model_validate_json(order.eval_task or "")
-        if is_foreign(task.policy) and not self._may_import:
+        if is_user_class(task.policy) and not self._may_import:
             # the name came over the network, and importing it runs whatever is there
             self.tell(failure(FailReason.CRASH, f"policy {task.policy}: {_NO_IMPORTS}"))
             return
@@ -105,7 +105,7 @@ def _result(
     """Returns the result of a task, or what is wrong with this machine, its way to a server, or the task."""
     if isinstance(heard, DriverEnded):
         if heard.fault is not None and task.policy in seat.made:
-            return result_of_end(task, heard.detail, heard.fault, heard.state)
+            return interrupted_result(task, heard.detail, heard.fault, heard.state)
         where = "" if heard.fault is None else f"policy {task.policy} cannot be created: "
         return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
     if heard.result is not None:

@@ -1,6 +1,6 @@
 """A campaign on many machines: its tasks as the jobs of a run, with the ledger, leases and workers of collection.
 
-Every result is archived once, then taken into the results; a campaign that was stopped or killed goes on where it was.
+Every result is archived once, then added to the results. An interrupted campaign can be resumed. Runs no episodes.
 """
 
 from __future__ import annotations
@@ -40,42 +40,42 @@ __all__ = ["FleetAccess", "run_fleet"]
 
 _FOLDER = "fleet"
 _SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
-"""Results are small. A policy may take its time limit for each of thousands of actions."""
+"""Settings of the coordinator. Results are small; a policy can take its time limit for each of thousands of actions."""
 _POLL_S = 0.5
 _NAMED = 5
 
 
 @dataclass(frozen=True)
 class FleetAccess:
-    """How workers are reached."""
+    """Network access to the workers."""
 
     listen: tuple[str, ...] = ()
-    """Where they connect."""
+    """Endpoints to which workers connect."""
     connect: tuple[str, ...] = ()
-    """Running coordinators whose workers shall drive."""
+    """Endpoints of running coordinators whose workers run the episodes."""
     guard: Guard | None = None
-    """Certificates, of one who listens or of one who connects."""
+    """TLS certificates for listening or connecting; `None` without TLS."""
     tell: Callable[[tuple[str, ...]], None] = lambda _endpoints: None
-    """Told the endpoints once it is open."""
+    """Called with the endpoints when the coordinator listens."""
 
 
 def run_fleet(
     campaign: Campaign, plan: Plan, store: Store, door: FleetAccess, stop: threading.Event, tell: Callable[[Pace], None]
 ) -> bool:
-    """Has every episode driven that is not finished yet; returns whether all are done, or `stop` was set before.
+    """Runs every unfinished episode on workers; returns whether all are finished, false when `stop` was set earlier.
 
     Args:
-        campaign: what to do.
-        plan: of the dataset.
-        store: takes the results.
-        door: how workers are reached.
-        stop: leave in good order; what workers have brought is kept.
-        tell: told the progress of each policy.
+        campaign: Campaign to run.
+        plan: Plan of the dataset.
+        store: Store of the results.
+        door: Network access to the workers.
+        stop: Event that stops the campaign gracefully; results received so far are kept.
+        tell: Progress callback, called for each policy.
 
     Raises:
-        UsageError: the specs do not fit the dataset.
-        TransientError: no coordinator answers where it is to connect.
-        WorldError: episodes could not be driven; the message says why.
+        UsageError: The specs do not match the dataset.
+        TransientError: No coordinator replies at the endpoints to connect to.
+        WorldError: Episodes failed; the message contains the reasons.
     """
     tasks = number_tasks(campaign)
     intake = Intake(store, tasks, tell)
@@ -117,14 +117,14 @@ def run_fleet(
             coordinator.wait_for_departures(stop)
     if is_over:
         _require_whole(root, store)
-        shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
+        shutil.rmtree(root, ignore_errors=True)  # all of it is in the results
         with contextlib.suppress(OSError):
-            root.parent.rmdir()  # unless another campaign is waiting there
+            root.parent.rmdir()  # fails if the folder contains another campaign
     return is_over
 
 
 def _look_for_coordinator(door: FleetAccess) -> None:
-    """Says so when nobody is there."""
+    """Raises an error if no coordinator replies."""
     if door.guard is None:
         ask_presence(door.connect)
     else:
@@ -134,7 +134,7 @@ def _look_for_coordinator(door: FleetAccess) -> None:
 def _try_failed_again(root: Path) -> None:
     """Gives tasks that failed in an earlier start a new chance, as the remedy of its message says."""
     if ledger_trouble(ledger_url_of(root)):
-        return  # not there yet, or rebuilt when the coordinator starts
+        return  # missing, or damaged and rebuilt when the coordinator starts
     engine = open_writer(ledger_url_of(root))
     try:
         with engine.begin() as connection:

@@ -1,4 +1,4 @@
-"""Takes what workers have brought of a campaign out of the archive of its run and into the results, each once."""
+"""Transfers results of workers from the archive of the run to the results of the evaluation, each once."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Intake:
         return {index: task for index, task in self._tasks.items() if index not in self._done}
 
     def take(self, root: Path) -> None:
-        """Takes over what has been archived since.
+        """Adds the results that were archived since the last call.
 
         Args:
-            root: directory of the run.
+            root: Directory of the run.
         """
         with open_ledger(ledger_url_of(root)) as connection:
             archived = read_archived(connection)

@@ -1,4 +1,4 @@
-"""Judges what workers bring of an evaluation, before it is archived. Reads bounded JSON; opens one file at a time."""
+"""Validates evaluation results from workers before they are archived. Limits sizes; opens one file at a time."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from schemas.scene import Target
 __all__ = ["EvalReceipt", "ResultJudge", "result_digest"]
 
 _CLOCKS = {"act_ms", "seconds"}
-"""What does not repeat."""
+"""Fields that are not reproducible."""
 
 
 class EvalReceipt(Model):
-    """What the ledger keeps of a result."""
+    """Receipt of a result for the ledger."""
 
     index: Annotated[int, Field(ge=1)]
     num_steps: Annotated[int, Field(ge=0)]
     content_digest: str
-    """Over the numbers that repeat; equal results have equal digests."""
+    """Digest of the reproducible fields; equal results have equal digests."""
     file_sha256: Sha256
     file_bytes: Annotated[int, Field(ge=1)]
 
 
 def result_digest(result: EpisodeResult) -> str:
-    """Returns 32 hexadecimal digits over all that repeats of a result."""
+    """Returns the digest of the reproducible fields of a result, 32 hexadecimal digits."""
     return hashlib.sha256(canonical_json(result, exclude=_CLOCKS).encode()).hexdigest()[:32]
 
 
@@ -52,10 +52,10 @@ class ResultJudge:
         self._tasks = tasks
 
     def check(self, path: Path, job: Job, target: Target | None = None) -> EvalReceipt:
-        """Returns what the ledger keeps of a bundle.
+        """Validates a bundle and returns its receipt for the ledger.
 
         Raises:
-            InvalidBundle: it is none, or no answer to the question; with every reason.
+            InvalidBundle: The file is not a valid bundle, or not a result of the request; lists all reasons.
         """
         with path.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
@@ -66,7 +66,7 @@ class ResultJudge:
         if driven.note.policy != task.policy:
             findings.append(f"note of policy {driven.note.policy!r}, asked {task.policy!r}")
         if findings:
-            raise InvalidBundle("result refused", findings)
+            raise InvalidBundle("the result is not valid", findings)
         return EvalReceipt(
             index=job.index,
             num_steps=driven.result.num_steps,
@@ -76,4 +76,4 @@ class ResultJudge:
         )
 
     def close(self) -> None:
-        """Has nothing to end."""
+        """Does nothing."""

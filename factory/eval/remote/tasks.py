@@ -22,9 +22,9 @@ from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
 __all__ = ["attachments_of", "catalog_of", "number_tasks", "plan_of", "planned_of"]
 
 Attached = Mapping[str, tuple[Attachment, Path]]
-"""Policy -> the file that it is made of."""
+"""Policy name -> attachment and path of its file."""
 _BUDGET = Budget(attempts_per_draw=1, draws=1)
-"""A policy that does not arrive has a result too: no worker has a reason to report a failure of the world."""
+"""One attempt: an episode without success has a result, too, so workers report no failures of the task."""
 
 
 def number_tasks(campaign: Campaign) -> Mapping[int, EvalTask]:
@@ -40,7 +40,7 @@ def catalog_of(campaign: Campaign) -> Catalog:
     """Returns the scenes of a campaign.
 
     Raises:
-        UsageError: the specs do not fit them.
+        UsageError: The specs do not match the scenes.
     """
     places = Places(campaign.root)
     found: dict[str, SceneEntry] = {}
@@ -56,10 +56,10 @@ def catalog_of(campaign: Campaign) -> Catalog:
 
 
 def attachments_of(campaign: Campaign) -> Attached:
-    """Returns the files that policies are made of.
+    """Returns the files of the policies as attachments.
 
     Raises:
-        UsageError: one is not there, or too large.
+        UsageError: A file is missing or too large.
     """
     found: dict[str, tuple[Attachment, Path]] = {}
     for policy in campaign.policies:
@@ -84,7 +84,7 @@ def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attac
         attached: files of its policies.
 
     Raises:
-        UsageError: a scene of the specs is none of the dataset's.
+        UsageError: A scene of the specs is not in the dataset.
     """
     counts = Counter(task.request.spec.scene for task in tasks.values())
     scenes = tuple(

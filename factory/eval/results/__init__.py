@@ -1,1 +1,1 @@
-"""Stores, scores, compares and publishes evaluation results."""
+"""Stores, scores, compares and publishes evaluation results. Runs no episodes."""

@@ -1,4 +1,4 @@
-"""Two runs over the same episodes, pair by pair: who is better, by how much, and how sure that is. Pure."""
+"""Compares two evaluation runs over the same episodes in pairs, with intervals and a test. Pure functions."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class PairedComparison(Model):
-    """The second run against the first; a difference is second minus first."""
+    """Paired comparison of two runs; differences are second minus first."""
 
     first: str
     second: str
     variant: Variant
     pairs: Count
-    """Episodes that both have: same start, target, settings and instruction."""
+    """Number of common episodes, with equal start, target, settings and instruction."""
     left_out: Count
-    """Episodes that only one of them has."""
+    """Number of episodes in only one of the runs."""
     first_success: Share
     second_success: Share
     both: Count
@@ -37,19 +37,19 @@ class PairedComparison(Model):
     only_second: Count
     neither: Count
     p: Fraction
-    """Two-sided, of the exact McNemar test."""
+    """Two-sided p value of the exact McNemar test."""
     success_difference: IntervalEstimate
     differences: dict[str, IntervalEstimate]
-    """Means of the paired differences with BCa intervals, by measure."""
+    """Means of the paired differences with BCa intervals, by metric."""
 
 
 def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], variant: Variant) -> PairedComparison:
     """Returns the paired comparison of two policies' results under one variant of the instruction.
 
     Raises:
-        UsageError: they have no episode in common.
+        UsageError: The runs have no common episode.
     """
-    ones, others = (_by_question(rows, variant) for rows in (first, second))
+    ones, others = (_by_request(rows, variant) for rows in (first, second))
     common = [key for key in ones if key in others]
     if not common:
         raise UsageError(
@@ -83,7 +83,7 @@ def compare(first: Sequence[EpisodeResult], second: Sequence[EpisodeResult], var
     )
 
 
-def _by_question(rows: Sequence[EpisodeResult], variant: Variant) -> dict[tuple[str, str], EpisodeResult]:
+def _by_request(rows: Sequence[EpisodeResult], variant: Variant) -> dict[tuple[str, str], EpisodeResult]:
     return {(row.spec_digest, row.instruction): row for row in rows if row.variant is variant}
 
 

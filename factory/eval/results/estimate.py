@@ -1,4 +1,4 @@
-"""Numbers with their 95 % intervals: Wilson for rates, BCa bootstrap for means, McNemar for pairs. Pure and seeded."""
+"""Estimates with 95 % intervals: BCa bootstrap for means; exact McNemar test for pairs. Pure functions, fixed seed."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _BATCH = 250
 
 
 class IntervalEstimate(Model):
-    """A mean with its bias-corrected and accelerated bootstrap interval (B. Efron, 1987)."""
+    """Mean with its bias-corrected and accelerated bootstrap interval (B. Efron, 1987)."""
 
     n: Annotated[int, Field(ge=0)]
     mean: float | None
-    """`None` of nothing."""
+    """Mean; `None` without values."""
     low: float | None
     high: float | None
-    """Ends of the interval; `None` where a single value, or a spread that BCa is not defined for, gives none."""
+    """Ends of the interval; `None` for fewer than two values, or where BCa is not defined."""
 
 
 def mean_of(values: Sequence[float | None]) -> IntervalEstimate:
-    """Returns the mean of the values that are there, with its interval; the same values give the same interval."""
+    """Returns the mean of the values that are not `None`, with its interval; deterministic."""
     return means_of({"": values})[""]
 
 
 def means_of(columns: Mapping[str, Sequence[float | None]]) -> dict[str, IntervalEstimate]:
-    """Returns the means of several columns of the same rows; resampled together, which is quicker than one by one."""
+    """Returns the means of several columns of the same rows; resamples them together, which is faster."""
     found: dict[str, IntervalEstimate] = {}
     full: dict[str, NDArray[np.float64]] = {}
     for name, column in columns.items():
@@ -59,15 +59,15 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
     """Returns the two-sided p of the exact McNemar test (Q. McNemar, 1947).
 
     Args:
-        only_first: pairs in which only the first succeeded.
-        only_second: pairs in which only the second did.
+        only_first: Number of pairs in which only the first run succeeded.
+        only_second: Number of pairs in which only the second run succeeded.
     """
     discordant = only_first + only_second
     return 1.0 if discordant == 0 else float(scipy.stats.binomtest(only_first, discordant, 0.5).pvalue)
 
 
 def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
-    """Of equal values, whose interval is a point, and of a single one, which has none."""
+    """Returns the estimate of equal values, whose interval is a point, of a single value, or of none."""
     if len(values) == 0:
         return IntervalEstimate(n=0, mean=None, low=None, high=None)
     mean = float(values[0])
@@ -78,7 +78,7 @@ def _certain(values: NDArray[np.float64]) -> IntervalEstimate:
 def _resampled(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, IntervalEstimate]:
     data = np.stack(list(columns.values()))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)  # told by NaN, which becomes None
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)  # the result is NaN, which becomes None
         interval = scipy.stats.bootstrap(
             (data,),
             np.mean,

@@ -1,4 +1,4 @@
-"""Where a policy failed as a program: how often, in which way, and what it said first. Pure."""
+"""Summarises the failures of a policy as a program: number, kind and first message. Pure functions."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ __all__ = ["FaultCount", "faults_of"]
 
 
 class FaultCount(Model):
-    """All drives of a policy that it ended by failing in one way, whatever words it was given."""
+    """Episodes of a policy that ended with one kind of policy failure, under all instruction variants."""
 
     end: EvalEnd
     drives: Annotated[int, Field(ge=1)]
     of: Annotated[int, Field(ge=1)]
-    """Drives of the policy, other words included."""
+    """Number of episodes of the policy under all instruction variants."""
     first: Name
-    """The episode in which it happened first."""
+    """First episode with this failure."""
     detail: str
-    """What was said there, with its place in the code where it has one."""
+    """Message of that failure, with file and line if known."""
 
 
 def faults_of(results: Sequence[EpisodeResult]) -> tuple[FaultCount, ...]:
-    """Returns the ways in which a policy failed, the most frequent first.
+    """Returns the kinds of failure of a policy, the most frequent first.
 
     Args:
-        results: all drives of the policy, in order.
+        results: All results of the policy, in order.
     """
     rows: dict[EvalEnd, list[EpisodeResult]] = {}
     for row in results:

@@ -1,4 +1,4 @@
-"""The page of an evaluation: what `evaluation.html` shows, as text and films. Pure; writes no markup."""
+"""Builds the content of the evaluation page: tables, texts and films for `evaluation.html`. Writes no files."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from factory.eval.models.result import EpisodeResult
 from factory.eval.results.estimate import IntervalEstimate
-from factory.eval.results.phrases import ablation_rows, deaf_policies, ends_of, faults_in_words
 from factory.eval.results.score import GROUPS, Evaluation, PolicyScores, Score, side_by_side
+from factory.eval.results.summary_text import ablation_rows, describe_ends, fault_lines, policies_without_instruction
 from factory.html import data_uri, render
 from factory.stats.model import Share
 
@@ -38,7 +38,7 @@ _DASH = "–"
 
 @dataclass(frozen=True)
 class FailureExample:
-    """A failed episode, its film (MP4) and the last picture of it (JPEG)."""
+    """Failed episode with its film (MP4) and its last picture (JPEG)."""
 
     row: EpisodeResult
     film: bytes
@@ -47,32 +47,32 @@ class FailureExample:
 
 @dataclass(frozen=True)
 class _Cell:
-    """A number, its interval and, for a rate, where both are on a scale of 0 to 100."""
+    """Table cell: a value, its interval and, for a rate, both in per cent for the bar."""
 
     value: str
     interval: str = ""
     ends: tuple[float, float, float] | None = None
-    """Low, value and high in per cent; `None` where no bar is drawn."""
+    """Lower end, value and upper end, per cent; `None` without a bar."""
 
 
 @dataclass(frozen=True)
 class _Table:
-    """Rows of several policies, group by group."""
+    """Table of several policies, grouped."""
 
     anchor: str
     title: str
     head: Sequence[str]
     groups: Sequence[tuple[str, Sequence[Sequence[_Cell]]]]
-    """Name of a group and its rows; the first cell of a row names it."""
+    """Group names with their rows; the first cell of a row is its name."""
     note: str = ""
 
 
 def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureExample]]) -> str:
-    """Returns the page.
+    """Returns the evaluation page as HTML.
 
     Args:
-        evaluation: all tables.
-        failures: for each policy, the failures to show.
+        evaluation: All tables.
+        failures: Policy name -> failures to show.
     """
     policies = evaluation.policies
     films = [(policy, failures[policy.policy]) for policy in policies if failures.get(policy.policy)]
@@ -94,8 +94,8 @@ def write_page(evaluation: Evaluation, failures: Mapping[str, Sequence[FailureEx
             "head": _MAIN_HEAD,
             "rows": [(policy.policy, policy.knows, _main_cells(policy.overall)) for policy in policies],
         },
-        faults=[line for policy in policies for line in faults_in_words(policy)],
-        ends=[(policy.policy, ends_of(policy)) for policy in policies],
+        faults=[line for policy in policies for line in fault_lines(policy)],
+        ends=[(policy.policy, describe_ends(policy)) for policy in policies],
         tables=list(_tables(policies)),
         films=[(policy.policy, _failed(policy), [_film(failure) for failure in shown]) for policy, shown in films],
     )
@@ -145,10 +145,8 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
             [cell if isinstance(cell, _Cell) else _Cell(str(cell)) for cell in cells]
         )
     if groups:
-        deaf = ", ".join(deaf_policies(policies))
-        note = (
-            f"Difference 0 by construction, because these policies do not use the instruction: {deaf}." if deaf else ""
-        )
+        names = ", ".join(policies_without_instruction(policies))
+        note = f"Difference 0 by construction, as these policies do not use the instruction: {names}." if names else ""
         yield _Table("words", "Instruction ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
 
 

@@ -1,4 +1,4 @@
-"""From finished episodes to what people read: results.json, episodes.parquet and the page. Writes beside the log."""
+"""Writes the results of an evaluation: results.json, episodes.parquet and the page. Runs no episodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RESULTS_FILE, TABLE_FILE, PAGE_FILE = "results.json", "episodes.parquet", "index
 _VIDEOS = "videos"
 
 ProgressCallback = Callable[[int, int], None]
-"""Is told (videos drawn, videos in all)."""
+"""Called with the number of finished videos and the total."""
 
 
 def publish(
@@ -34,13 +34,13 @@ def publish(
     """Writes all results of an evaluation and returns them.
 
     Args:
-        campaign: what was evaluated.
-        store: with the finished episodes.
-        videos: how many failures of each policy the page shows.
-        tell: told the progress of drawing them.
+        campaign: Evaluated campaign.
+        store: Store of the finished episodes.
+        videos: Number of failures of each policy to show on the page.
+        tell: Progress callback of the videos.
 
     Raises:
-        WorldError: the directory cannot be written.
+        WorldError: The directory cannot be written.
     """
     evaluation = evaluation_of(campaign, store)
     try:
@@ -56,7 +56,7 @@ def publish(
 
 
 def _failures(campaign: Campaign, store: Store, videos: int, tell: ProgressCallback) -> dict[str, list[FailureExample]]:
-    """The videos of each policy; those of an earlier run are taken as they are."""
+    """Returns the videos of each policy; reuses existing files."""
     chosen = {
         name: choose_failures([row for row in store.results(name) if row.variant is Variant.ORIGINAL], videos)
         for name in campaign.policies
@@ -138,7 +138,7 @@ def _write_table(path: Path, rows: Sequence[EpisodeResult]) -> None:
 
 
 def _flat(row: EpisodeResult) -> dict[str, object]:
-    """The row with its track as three lists, as tables like it."""
+    """Returns the row with its track as three list columns."""
     data = row.model_dump(mode="json", exclude={"track"})
     for number, name in enumerate(("track_x_m", "track_y_m", "track_yaw_rad")):
         data[name] = [pose[number] for pose in row.track]

@@ -1,4 +1,4 @@
-"""The tables of an evaluation: every measure with its interval, by split, scene, tier, category and template. Pure."""
+"""Computes the tables of an evaluation: metrics with intervals, by split, scene, tier, category and template. Pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GROUPS: Mapping[str, str] = MappingProxyType(
         "template": "By template",
     }
 )
-"""How episodes are grouped, and the title of that table."""
+"""Kind of group -> title of its table."""
 
 MEANS: Mapping[str, str] = MappingProxyType(
     {
@@ -45,29 +45,29 @@ MEANS: Mapping[str, str] = MappingProxyType(
         "num_steps": "num_steps",
     }
 )
-"""Field of a score -> field of the results that it is the mean of."""
+"""Field of `Score` -> field of `EpisodeResult` that it is the mean of."""
 ALL = "all"
 GROUNDED = "two or more categories in view"
 
 
 class Score(Model):
-    """All measures of one group of episodes."""
+    """Metrics of one group of episodes."""
 
     by: str
-    """What the groups are: `all`, `split`, `scene`, `tier`, `category`, `template` or `view`."""
+    """Kind of group: `all`, `split`, `scene`, `tier`, `category`, `template` or `view`."""
     group: str
     n: Annotated[int, Field(ge=0)]
     success: Share
-    """SR: stopped within the radius of the target."""
+    """SR: share of episodes that stopped within the success radius of the target."""
     any_instance: Share
-    """The same, at the target or any other object of its category."""
+    """SR for the target or any other object of its category."""
     collision: Share
-    """Ended by the stall rule (paper Sec. VII)."""
+    """Share of episodes that ended by the stall rule (paper Sec. VII)."""
     timeout: Share
     policy_failure: Share
-    """Ended because the policy raised, hung, died or gave no action."""
+    """Share of episodes in which the policy raised, hung, died or returned an invalid action."""
     contact: Share
-    """Touched anything but the floor."""
+    """Share of episodes with a contact other than the floor."""
     ne_m: IntervalEstimate
     trajectory_length_m: IntervalEstimate
     spl: IntervalEstimate
@@ -79,57 +79,57 @@ class Score(Model):
 
 
 class Ablation(Model):
-    """What other words do to the success rate, over the same episodes."""
+    """Effect of another instruction variant on the success rate, over the same episodes."""
 
     variant: Variant
     by: str
     """`all`, or `view` for the episodes with two or more categories in view."""
     n: Annotated[int, Field(ge=0)]
-    """Pairs of episodes."""
+    """Number of pairs of episodes."""
     success: Share
-    """Under these words."""
+    """SR with this variant."""
     gap: IntervalEstimate
-    """Success under the true words minus that under these."""
+    """SR with the original instruction minus SR with this variant."""
     p: Fraction
-    """Of the exact McNemar test."""
+    """p value of the exact McNemar test."""
 
 
 class PolicyScores(Model):
-    """One policy's tables."""
+    """Tables of one policy."""
 
     policy: str
     knows: str
-    """What it goes by; anything but camera and instruction is more than a model has."""
+    """Information used by the policy; models use camera and instruction only."""
     reads_instruction: bool
-    """If not, other words change nothing by construction, and are not tried."""
+    """Whether the policy uses the instruction; otherwise the other variants are not run."""
     overall: Score
     groups: tuple[Score, ...]
     ends: dict[EvalEnd, int]
     faults: tuple[FaultCount, ...] = ()
-    """Where it failed as a program, under whatever words."""
+    """Policy failures under all instruction variants."""
     ablation: tuple[Ablation, ...]
     act_ms: float | None
-    """Mean time of an answer, milliseconds; not part of the numbers that repeat."""
+    """Mean inference time, milliseconds; not reproducible."""
 
     @property
     def only_failed(self) -> bool:
-        """Whether it failed as a program in every episode, so that nothing was measured but that."""
+        """Returns whether every episode ended with a policy failure."""
         return 0 < self.overall.n == self.overall.policy_failure.count
 
 
 class Evaluation(Model):
-    """The whole of `results.json`."""
+    """Content of `results.json`."""
 
     format: int = RESULTS_FORMAT
     run: str
-    """Name of the run whose dataset it is."""
+    """Run name of the dataset."""
     source: str
-    """Where the specs come from."""
+    """Origin of the specs."""
     specs_digest: Sha256
     episodes: Annotated[int, Field(ge=0)]
     success_radius_m: float
     complete: bool
-    """Whether every episode of every policy is over."""
+    """Whether every episode of every policy is finished."""
     policies: tuple[PolicyScores, ...]
     remarks: tuple[str, ...] = ()
 
@@ -144,16 +144,16 @@ _KEYS: Mapping[str, tuple[Callable[[EpisodeResult], str], Sequence[str]]] = Mapp
         "view": (lambda row: GROUNDED if row.is_grounded else "fewer", (GROUNDED, "fewer")),
     }
 )
-"""Kind of group -> how a row is named, and the order of the names; names beyond it follow sorted."""
+"""Kind of group -> function that returns the group of a row, and the order of the groups; others follow sorted."""
 
 
 def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote) -> PolicyScores:
     """Returns all tables of a policy.
 
     Args:
-        policy: its name.
-        results: its finished episodes, all variants.
-        note: what is known of it.
+        policy: Name of the policy.
+        results: Finished episodes of the policy, all variants.
+        note: Metadata of the policy.
     """
     original = [row for row in results if row.variant is Variant.ORIGINAL]
     return PolicyScores(
@@ -170,7 +170,7 @@ def score_policy(policy: str, results: Sequence[EpisodeResult], note: PolicyNote
 
 
 def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[str, PolicyScores, Score]]:
-    """Yields group, policy and score of one kind of group: all policies of a group, then the next group."""
+    """Yields group name, policy and score for one kind of group, sorted by group, then by policy."""
     names = dict.fromkeys(group.group for policy in policies for group in policy.groups if group.by == by)
     for name in names:
         for policy in policies:
@@ -180,7 +180,7 @@ def side_by_side(policies: Sequence[PolicyScores], by: str) -> Iterator[tuple[st
 
 
 def score(by: str, group: str, rows: Sequence[EpisodeResult]) -> Score:
-    """Returns the measures of some episodes."""
+    """Returns the metrics of a group of episodes."""
     means = means_of({name: [getattr(row, field) for row in rows] for name, field in MEANS.items()})
     return Score(
         by=by,

@@ -1,6 +1,6 @@
-"""The directory of an evaluation: its specs, what was asked, and every finished episode. The only writer of it.
+"""Directory of an evaluation: its specs, its options, and every finished episode. The only writer of these files.
 
-An episode is appended and synced when it is over, so that a killed run goes on where it was.
+Each finished episode is appended and synced, so that an interrupted evaluation can be resumed. Runs no episodes.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ _MANIFEST, _SPECS, _POLICIES, _LOG, _NOTE = "evaluation.json", "specs.json", "po
 
 
 class EvalManifest(Model):
-    """What an evaluation directory is about; a run with another one is refused."""
+    """Options of an evaluation directory; a run with other options raises an error."""
 
     format: int = RESULTS_FORMAT
     run: str
-    """Name of the run whose dataset it is."""
+    """Run name of the dataset."""
     specs_digest: Sha256
     with_pose: bool
     act_timeout_s: NonNegative
 
 
 class Store(Closing):
-    """An evaluation directory, open for writing."""
+    """Evaluation directory, open for writing."""
 
     def __init__(self, root: Path, specs: SpecSet, manifest: EvalManifest) -> None:
-        """Opens or makes the directory.
+        """Opens or creates the directory.
 
         Raises:
-            UsageError: it holds an evaluation of other specs or other options.
-            WorldError: it cannot be written, or is of a newer format.
+            UsageError: The directory contains an evaluation with other specs or other options.
+            WorldError: The directory cannot be written, or its format is newer than this software.
         """
         self.root = root
         self._specs = specs
@@ -63,14 +63,14 @@ class Store(Closing):
             log.close()
 
     def results(self, policy: str) -> list[EpisodeResult]:
-        """Returns the finished episodes of a policy, in the order of the specs; a torn last line is cut off."""
+        """Returns the finished episodes of a policy in the order of the specs; truncates an incomplete last line."""
         return _in_order(_read_log(self.folder_of(policy) / _LOG, cut=True), self._specs)
 
     def add(self, result: EpisodeResult) -> None:
-        """Appends an episode, durably.
+        """Appends a result durably.
 
         Raises:
-            WorldError: the disk is full or away.
+            WorldError: The file cannot be written.
         """
         try:
             log = self._log(result.policy)
@@ -83,16 +83,16 @@ class Store(Closing):
             ) from error
 
     def folder_of(self, policy: str) -> Path:
-        """Returns where the results of a policy are kept; without that folder it is driven anew."""
+        """Returns the folder of a policy's results; if it is deleted, the policy is evaluated again."""
         return self.root / _POLICIES / folder_name(policy)
 
     def note(self, note: PolicyNote) -> None:
-        """Writes down what a policy is."""
+        """Writes the metadata of a policy."""
         folder = self.folder(note.policy)
         _write(folder / _NOTE, note)
 
     def note_of(self, policy: str) -> PolicyNote | None:
-        """Returns what was written down of a policy, or `None`."""
+        """Returns the metadata of a policy, or `None`."""
         path = self.folder_of(policy) / _NOTE
         return PolicyNote.model_validate_json(path.read_bytes()) if path.exists() else None
 
@@ -102,7 +102,7 @@ class Store(Closing):
         return self._logs[policy]
 
     def folder(self, policy: str) -> Path:
-        """Returns the folder of a policy, made where it is missing."""
+        """Returns the folder of a policy; creates it if needed."""
         folder = self.folder_of(policy)
         folder.mkdir(parents=True, exist_ok=True)
         return folder
@@ -125,7 +125,7 @@ class Store(Closing):
             self._begin(manifest)
 
     def _has_results(self) -> bool:
-        """Whether anything was driven here, or given to others to drive."""
+        """Returns whether any episode was run here or by remote workers."""
         others = {path.name for path in self.root.iterdir()} - {_MANIFEST, _SPECS, _POLICIES}
         return bool(others) or any((self.root / _POLICIES).glob(f"*/{_LOG}"))
 
@@ -135,15 +135,15 @@ class Store(Closing):
 
 
 def _short(value: object) -> str:
-    """Returns how an entry of a manifest is told; of a digest, what tells it from others."""
+    """Returns the text of a manifest entry; shortens digests."""
     return f"{value[:12]}..." if isinstance(value, str) and len(value) == 64 else repr(value)
 
 
 def read_manifest(root: Path) -> EvalManifest:
-    """Reads what an evaluation directory is about.
+    """Reads the manifest of an evaluation directory.
 
     Raises:
-        WorldError: there is none, it is damaged, or of a newer format.
+        WorldError: The manifest is missing or damaged, or its format is newer than this software.
     """
     path = root / _MANIFEST
     try:
@@ -163,14 +163,14 @@ def read_manifest(root: Path) -> EvalManifest:
 
 
 def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
-    """Returns the name and the results of one policy, for comparisons.
+    """Reads the results of one policy; returns its name and results.
 
     Args:
-        path: `OUT/policies/NAME`, or `OUT` where it holds one policy only.
+        path: `OUT/policies/NAME`, or `OUT` if it contains one policy only.
 
     Raises:
-        UsageError: there are several policies, or none.
-        WorldError: the results are damaged.
+        UsageError: The folder contains several policies, or none.
+        WorldError: The results are damaged.
     """
     folder = path
     if (path / _MANIFEST).exists():
@@ -190,7 +190,7 @@ def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
 
 
 def folder_name(policy: str) -> str:
-    """Returns the folder of a policy: its name where that is a plain word, else a readable form and a digest."""
+    """Returns the folder name of a policy: its name if valid as a folder name, else a readable form and a digest."""
     plain = re.sub(r"[^a-z0-9_.]+", "-", policy.lower()).strip("-.")[:60]
     return plain if plain == policy else f"{plain}-{hashlib.sha256(policy.encode()).hexdigest()[:8]}"
 

@@ -1,6 +1,6 @@
-"""Films of evaluation episodes: the camera's view beside the map with the track so far, drawn again from results.
+"""Draws films of evaluation episodes from their results: the camera image next to the map with the track.
 
-The simulation is not run again: poses are taken from the result's track, ten a second.
+Renders the recorded poses, ten per second; does not run the simulation again. Writes no files.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from workers.render import Renderer
 __all__ = ["FILM_CRF", "FILM_RATE", "choose_failures", "draw_frames", "draw_poster"]
 
 FILM_RATE = Fraction(8)
-"""Pictures a second."""
+"""Frame rate of the films, pictures per second."""
 FILM_CRF = 28
-"""Of a film 640 pixels wide: about 10 kB a second of standing, 60 kB of driving."""
+"""Constant rate factor of x264: about 10 kB per second at standstill and 60 kB while driving, 640 pixels wide."""
 _SIDE_PX = 320
 _FRAMES = 36
 _POSTER_QUALITY = 80
@@ -36,7 +36,7 @@ _TRACK, _START, _GOAL = (20, 80, 220), (20, 160, 60), (220, 30, 30)
 
 
 def choose_failures(results: Sequence[EpisodeResult], count: int) -> list[EpisodeResult]:
-    """Returns at most `count` failures, one of each way to end in turn, in the order of the results."""
+    """Returns at most `count` failures with as many different ends as possible, in the order of the results."""
     by_end: dict[str, list[EpisodeResult]] = {}
     for row in results:
         if not row.success:
@@ -56,11 +56,11 @@ def draw_frames(
     """Yields at most 36 pictures (320, 640, 3) of an episode, spread evenly over its track.
 
     Args:
-        result: with its track.
-        scene: where it took place.
-        radius_m: of success.
-        renderer: open; shows the camera's view.
-        camera: of the robot.
+        result: Result with the track.
+        scene: Scene of the episode.
+        radius_m: Success radius, metres.
+        renderer: Open renderer for the camera images.
+        camera: Camera of the robot.
     """
     target = scene.info.target(result.target_id)
     renderer.load(scene, camera)
@@ -81,7 +81,7 @@ def draw_poster(picture: Rgb) -> bytes:
 
 
 class _Map:
-    """The scene from above around a track; x to the right, y up."""
+    """Map of the scene around a track; x to the right, y up."""
 
     def __init__(self, scene: CompiledScene, result: EpisodeResult, target: Target, radius_m: float) -> None:
         self._track = np.array([pose[:2] for pose in result.track])
@@ -95,7 +95,7 @@ class _Map:
         self._floor = self._draw_floor(scene, span_m)
 
     def draw(self, row: int) -> Image.Image:
-        """Returns the map with the track up to a row."""
+        """Returns the map with the track up to row `row`."""
         picture = self._floor.copy()
         pen = ImageDraw.Draw(picture)
         gx, gy = self._pixel(self._goal)

@@ -1,1 +1,1 @@
-"""Chooses evaluation episodes and instruction variants."""
+"""Creates specs, their instruction variants and the orders of a campaign. Runs no policies."""

@@ -1,6 +1,7 @@
-"""What else a policy can be told: another episode's words, the wrong category, nothing. Pure.
+"""Instruction variants for the language ablation: shuffled, wrong category, empty. Pure functions.
 
-A policy that drives as well by the wrong words has not listened (paper Sec. VII, language-ablation baseline).
+A policy that succeeds equally often with wrong instructions does not use them (paper Sec. VII, language-ablation
+baseline).
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ ABLATIONS = (Variant.SHUFFLED, Variant.WRONG, Variant.EMPTY)
 _WRONG_STREAM, _SHUFFLE_STREAM, _DONOR_STREAM = 11, 12, 13
 
 Scenes = Mapping[str, SceneInfo]
-"""Digest of a package -> what the scene holds."""
+"""SHA-256 of a scene package -> its contents."""
 
 
 def instructions(specs: SpecSet, variant: Variant, scenes: Scenes) -> dict[str, str]:
-    """Returns the instruction of each spec under a variant, by spec id; the same set gives the same words.
+    """Returns the instruction of each spec under a variant, by spec id; deterministic for a spec set.
 
     Args:
-        specs: the set.
-        variant: which words.
-        scenes: the scenes of the set, for categories that are there.
+        specs: Spec set.
+        variant: Instruction variant.
+        scenes: Scenes of the set, for their categories.
 
     Raises:
-        UsageError: the set has no two different instructions to shuffle, or a scene one category only.
+        UsageError: All instructions of the set are equal, or a scene has only one category.
     """
     if variant is Variant.SHUFFLED:
         return _shuffled(specs)
@@ -45,10 +46,10 @@ def instructions(specs: SpecSet, variant: Variant, scenes: Scenes) -> dict[str, 
 
 
 def donors(specs: SpecSet) -> dict[str, str]:
-    """Returns for each spec the archived episode that a playback carries out: another one, by spec id.
+    """Returns another archived episode for each spec id, whose actions a playback executes.
 
     Raises:
-        UsageError: fewer than two specs come from archived episodes.
+        UsageError: Fewer than two archived episodes are in the set.
     """
     recorded = [spec for spec in specs.specs if spec.source_episode is not None]
     if len({spec.source_episode for spec in recorded}) < 2:
@@ -79,7 +80,7 @@ def _shuffled(specs: SpecSet) -> dict[str, str]:
 
 
 def _wrong(spec: EvalSpec, scene: SceneInfo) -> str:
-    """The same template with another category: one in view at the start where there is one."""
+    """Returns the template with another category, preferably one in view at the start."""
     there = sorted({target.category for target in scene.targets} - {spec.category})
     if not there:
         raise UsageError(

@@ -20,18 +20,18 @@ __all__ = ["Campaign", "require_recordings", "tasks_for", "with_actions"]
 
 @dataclass(frozen=True)
 class Campaign:
-    """What to evaluate, and with what."""
+    """Campaign: specs, policies, instruction variants and settings of an evaluation."""
 
     specs: SpecSet
     root: Path
-    """The dataset, which has the scenes."""
+    """Dataset directory with the scenes."""
     policies: tuple[str, ...]
     variants: tuple[Variant, ...]
     setup: Setup
     processes: int = 1
-    """Driving processes on this machine."""
+    """Number of driver processes on this machine."""
     with_pose: bool = False
-    """Whether policies are given the pose in the frame of the start."""
+    """Whether observations contain the pose in the frame of the start pose."""
 
 
 def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -> list[EvalTask]:
@@ -85,10 +85,10 @@ def with_actions(task: EvalTask, root: Path) -> EvalTask:
 
 
 def require_recordings(policy: str, specs: SpecSet) -> None:
-    """Makes sure that all specs come from archived episodes.
+    """Raises an error unless all specs come from archived episodes.
 
     Raises:
-        UsageError: one does not.
+        UsageError: A spec does not come from an archived episode.
     """
     lacking = [spec.spec_id for spec in specs.specs if spec.source_episode is None]
     if lacking:

@@ -1,4 +1,4 @@
-"""Evaluation episodes out of a dataset: the starts of its archived episodes, for another driver. Reads only."""
+"""Creates evaluation specs from the archived episodes of a dataset, with the same starts and targets. Reads only."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from workers.sim.spawn import draw_poses
 __all__ = ["Places", "categories_in_view", "specs_of_dataset"]
 
 _SAME_PLACE_M = 0.005
-"""Largest displacement in the warm-up of a pose that is taken for the one that was put down."""
+"""Maximum distance of a redrawn pose to the recorded one to count as equal, metres; the warm-up moves the robot."""
 _SAME_HEADING_RAD = 0.01
 
 ProgressCallback = Callable[[int, int], None]
-"""Is told (done, total)."""
+"""Called with finished and total episodes."""
 
 
 class Places:
-    """The scenes of a dataset, found and loaded when first asked for; keeps the last few."""
+    """Cache of the scenes of a dataset, loaded on demand; keeps the most recent ones."""
 
     def __init__(self, root: Place, keep: int = 4) -> None:
         self._root = root
@@ -43,13 +43,13 @@ class Places:
         self._loaded: dict[str, LoadedScene] = {}
 
     def path(self, name: str, sha256: str) -> Path:
-        """Returns the package of a scene; `ArchiveCorrupt` where the dataset has none."""
+        """Returns the package file of a scene; raises `ArchiveCorrupt` if the dataset does not have it."""
         if sha256 not in self._paths:
             self._paths[sha256] = find_package(self._root, name, sha256).path
         return self._paths[sha256]
 
     def load(self, name: str, sha256: str) -> LoadedScene:
-        """Returns a scene; `ArchiveCorrupt` where the dataset has none."""
+        """Returns a loaded scene; raises `ArchiveCorrupt` if the dataset does not have it."""
         if sha256 not in self._loaded:
             with self.path(name, sha256).open("rb") as file:
                 self._loaded[sha256] = prepare_scene(decode_scene(file))
@@ -67,14 +67,14 @@ def specs_of_dataset(
     """Returns one spec for each archived episode of some splits, in the order of the plan.
 
     Args:
-        dataset: with its scenes and episodes.
-        splits: which; all that are asked for must have episodes.
-        tell: told the progress.
-        episodes: only so many of them, spread evenly over the list.
+        dataset: Dataset with its scenes and episodes.
+        splits: Splits; each must have episodes.
+        tell: Progress callback.
+        episodes: Maximum number of episodes, spread evenly over the list.
 
     Raises:
-        UsageError: a split has no episodes.
-        ArchiveCorrupt: an episode or a scene is missing or damaged.
+        UsageError: A split has no episodes.
+        ArchiveCorrupt: An episode or a scene is missing or damaged.
     """
     _require_episodes(dataset, splits)
     part = dataset.filter(split=[str(split) for split in splits])
@@ -83,7 +83,7 @@ def specs_of_dataset(
     source = f"episodes of {dataset.meta.run}, splits {', '.join(str(split) for split in splits)}"
     places = Places(dataset.root)
     specs: dict[str, EvalSpec] = {}
-    # by scene and target, so that what is derived from them is derived once; the order of the set is the plan's
+    # processed by scene and target, to reuse derived data; the set has the order of the plan
     order = sorted(
         (part[name] for name in chosen), key=lambda episode: (episode.summary.scene, episode.summary.target_id)
     )
@@ -100,7 +100,7 @@ def specs_of_dataset(
 
 
 def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
-    """Returns the spec that asks for an archived episode again."""
+    """Returns the spec of an archived episode."""
     meta, job = episode.meta, episode.meta.job
     drawn = _drawn_pose(meta, places.load(job.scene, job.scene_sha256))
     seen = categories_in_view(episode.ids(0), meta.instances, job.gains.min_mask_px)
@@ -121,12 +121,12 @@ def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
 
 
 def categories_in_view(ids: NDArray[np.uint16], instances: Sequence[Instance], min_pixels: int) -> tuple[str, ...]:
-    """Returns the categories of which at least one object is in view, by name.
+    """Returns the categories with at least one object in view, sorted by name.
 
     Args:
         ids: (H, W) instance ids.
-        instances: what the ids mean.
-        min_pixels: from how many pixels on an object counts as in view.
+        instances: Instances of the ids.
+        min_pixels: Minimum number of pixels of an object in view.
     """
     counts = np.bincount(ids.ravel())
     seen = {
@@ -141,12 +141,12 @@ def _require_episodes(dataset: Dataset, splits: Collection[Split]) -> None:
     present = set(dataset.metadata["split"].to_pylist())
     empty = [str(split) for split in splits if str(split) not in present]
     if empty:
-        there = ", ".join(sorted(present)) or "none at all"
+        there = ", ".join(sorted(present)) or "none"
         raise UsageError(f"{dataset.root} has no episodes in {', '.join(empty)}; splits with episodes: {there}")
 
 
 def _drawn_pose(meta: EpisodeMeta, place: LoadedScene) -> tuple[float, float, float] | None:
-    """Draws the start again as the attempt did; `None` where this version draws another one."""
+    """Redraws the start pose of the attempt; returns `None` if this version draws another pose."""
     target = place.scene.info.target(meta.job.target_id)
     draws = draw_poses(meta.job, target, place, meta.job.rng())
     pose = next(itertools.islice(draws, meta.rollout.spawn_draws - 1, None), None)

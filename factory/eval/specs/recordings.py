@@ -1,4 +1,4 @@
-"""The actions of archived episodes, for policies that carry them out. Reads bundles; drives nothing."""
+"""Reads the recorded actions of archived episodes for policies that replay them. Runs no policies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def read_actions_of(root: Path, episode: str) -> Actions:
     """Returns the recorded commands of an episode.
 
     Args:
-        root: of the dataset.
-        episode: its id.
+        root: Dataset directory.
+        episode: Episode id.
 
     Raises:
-        ArchiveCorrupt: the episode is missing or damaged.
+        ArchiveCorrupt: The episode is missing or damaged.
     """
     path = root / file_name_of(episode)
     try:

@@ -1,7 +1,7 @@
-"""Start states that nobody selected: drawn anew in a dataset's scenes, whether or not an expert would arrive.
+"""Creates specs with unfiltered start poses in the scenes of a dataset, whether or not an expert can reach the target.
 
-The archived episodes are those in which the expert succeeded, from starts its tier allows; these are not (field notes,
-point 25). Draws and looks; drives nothing.
+Archived episodes contain only starts that their tier allows and from which the expert succeeded; these specs do not
+(field notes, point 25). Renders the first view of each start; runs no policies.
 """
 
 from __future__ import annotations
@@ -44,22 +44,22 @@ def unfiltered_specs(
     stage: SceneRenderer,
     tell: ProgressCallback = lambda _done, _total: None,
 ) -> SpecSet:
-    """Returns freshly drawn episodes in the shares of a dataset's plan.
+    """Returns newly drawn specs, in the split shares of the dataset's plan.
 
-    A start need only be free for the body, on the connected floor and firm in physics: its straight line may be
-    blocked, its target out of sight, its way too long for the limit of steps.
+    A start pose must be collision-free, on the connected floor and stable in physics. The straight line to the target
+    can be blocked, the target out of view, and the path too long for the step limit.
 
     Args:
-        dataset: gives plan and scenes.
-        splits: which, in their shares of the plan.
-        episodes: how many.
-        seed: root of all draws; another one gives other starts.
-        stage: open; renders what is in view at each start.
-        tell: told the progress.
+        dataset: Dataset with plan and scenes.
+        splits: Splits, weighted by their shares in the plan.
+        episodes: Number of episodes.
+        seed: Root seed.
+        stage: Open scene renderer, used for the view at each start.
+        tell: Progress callback.
 
     Raises:
-        UsageError: no scene can have these splits.
-        WorldError: a target of the plan has no such start.
+        UsageError: No scene supports these splits.
+        WorldError: No valid start pose was found for a target.
     """
     catalog = {name: find_package(dataset.root, name, sha256) for name, sha256 in dataset.meta.scenes.items()}
     plan = _plan(dataset.meta.plan, splits, episodes, seed)
@@ -82,7 +82,7 @@ def unfiltered_specs(
 
 
 def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Plan:
-    """The plan with these splits only, drawing from all reachable targets rather than the expert's own."""
+    """Returns the plan with these splits only, which draws from all reachable targets, not only those of the expert."""
     scenes = []
     for scene in plan.scenes:
         possible = [split for split in splits if split is not Split.TEST_OOD_OBJ or scene.categories.held_out]
@@ -97,7 +97,7 @@ def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Pl
 
 
 def _shares(planned: Mapping[Split, float], splits: Collection[Split]) -> dict[Split, float]:
-    """The planned shares of some splits, made to add up; equal ones where the plan has none of them."""
+    """Returns the normalised shares of some splits; equal shares if the plan has none of them."""
     shares = {split: planned.get(split, 0.0) for split in splits}
     total = sum(shares.values())
     if total <= 0:
@@ -148,7 +148,7 @@ def _described(plan: Plan, catalog: Catalog, job: PlannedJob, pose: Pose) -> Eva
 
 
 def _draw_poses(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene) -> Iterator[Pose]:
-    """Yields poses that are free and on the connected floor, at most as many as an attempt tries in physics."""
+    """Yields free poses on the connected floor, at most as many as an attempt tests in physics."""
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _DRAW_STREAM, job.index, job.draw)))
     left = plan.spawn.physics_draws
     for _ in range(plan.spawn.grid_draws):

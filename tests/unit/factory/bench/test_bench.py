@@ -13,7 +13,7 @@ from factory.bench.machine import describe_machine, forget_peak, measure_memory,
 from factory.bench.model import Spread
 from factory.bench.read import bench_read
 from factory.bench.render import poses_in
-from factory.bench.watch import ProcessWatch, stage_costs
+from factory.bench.stage_times import StageRecorder, stage_costs
 from factory.bench.work import narrow
 from factory.dataset.reader import Dataset
 from schemas.errors import UsageError
@@ -22,7 +22,7 @@ from tests.builders.scene import box_room
 
 
 def test_a_stopwatch_gives_every_stage_the_time_since_the_previous_stage() -> None:
-    watch = ProcessWatch()
+    watch = StageRecorder()
     begun = time.perf_counter()
     watch.start()
     for stage in ("slow", "quick", "slow"):

@@ -12,7 +12,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from coordinator.protocol.tls import Guard, read_credentials
-from factory.keys import admit, found, list_hosts, revoke
+from factory.keys import admit, create_authority, list_hosts, revoke
 from factory.support.listen import require_endpoints, require_loopback, require_tls_endpoints
 from schemas.errors import UsageError
 from schemas.identity import Role, parse_admitted, spell_admitted, tls_files
@@ -110,7 +110,7 @@ def test_a_host_keeps_its_certificate_until_it_is_renewed(pki):
 def test_an_authority_is_never_replaced(pki):
     before = (pki / "ca.key").read_bytes()
     with pytest.raises(UsageError, match="lock out all its hosts"):
-        found(pki, "new", 1, NOW)
+        create_authority(pki, "new", 1, NOW)
     assert (pki / "ca.key").read_bytes() == before
 
 

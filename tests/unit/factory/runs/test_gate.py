@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from factory.runs.gate import Pilot, Trial, judge, run_pilot
+from factory.runs.gate import Pilot, Trial, evaluate_gate, run_pilot
 from schemas.errors import WorldError
 from schemas.terms import FailReason, Tier
 from tests.builders.bundle import job_for
@@ -78,7 +78,7 @@ def test_verdict_counts_by_tier_and_reason() -> None:
         Trial(job_for(2, tier=Tier.FAR), FailReason.COLLISION, "stalled"),
         *(Trial(job_for(index)) for index in range(4, 12)),
     ]
-    report = judge("office", "proportional", trials, 0.8)
+    report = evaluate_gate("office", "proportional", trials, 0.8)
     assert report.passed
     assert (report.success.count, report.success.of, report.success.share) == (8, 10, 0.8)
     assert report.success.low == pytest.approx(0.4902, abs=1e-4)  # Wilson, 8 of 10
@@ -91,8 +91,8 @@ def test_verdict_counts_by_tier_and_reason() -> None:
 @pytest.mark.parametrize(("min_success", "passed"), [(0.5, True), (0.51, False)])
 def test_the_gate_passes_at_the_required_share(min_success: float, passed: bool) -> None:
     trials = [Trial(job_for(1)), Trial(job_for(2), FailReason.SPAWN, "")]
-    assert judge("office", "proportional", trials, min_success).passed is passed
+    assert evaluate_gate("office", "proportional", trials, min_success).passed is passed
 
 
 def test_a_pilot_without_trials_does_not_pass() -> None:
-    assert not judge("office", "proportional", [], 0.0).passed
+    assert not evaluate_gate("office", "proportional", [], 0.0).passed

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from factory.train.checkpoint import checkpoint_path, parse_meta, write_atomically
 from factory.train.options import BcOptions, CheckpointMeta
-from factory.train.words import vocabulary
+from factory.train.vocabulary import vocabulary
 from schemas.errors import UsageError
 
 PATH = Path("policy.pt")
@@ -39,7 +39,7 @@ def test_metadata_survives_its_file() -> None:
 @pytest.mark.parametrize("changes", [{"format": 2}, {"look": 99}])
 def test_other_versions_are_refused_by_number(changes: dict[str, int]) -> None:
     text = json.dumps(json.loads(meta().model_dump_json()) | changes)
-    with pytest.raises(UsageError, match=r"another version .*(format 2|version 99)"):
+    with pytest.raises(UsageError, match=r"another version .*(format 2|preprocessing 99)"):
         parse_meta(text, PATH)
 
 

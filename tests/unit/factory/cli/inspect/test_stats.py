@@ -215,7 +215,7 @@ def test_a_shared_instance_despite_the_separation_option_is_damage(own: Path) ->
     describe(own, shared_instances={"office": []})
     found = measure_dataset(own)
     assert not found.is_sound
-    assert "1 instances in training and evaluation against the plan: office chair_001" in found.remarks[-1].text
+    assert "1 instances are in training and evaluation, against the plan: office chair_001" in found.remarks[-1].text
 
 
 def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
@@ -223,7 +223,7 @@ def test_an_instance_that_must_be_shared_is_a_note(own: Path) -> None:
     found = measure_dataset(own)
     assert found.is_sound
     assert [remark.text for remark in found.remarks] == [
-        "office has too few of chair to keep training and evaluation apart"
+        "office has too few instances of chair to separate training from evaluation"
     ]
 
 
@@ -251,7 +251,7 @@ def test_statistics_without_an_attempt_log_report_the_rest(own: Path, damage: st
     found = measure_dataset(own)
     assert found.attempts is None
     assert (found.episodes, found.is_sound) == (3, False)
-    assert "attempts are left out" in found.remarks[0].text
+    assert "attempts are not counted" in found.remarks[0].text
     assert all(cell.attempts is None for cell in found.cells)
 
 

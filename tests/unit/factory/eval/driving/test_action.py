@@ -53,7 +53,7 @@ def test_actions_out_of_range_are_counted() -> None:
         ([7, 0], "tokens", "tokens 0 to 6"),
         ([0.5, 3], "tokens", "tokens 0 to 6"),
         ({"action": [0, 0]}, "continuous", r"'actions' or 'tokens', found \['action'\]"),
-        ([0.0, 0.0], "joints", "continuous or tokens"),
+        ([0.0, 0.0], "joints", "valid kinds: continuous, tokens"),
     ],
 )
 def test_an_invalid_action_is_a_policy_failure_with_a_description(answer: Any, kind: str, message: str) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from factory.eval.driving.policy import PrivilegedPolicy, uses_camera
 from factory.eval.policies import describe_knowledge, make_policy, require_at_hand
-from factory.eval.policies.foreign import load_class
-from factory.eval.policies.outside import Outside
+from factory.eval.policies.limits import PolicyLimits
+from factory.eval.policies.user_class import load_class
 from schemas.errors import UsageError
 
 ROOT = Path(__file__).parents[5]
@@ -71,7 +71,7 @@ def test_every_page_names_an_existing_class_of_the_example(folder: Path, monkeyp
     named = {name for page in pages for name in re.findall(r"my_policy:\w+", page.read_text())}
     assert named
     for name in named:
-        make_policy(name, Outside())
+        make_policy(name, PolicyLimits())
 
 
 PRIVILEGED = """
@@ -91,12 +91,12 @@ class Pilot:
 def test_a_users_class_cannot_declare_itself_privileged(folder: Path) -> None:
     (folder / "oracle_pilot.py").write_text(PRIVILEGED)
     with pytest.raises(UsageError, match="oracle_pilot:Oracle derives from PrivilegedPolicy"):
-        make_policy("oracle_pilot:Oracle", Outside())
+        make_policy("oracle_pilot:Oracle", PolicyLimits())
 
 
 def test_names_of_a_users_class_declare_nothing(folder: Path) -> None:
     (folder / "named_pilot.py").write_text(NAMES)
-    policy = make_policy("named_pilot:Pilot", Outside())
+    policy = make_policy("named_pilot:Pilot", PolicyLimits())
     assert uses_camera(policy)
     assert not isinstance(policy, PrivilegedPolicy)
     assert describe_knowledge(policy) == "camera and instruction"
@@ -114,7 +114,7 @@ def test_names_of_a_users_class_declare_nothing(folder: Path) -> None:
     ],
 )
 def test_built_in_policies_declare_what_they_know(name: str, is_privileged: bool, knows: str) -> None:
-    policy = make_policy(name, Outside())
+    policy = make_policy(name, PolicyLimits())
     assert isinstance(policy, PrivilegedPolicy) == is_privileged
     assert not uses_camera(policy)
     assert describe_knowledge(policy) == knows

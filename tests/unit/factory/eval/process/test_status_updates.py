@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from factory.eval.process.shared_status import Activity, SharedStatus
-from factory.eval.process.status_updates import SheetWatch
+from factory.eval.process.status_updates import StatusWriter
 from workers.geometry.pose import Pose
 
 DRIVE: Any = SimpleNamespace(steps=3, contact_steps=1)
@@ -26,19 +26,19 @@ def sheet() -> Iterator[SharedStatus]:
     opened.close()
 
 
-def busy_when_asked(sheet: SharedStatus, watch: SheetWatch, calls: int) -> list[Activity]:
+def busy_when_asked(sheet: SharedStatus, watch: StatusWriter, calls: int) -> list[Activity]:
     """Returns the status during each call of an episode, reset first."""
     watch.begin(Activity.SIMULATING)
     found = []
     for _ in range(calls):
-        watch.asks(DRIVE, at(0.0, 2.0))
+        watch.before_call(DRIVE, at(0.0, 2.0))
         found.append(sheet.read().busy)
-        watch.has_answer()
+        watch.after_call()
     return found
 
 
 def test_only_answers_after_the_first_one_have_the_strict_timeout(sheet: SharedStatus) -> None:
-    watch = SheetWatch(sheet)
+    watch = StatusWriter(sheet)
     assert busy_when_asked(sheet, watch, 4) == [Activity.MAKING, Activity.MAKING, Activity.ASKING, Activity.ASKING]
     assert busy_when_asked(sheet, watch, 3) == [Activity.MAKING, Activity.ASKING, Activity.ASKING]
     watch.is_warm = False  # over a new connection
@@ -46,16 +46,16 @@ def test_only_answers_after_the_first_one_have_the_strict_timeout(sheet: SharedS
 
 
 def test_the_time_of_an_expert_counts_as_simulation_time(sheet: SharedStatus) -> None:
-    watch = SheetWatch(sheet)
+    watch = StatusWriter(sheet)
     watch.is_privileged = True
     assert busy_when_asked(sheet, watch, 4) == [Activity.SIMULATING] * 4
 
 
 def test_the_shared_status_has_the_progress_of_the_robot(sheet: SharedStatus) -> None:
-    watch = SheetWatch(sheet)
+    watch = StatusWriter(sheet)
     watch.begin(Activity.SIMULATING)
     for x, distance_m in ((0.0, 2.0), (0.5, 1.5), (0.2, 1.8)):
-        watch.asks(DRIVE, at(x, distance_m))
+        watch.before_call(DRIVE, at(x, distance_m))
     state = sheet.read()
     assert (state.steps, state.contact_steps) == (3, 1)
     assert (state.start_m, state.least_m, state.now_m) == (2.0, 1.5, 1.8)

@@ -6,8 +6,8 @@ from factory.eval.models.result import EvalEnd, Variant
 from factory.eval.policies.note import PolicyNote
 from factory.eval.results.faults import faults_of
 from factory.eval.results.page import write_page
-from factory.eval.results.phrases import faults_in_words
 from factory.eval.results.score import score_policy
+from factory.eval.results.summary_text import fault_lines
 from tests.builders.eval_results import evaluation_of, result_of
 
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="", software={})
@@ -21,7 +21,7 @@ def test_each_kind_of_failure_is_reported_once_with_its_first_message() -> None:
         result_of(4, success=False, end=EvalEnd.POLICY_RAISED, detail="KeyError: 'rgb' (p.py:4)"),
         result_of(5, success=False),
     ]
-    assert faults_in_words(score_policy("m:P", rows, NOTE)) == [
+    assert fault_lines(score_policy("m:P", rows, NOTE)) == [
         "m:P: 2 of 5 episodes ended with policy_raised, first ep_000003: ZeroDivisionError: division by zero (p.py:3)",
         "m:P: 1 of 5 episodes ended with policy_invalid, first ep_000002: NaN",
     ]

@@ -1,4 +1,4 @@
-"""The coordinator under test, in a process of its own, so that its memory is nobody else's. Times only its start."""
+"""Runs the coordinator under test in a separate process, to measure its memory and CPU time alone. Runs no workers."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ from schemas.job import Job
 from schemas.plan import Plan
 from schemas.scene import Target
 
-__all__ = ["Condition", "Opened", "serve_hub"]
+__all__ = ["CoordinatorReady", "CoordinatorUsage", "serve_coordinator"]
 
 _LEASE_S = 600.0
-"""No lease runs out while a busy machine is measured."""
+"""Lease duration, seconds; long, so that no lease expires on a busy machine."""
 
 
-class Opened(Model):
-    """A coordinator that can be asked."""
+class CoordinatorReady(Model):
+    """Message that the coordinator accepts requests."""
 
     endpoints: tuple[str, ...]
     seconds: float
-    """From the call to the moment at which it listens: ledger checked, archive reconciled."""
+    """Startup time until it listens, seconds; includes the checks of ledger and archive."""
 
 
-class Condition(Model):
-    """How a coordinator does."""
+class CoordinatorUsage(Model):
+    """Memory and CPU time of the coordinator."""
 
     memory: Memory
     cpu_s: float
-    """CPU time of its process so far, all threads."""
+    """CPU time of its process since the start, all threads, seconds."""
 
 
-class _Trust:
-    """Takes every bundle for a good one: what is timed is the way there, not the check in a process of its own."""
+class _AcceptAll:
+    """Validator that accepts every bundle, so that the benchmark measures the transfer only."""
 
     def __init__(self, meta: EpisodeMeta, sha256: str, size: int) -> None:
         self._meta, self._sha256, self._size = meta, sha256, size
@@ -59,33 +59,33 @@ class _Trust:
         pass
 
 
-def serve_hub(
+def serve_coordinator(
     pipe: Connection, root: Path, plan: Plan, catalog: Catalog, meta: EpisodeMeta, sha256: str, size: int
 ) -> None:
-    """Opens a coordinator, tells where it listens, and answers every message with its condition until the pipe ends.
+    """Opens a coordinator, sends its endpoints, and replies to every message with its usage until the pipe closes.
 
     Args:
-        pipe: to the conductor; the first thing sent is `Opened`, all others are `Condition`.
-        root: of the dataset; its ledger may be filled already.
-        plan: what the ledger holds.
-        catalog: its scenes.
-        meta: of the episode that every bundle is taken for.
-        sha256: of every bundle.
-        size: bytes of every bundle.
+        pipe: Pipe to the benchmark; the first message is `CoordinatorReady`, all others are `CoordinatorUsage`.
+        root: Directory of the dataset; its ledger may already contain jobs.
+        plan: Plan of the ledger.
+        catalog: Scenes of the plan.
+        meta: Episode metadata that stand for every bundle.
+        sha256: SHA-256 of every bundle.
+        size: Size of every bundle, bytes.
     """
     configure_logs(verbose=False)
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(40))
     settings = CoordinatorSettings(lease_ttl_s=_LEASE_S, reserve_bytes=0)
     begun = time.perf_counter()
-    checker = _Trust(meta, sha256, size)
+    checker = _AcceptAll(meta, sha256, size)
     with Coordinator(
         root, plan, catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings, checker=checker)
     ) as hub:
-        pipe.send(Opened(endpoints=hub.endpoints, seconds=time.perf_counter() - begun))
+        pipe.send(CoordinatorReady(endpoints=hub.endpoints, seconds=time.perf_counter() - begun))
         start_mib = resident_mib()
         try:
             while True:
                 pipe.recv()
-                pipe.send(Condition(memory=measure_memory(start_mib), cpu_s=time.process_time()))
+                pipe.send(CoordinatorUsage(memory=measure_memory(start_mib), cpu_s=time.process_time()))
         except EOFError:
             return

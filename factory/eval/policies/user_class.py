@@ -1,4 +1,4 @@
-"""A policy of the user's own: a class in an importable module, made without arguments. Imports, never judges."""
+"""Loads a user's policy: a class in an importable module, constructed without arguments. Does not run the policy."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _EXAMPLE = "docs/evaluation/my_policy.py is an example"
 
 
 def load_class(name: str) -> Policy:
-    """Returns an instance of `package.module:Class`, which may be a module of the working directory.
+    """Returns an instance of `package.module:Class`; the module may be in the working directory.
 
-    While it is imported and made the working directory comes first, as in a script of its own; afterwards last, so that
-    what a policy imports later is found, and what we import later is ours.
+    During import and construction, the working directory is first in `sys.path`, as for a script; afterwards it is
+    last, so that later imports of the policy find their modules, and this software does not import from it by mistake.
 
     Raises:
-        UsageError: there is no such module or class, or making it failed; the message says where.
+        UsageError: The module or class does not exist, or the construction failed; the message contains the location.
     """
     module_name, _, class_name = name.partition(":")
     try:
@@ -43,8 +43,8 @@ def load_class(name: str) -> Policy:
         raise
     except Exception as error:
         if isinstance(error, ModuleNotFoundError) and _is_part(error.name, module_name):
-            raise UsageError(_say_absent(name, error.name or module_name)) from error
-        raise UsageError(f"policy {name} cannot be created: {_say_with_place(error)}") from error
+            raise UsageError(_describe_missing(name, error.name or module_name)) from error
+        raise UsageError(f"policy {name} cannot be created: {_describe_with_location(error)}") from error
     return policy
 
 
@@ -55,22 +55,22 @@ def _working_directory_first() -> Iterator[None]:
     try:
         yield
     finally:
-        with contextlib.suppress(ValueError):  # the module may have taken it away itself
+        with contextlib.suppress(ValueError):  # the module may have removed it
             sys.path.remove(here)
         if here not in sys.path:
             sys.path.append(here)
 
 
 def require_module(name: str) -> None:
-    """Makes sure that the module of `package.module:Class`, or the package it is in, can be found; imports nothing.
+    """Raises an error unless the module of `package.module:Class`, or its top-level package, is found; imports nothing.
 
     Raises:
-        UsageError: it cannot; the message says where it was looked for.
+        UsageError: The module was not found; the message lists the searched locations.
     """
     top = name.partition(":")[0].partition(".")[0]
     if top in sys.modules or importlib.util.find_spec(top) or PathFinder.find_spec(top, [str(Path.cwd())]):
         return
-    raise UsageError(_say_absent(name, top))
+    raise UsageError(_describe_missing(name, top))
 
 
 def _class_of(module: ModuleType, class_name: str, name: str) -> object:
@@ -89,18 +89,18 @@ def _is_public_class(key: str, value: object, module: ModuleType) -> bool:
 
 
 def _is_part(absent: str | None, module_name: str) -> bool:
-    """Whether what could not be imported is the module asked for or a package around it, not something it needs."""
+    """Returns whether the missing module is the requested one or a parent package, not one of its dependencies."""
     return absent is not None and f"{module_name}.".startswith(f"{absent}.")
 
 
-def _say_absent(name: str, absent: str) -> str:
+def _describe_missing(name: str, absent: str) -> str:
     looked = f"looked in {Path.cwd()}, on PYTHONPATH and among the packages of {sys.prefix}"
     remedy = "run the command in the folder of the module, or add that folder to PYTHONPATH"
     return f"policy {name}: no module {absent!r}; {looked}: {remedy} ({_EXAMPLE})"
 
 
-def _say_with_place(error: Exception) -> str:
-    """Returns an exception with the line it came from; those of Python's own importer say nothing to a user."""
+def _describe_with_location(error: Exception) -> str:
+    """Returns an exception with its source line; skips frames of Python's importer, which do not help a user."""
     what = traceback.format_exception_only(error)[-1].strip()
     if isinstance(error, SyntaxError) and error.filename:
         return f"{what} ({os.path.relpath(error.filename)}:{error.lineno})"

@@ -1,6 +1,7 @@
-"""The pipeline to compare with: PyBullet as its quick-start guide has it, on the same scene and poses.
+"""Plain PyBullet pipeline for comparison, as in the PyBullet quick-start guide, on the same scene and poses.
 
-One static body a part with its own mesh, `getCameraImage` with the defaults of TinyRenderer, Pillow's PNG, `np.save`.
+Uses one static body per part with its mesh, `getCameraImage` with the defaults of TinyRenderer, PNG by Pillow, and
+`np.save`. Uses neither the renderers nor the encoders of this product.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from factory.bench.model import PlainPace
-from factory.bench.watch import ProcessWatch
+from factory.bench.stage_times import StageRecorder
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.job import Job
 from schemas.scene import CompiledScene
@@ -25,29 +26,29 @@ from workers.physics.mesh_lists import mesh_lists
 from workers.physics.world import ColliderMesh, World
 from workers.render.tiny import TinyScene
 
-__all__ = ["run_plain"]
+__all__ = ["run_baseline"]
 
 
-def run_plain(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
-    """Makes frames at poses spread over those given, one physics step before each, and returns the pace.
+def run_baseline(scene: CompiledScene, job: Job, poses: Sequence[Pose], frames: int) -> PlainPace:
+    """Generates frames at poses spread over those given, with one physics step before each, and returns the rates.
 
     Args:
-        scene: the place.
-        job: gives robot and camera.
-        poses: of one or more episodes, in order.
-        frames: how many to make, after one that warms up.
+        scene: Scene.
+        job: Job with the robot and the camera.
+        poses: Poses of one or more episodes, in order.
+        frames: Number of frames, after one warm-up frame.
     """
     chosen = [poses[round(k)] for k in np.linspace(0, len(poses) - 1, frames)]
-    watch = ProcessWatch()
+    recorder = StageRecorder()
     collider = _one_body_a_part(scene)
     with World(scene, collider, job.robot, job.task.control_hz) as world, closing(TinyScene(scene)) as shown:
-        _make_frame(world, shown, job, chosen[0], watch)
-        watch.start()
+        _make_frame(world, shown, job, chosen[0], recorder)
+        recorder.start()
         wall, cpu = time.perf_counter(), time.process_time()
         for pose in chosen:
-            _make_frame(world, shown, job, pose, watch)
+            _make_frame(world, shown, job, pose, recorder)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    stages = {stage: 1000 * seconds / frames for stage, (seconds, _) in watch.take().items()}
+    stages = {stage: 1000 * seconds / frames for stage, (seconds, _) in recorder.take().items()}
     return PlainPace(frames=frames, frames_per_s=frames / wall, frames_per_cpu_s=frames / cpu, stages=stages)
 
 
@@ -63,19 +64,19 @@ def _one_body_a_part(scene: CompiledScene) -> ColliderMesh:
     )
 
 
-def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, watch: ProcessWatch) -> None:
+def _make_frame(world: World, shown: TinyScene, job: Job, pose: Pose, recorder: StageRecorder) -> None:
     world.place(pose.x, pose.y, pose.yaw)
     world.step()
-    watch("physics")
+    recorder("physics")
     view, projection = view_matrix(optical_pose(pose, job.camera)), projection_matrix(job.camera)
     image = shown.client.camera_image(FRAME_SIZE_PX, view, projection, is_lit=True)
-    watch("getCameraImage")
+    recorder("getCameraImage")
     _save_png(image.rgba[:, :, :3])
-    watch("Pillow RGB")
+    recorder("Pillow RGB")
     _save_png(image.bodies.astype(np.uint16))
-    watch("Pillow ids")
+    recorder("Pillow ids")
     np.save(io.BytesIO(), image.depth)
-    watch("np.save depth")
+    recorder("np.save depth")
 
 
 def _save_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

@@ -8,10 +8,10 @@ from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.process.shared_status import DriverStatus
 
-__all__ = ["result_of_end"]
+__all__ = ["interrupted_result"]
 
 
-def result_of_end(task: EvalTask, detail: str, fault: PolicyFault, state: DriverStatus) -> EpisodeResult:
+def interrupted_result(task: EvalTask, detail: str, fault: PolicyFault, state: DriverStatus) -> EpisodeResult:
     """Returns the result of an episode whose driving process had to be ended.
 
     Args:

@@ -1,4 +1,4 @@
-"""What page and terminal say alike about an evaluation; how a share or a mean is spelt is theirs. Pure."""
+"""Texts of an evaluation that the page and the terminal share. Does not format shares and means. Pure functions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from factory.eval.results.estimate import IntervalEstimate
 from factory.eval.results.score import PolicyScores
 from factory.stats.model import Share
 
-__all__ = ["ablation_rows", "deaf_policies", "ends_of", "faults_in_words"]
+__all__ = ["ablation_rows", "describe_ends", "fault_lines", "policies_without_instruction"]
 
 
 def ablation_rows(
@@ -16,12 +16,12 @@ def ablation_rows(
     share: Callable[[Share], object],
     estimate: Callable[[IntervalEstimate, int], object],
 ) -> Iterator[tuple[object, ...]]:
-    """Yields policy, words, episodes, n, success, gap to the true words and McNemar's p, for each set of other words.
+    """Yields a row for each ablation: policy, variant, episodes, n, success, gap to the original instruction, p value.
 
     Args:
-        policies: in order.
-        share: spells a share.
-        estimate: spells a mean with so many digits.
+        policies: Scores of the policies.
+        share: Formats a share.
+        estimate: Formats a mean with a number of digits.
     """
     for policy in policies:
         for row in policy.ablation:
@@ -30,19 +30,19 @@ def ablation_rows(
             yield policy.policy, row.variant, which, row.n, *spelt
 
 
-def deaf_policies(policies: Sequence[PolicyScores]) -> list[str]:
-    """Returns those that read no instruction, so that their gap is 0 by construction."""
+def policies_without_instruction(policies: Sequence[PolicyScores]) -> list[str]:
+    """Returns the names of policies that do not use the instruction, so that their gap is 0 by construction."""
     return [policy.policy for policy in policies if not policy.reads_instruction]
 
 
-def ends_of(policy: PolicyScores) -> str:
-    """Returns how the episodes of a policy ended, and how long it thought."""
+def describe_ends(policy: PolicyScores) -> str:
+    """Returns a description of the episode ends of a policy, and its mean inference time."""
     ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
     return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms per action"
 
 
-def faults_in_words(policy: PolicyScores) -> list[str]:
-    """Returns a line for each way in which a policy failed as a program, with what it said first."""
+def fault_lines(policy: PolicyScores) -> list[str]:
+    """Returns a line for each kind of policy failure, with its first message."""
     return [
         f"{policy.policy}: {fault.drives} of {fault.of} episodes ended with {fault.end}, first {fault.first}: "
         f"{fault.detail}"

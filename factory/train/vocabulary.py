@@ -1,7 +1,7 @@
-"""The vocabulary of the instructions: words to numbers. Pure; the list of a checkpoint is part of the checkpoint.
+"""Vocabulary of the instructions: encodes words as token indices. Pure functions; checkpoints contain their vocabulary.
 
-The words are those of all templates, the paraphrased ones included, the categories and the colours. A word that no
-training sentence had keeps the vector it was drawn with, and learns nothing: the list hides no answers.
+The vocabulary contains the words of all templates, including the paraphrased ones, the categories and the colours. The
+embedding of a word without a training sentence keeps its initial value, so the list leaks no test information.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from schemas.terms import CATEGORIES
 __all__ = ["ANY", "MAX_WORDS", "PAD", "UNKNOWN", "encode", "split_words", "vocabulary"]
 
 PAD, UNKNOWN, ANY = 0, 1, 2
-"""Numbers of what is no word: filling, a word outside of the list, and the whole instruction of an ablated twin."""
+"""Special indices: padding, a word outside of the vocabulary, and the whole instruction when language is ablated."""
 _SPECIAL = ("<pad>", "<unknown>", "<any>")
 MAX_WORDS = 16
-"""Words of an instruction that are read; the longest template with the longest category has 11."""
+"""Maximum number of encoded words; the longest template with the longest category has 11."""
 _WORD = re.compile(r"[a-z0-9']+")
 _SLOT = re.compile(r"\{\w+\}")
 
@@ -32,10 +32,10 @@ def split_words(text: str) -> list[str]:
 
 
 def vocabulary(instructions: Iterable[str] = ()) -> tuple[str, ...]:
-    """Returns the words by number: the special ones first, the others in alphabetical order.
+    """Returns the words by index: the special ones first, the others in alphabetical order.
 
     Args:
-        instructions: of the training data; own scenes bring categories and colours of their own.
+        instructions: Instructions of the training data; imported scenes can add categories and colours.
     """
     texts = [_SLOT.sub(" ", text) for text in TEMPLATES.values()]
     texts += [say_category(category) for category in CATEGORIES]
@@ -44,15 +44,15 @@ def vocabulary(instructions: Iterable[str] = ()) -> tuple[str, ...]:
 
 
 def encode(instruction: str, words: Sequence[str], ablate: bool = False) -> NDArray[np.int64]:
-    """Returns an instruction as numbers.
+    """Encodes an instruction as token indices.
 
     Args:
-        instruction: any text; also an empty one.
-        words: the vocabulary.
-        ablate: whether the one constant token stands in its place.
+        instruction: Any text, which may be empty.
+        words: Vocabulary.
+        ablate: Whether to replace the instruction by one constant token.
 
     Returns:
-        (MAX_WORDS,) numbers, filled up with `PAD`; never `PAD` at the first place, so that there is something to read.
+        (MAX_WORDS,) indices, padded with `PAD`; the first index is never `PAD`, so that the LSTM has an input.
     """
     if ablate:
         found = [ANY]

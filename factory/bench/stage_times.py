@@ -1,4 +1,4 @@
-"""The watch behind the laps of a loop: wall clock and CPU time of every stage. Knows no stage by name."""
+"""Records wall and CPU time of the stages of a loop, for any stage names. Does not run the loop."""
 
 from __future__ import annotations
 
@@ -7,41 +7,44 @@ from collections.abc import Sequence
 
 from factory.bench.model import Spread, StageCost
 
-__all__ = ["ProcessWatch", "StageTimes", "stage_costs"]
+__all__ = ["StageRecorder", "StageTimes", "stage_costs"]
 
 StageTimes = dict[str, tuple[float, float]]
-"""Stage -> seconds of wall clock, seconds of CPU time."""
+"""Stage -> wall time and CPU time, seconds."""
 
 
-class ProcessWatch:
-    """A `schemas.support.stage_timer.Lap` that keeps time; `start` before the first stage, `take` after the last."""
+class StageRecorder:
+    """Recorder of stage times, a `schemas.support.stage_timer.StageTimer`.
+
+    Call `start` before the first stage and `take` after the last.
+    """
 
     def __init__(self) -> None:
         self._times: StageTimes = {}
         self._wall = self._cpu = 0.0
 
     def start(self) -> None:
-        """Forgets what was counted and begins with the first stage."""
+        """Clears the recorded times and starts the first stage."""
         self._times = {}
         self._wall, self._cpu = time.perf_counter(), time.process_time()
 
     def __call__(self, stage: str) -> None:
-        """Ends a stage, and begins the next."""
+        """Ends the given stage and starts the next one."""
         wall, cpu = time.perf_counter(), time.process_time()
         before = self._times.get(stage, (0.0, 0.0))
         self._times[stage] = (before[0] + wall - self._wall, before[1] + cpu - self._cpu)
         self._wall, self._cpu = wall, cpu
 
     def take(self) -> StageTimes:
-        """Returns the times of every stage since `start`."""
+        """Returns the stage times since `start`."""
         return self._times
 
 
 def stage_costs(runs: Sequence[tuple[int, StageTimes]]) -> tuple[StageCost, ...]:
-    """Returns the cost of every stage a frame.
+    """Returns the cost per frame of every stage.
 
     Args:
-        runs: frames and stage times of every repeat; all have the same stages.
+        runs: Number of frames and stage times of every repetition; all have the same stages.
     """
     return tuple(
         StageCost(

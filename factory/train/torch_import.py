@@ -1,4 +1,4 @@
-"""The door to PyTorch: imported when first wanted, or refused with the extra that brings it."""
+"""Imports PyTorch on first use, or raises an error that names the extra. Builds no networks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def load_torch() -> Any:
     """Returns the module `torch`.
 
     Raises:
-        UsageError: it is not installed; the message names the extra.
+        UsageError: PyTorch is not installed; the message names the extra.
     """
     try:
         return importlib.import_module("torch")
@@ -24,7 +24,7 @@ def load_torch() -> Any:
 
 
 def require_logs() -> None:
-    """Makes sure that logs of a training can be written, before there is one.
+    """Raises an error unless training logs can be written.
 
     Raises:
         UsageError: TensorBoard is not installed.
@@ -33,7 +33,7 @@ def require_logs() -> None:
 
 
 def summary_writer(folder: str, purge_step: int) -> Any:
-    """Returns a writer of TensorBoard logs; what a former run logged from `purge_step` on is hidden.
+    """Returns a TensorBoard writer; hides entries of an earlier run from `purge_step` on.
 
     Raises:
         UsageError: TensorBoard is not installed.
@@ -47,10 +47,10 @@ def summary_writer(folder: str, purge_step: int) -> Any:
 
 
 def choose_device(asked: str) -> Any:
-    """Returns the device of that name; `auto` is a GPU where there is one.
+    """Returns the torch device of that name; `auto` selects a GPU if available.
 
     Raises:
-        UsageError: there is no such device.
+        UsageError: The device is not available.
     """
     torch = load_torch()
     if asked == "auto":
@@ -60,5 +60,5 @@ def choose_device(asked: str) -> Any:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
         first = (str(error).splitlines() or ["unknown"])[0]
-        raise UsageError(f"--device {asked}: torch cannot use it ({first}); auto and cpu always work") from error
+        raise UsageError(f"--device {asked} is not available ({first}); use auto or cpu") from error
     return device

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.train.words import ANY, MAX_WORDS, PAD, UNKNOWN, encode, split_words, vocabulary
+from factory.train.vocabulary import ANY, MAX_WORDS, PAD, UNKNOWN, encode, split_words, vocabulary
 from schemas.language import TEMPLATES, instruction
 from schemas.terms import CATEGORIES
 
