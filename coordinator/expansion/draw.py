@@ -1,6 +1,6 @@
-"""From a plan to jobs: exact cells of scene x tier x split, then category, target and template for each episode.
+"""Expands a plan into jobs: exact quotas of scene x tier x split, then category, target and template per episode.
 
-Pure: the same plan and the same compiled scenes give the same jobs, on any machine and in any order of work.
+The result depends on the plan and the compiled scenes only, not on the machine or the order of the work.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 
 from coordinator.expansion.apportion import least_used
 from coordinator.expansion.catalog import Catalog, SceneEntry
-from coordinator.expansion.cells import cells
-from coordinator.expansion.instances import Side, side_of, sides_of, startable_tiers
+from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene, scene_cells
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import InvalidPlan
 from schemas.job import Job
@@ -25,7 +24,7 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import Split, Tier
 
-__all__ = ["PlannedJob", "cells", "expand", "find_impossible", "pool", "redraw", "require_possible", "to_job"]
+__all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possible", "to_job"]
 
 Option = TypeVar("Option")
 
@@ -38,82 +37,74 @@ _SHARED_SPECS = 1 << 14
 
 @dataclass(frozen=True)
 class PlannedJob:
-    """What one draw of one episode asks for."""
+    """One draw of one episode of the plan."""
 
     index: int
+    """Episode number, from 1."""
     draw: int
     episode: EpisodeSpec
     """Shared by the jobs that ask for the same."""
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
-    """Returns draw 0 of every episode, in the order of the plan's indices (from 1).
+    """Returns draw 0 of every episode, ordered by episode number (from 1).
 
-    Cells of scene x tier x split have their exact Webster quota. Within a scene, targets (or categories first, when
-    `plan.balance` says so) and templates are drawn evenly.
+    Cells of scene x tier x split have their exact Webster quota. Within a scene, targets and templates are sampled
+    evenly; with `plan.balance == "categories"` the category is sampled first.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
     """
-    require_possible(plan, catalog)
+    scenes = tuple(each_scene(plan, catalog))
+    _require_possible(plan, scenes)
     jobs: list[PlannedJob] = []
     templates: Counter[str] = Counter()
-    for number, scene in enumerate(plan.scenes):
+    for number, scene in enumerate(scenes):
         rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
-        jobs.extend(_expand_scene(plan, scene, catalog[scene.name], rng, len(jobs) + 1, templates))
+        jobs.extend(_expand_scene(scene, rng, len(jobs) + 1, templates))
     return tuple(jobs)
 
 
 def require_possible(plan: Plan, catalog: Catalog) -> None:
-    """Makes sure that every cell of a plan has a target; `expand` does so too.
+    """Checks that every cell of a plan has a target; `expand` checks it too.
 
     Raises:
-        InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
+        InvalidPlan: a cell has no target that its tier can reach; the error lists every such cell.
     """
-    mistakes = find_impossible(plan, catalog)
-    if mistakes:
-        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
-
-
-def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Tier) -> tuple[Target, ...]:
-    """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
-    categories = _categories_of(scene, split)
-    sides = {} if split is Split.TEST_OOD_OBJ else sides_of(plan, scene, entry)
-    return tuple(
-        target
-        for target in entry.info.targets
-        if target.category in categories
-        and tier in startable_tiers(plan, target)
-        and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
-    )
+    _require_possible(plan, tuple(each_scene(plan, catalog)))
 
 
 def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
     """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
-    return [line for number, scene in enumerate(plan.scenes) for line in _impossible_in(plan, catalog, number, scene)]
+    return _find_impossible(tuple(each_scene(plan, catalog)))
 
 
-def _impossible_in(plan: Plan, catalog: Catalog, number: int, scene: ScenePlan) -> Iterator[str]:
-    entry, quota = catalog[scene.name], cells(plan, scene)
+def _require_possible(plan: Plan, scenes: Sequence[SceneCells]) -> None:
+    mistakes = _find_impossible(scenes)
+    if mistakes:
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
+
+
+def _find_impossible(scenes: Sequence[SceneCells]) -> list[str]:
+    return [line for number, scene in enumerate(scenes) for line in _impossible_in(number, scene)]
+
+
+def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
+    scene, entry = cells.scene, cells.entry
     present = {target.category for target in entry.info.targets}
-    named = {split: set(_categories_of(scene, split)) for split, _ in quota}
+    named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
     if any(categories - present for categories in named.values()):
-        yield f"scenes[{number}] {scene.name}: {_say_absent(scene, entry, present)}"
-    for (split, tier), count in quota.items():
-        if named[split] & present and not pool(plan, scene, entry, split, tier):
+        yield f"scenes[{number}] {scene.name}: {_absent_message(scene, entry, present)}"
+    for (split, tier), count in cells.quota.items():
+        if named[split] & present and not cells.pool(split, tier):
             yield (
                 f"scenes[{number}] {scene.name}: cell {split} / {tier} ({count} episodes) has no target that the "
-                f"{plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
+                f"{cells.plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
                 "change the scene"
             )
 
 
-def _categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
-    seen, held_out = scene.categories
-    return held_out if split is Split.TEST_OOD_OBJ else seen
-
-
-def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
+def _absent_message(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
     absent = [[name for name in names if name not in present] for names in scene.categories]
     missing = [
         f"no reachable {', '.join(map(repr, names))} ({key})"
@@ -129,17 +120,12 @@ def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
 
 
 def _expand_scene(
-    plan: Plan,
-    scene: ScenePlan,
-    entry: SceneEntry,
-    rng: np.random.Generator,
-    first_index: int,
-    templates: Counter[str],
+    cells: SceneCells, rng: np.random.Generator, first_index: int, templates: Counter[str]
 ) -> Iterator[PlannedJob]:
     """Yields draw 0 of a scene's episodes, the cells in random order; `templates` counts over all scenes."""
-    quota = cells(plan, scene)
-    slots = [cell for cell, count in quota.items() for _ in range(count)]
-    pools = {cell: pool(plan, scene, entry, *cell) for cell in quota}
+    plan = cells.plan
+    slots = [cell for cell, count in cells.quota.items() for _ in range(count)]
+    pools = {cell: cells.pool(*cell) for cell in cells.quota}
     categories: Counter[str] = Counter()
     targets: Counter[str] = Counter()
     for index, slot in enumerate(rng.permutation(len(slots)), first_index):
@@ -152,20 +138,20 @@ def _expand_scene(
         target = next(option for option in options if option.target_id == target_id)
         colour = _said_colour(plan, target)
         template_id = least_used(templates_for(split, colour), templates, rng)
-        episode = _episode(scene.name, tier, split, target.category, target.target_id, colour, template_id)
+        episode = _episode(cells.scene.name, tier, split, target.category, target.target_id, colour, template_id)
         yield PlannedJob(index, 0, episode)
 
 
 def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
-    """Returns the next draw of the same cell, after the former target proved hopeless.
+    """Returns the next draw of the same cell, after the attempts at the previous target failed.
 
-    The first few draws keep the category; later ones open the whole pool. Depends on plan, scene, index and draw
-    only, so that the redrawn dataset is the same whoever failed when.
+    The first redraws keep the category; later redraws use all targets of the cell. The result depends on plan, scene,
+    index and draw only, so that it does not depend on which worker failed or when.
     """
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
     scene = next(scene for scene in plan.scenes if scene.name == former.scene)
-    options = pool(plan, scene, catalog[scene.name], former.split, former.tier)
+    options = scene_cells(plan, scene, catalog[scene.name]).pool(former.split, former.tier)
     loyal = [target for target in options if target.category == former.category] if draw <= _LOYAL_DRAWS else []
     fresh = [target for target in loyal or options if target.target_id != former.target_id]
     target = _draw(fresh or options, rng)

@@ -1,20 +1,19 @@
-"""What is wrong between archive, ledger and plan, and what would put it right. Reads and hashes; changes nothing."""
+"""Compares archive, ledger and plan, and determines the repair actions. Reads and hashes files, and changes nothing."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import count
 
-from sqlalchemy import Row, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import index_of_file
+from coordinator.archive.difference import GONE, ListedFile, RecordedFile, diff_archive
 from coordinator.expansion.catalog import Catalog
-from coordinator.ledger.keepers import all_keepers
-from coordinator.ledger.tables import episodes
-from coordinator.recovery.judge import Draws, StrayJudge
-from coordinator.recovery.memory import validated_files
+from coordinator.ledger.gateway_episodes import recorded_files
+from coordinator.recovery.stray_files import PlannedDraws, StrayClassifier
+from coordinator.recovery.table_records import validated_files
 from coordinator.transfer.puller import Checker
 from schemas.dataset import EpisodeSummary
 from schemas.dataset_files import EPISODES, QUARANTINE
@@ -29,58 +28,77 @@ ProgressCallback = Callable[[int, int], None]
 
 @dataclass
 class Survey:
-    """Findings by what is to be done about them; `why` is in words."""
+    """Findings by repair action."""
 
     whole: int = 0
-    """Episodes on disk that the ledger owns, bit for bit."""
+    """Number of episode files that equal their ledger record."""
     adopt: list[EpisodeSummary] = field(default_factory=list)
-    """Whole episodes of the plan that the ledger does not own as they are."""
+    """Intact episodes of the plan without an equal ledger record."""
     restore: list[tuple[Place, EpisodeSummary]] = field(default_factory=list)
-    """Whole episodes of the plan that are in quarantine and nowhere else."""
+    """Intact episodes of the plan that exist in the quarantine folder only, with their paths."""
     quarantine: list[tuple[Place, str]] = field(default_factory=list)
+    """Files to quarantine, with the reason."""
     requeue: list[tuple[int, str]] = field(default_factory=list)
+    """Episodes to collect again, with the reason."""
 
 
 def survey_archive(
-    root: Place, plan: Plan, catalog: Catalog, ledger: Connection | None, checker: Checker, tell: ProgressCallback
+    root: Place,
+    plan: Plan,
+    catalog: Catalog,
+    ledger: Connection | None,
+    checker: Checker,
+    on_progress: ProgressCallback,
 ) -> Survey:
-    """Compares every file of a dataset with the ledger, and what the ledger does not own with the plan.
+    """Compares every file of a dataset with the ledger, and files without a record with the plan.
 
     Args:
-        root: of the dataset.
-        plan: of the run.
-        catalog: of its scenes.
-        ledger: open for reading; `None` when it is lost.
-        checker: validates what might be adopted.
-        tell: told how many files of how many are done.
+        root: root of the dataset.
+        plan: plan of the run.
+        catalog: compiled scenes of the plan.
+        ledger: connection for reading; `None` if the ledger is lost.
+        checker: validator of files to adopt.
+        on_progress: progress callback with the number of processed files and the total.
     """
     result = Survey()
-    owned = _owned(ledger)
-    away = all_keepers(ledger) if ledger is not None else {}
+    recorded = recorded_files(ledger) if ledger is not None else {}
     files, foreign = _listing(root)
     result.quarantine += [(path, "no episode by its name") for path in foreign]
-    judge = StrayJudge(Draws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
-    for done, (index, path) in enumerate(files.items(), 1):
-        reason = _difference(path, owned[index]) if index in owned else "the ledger does not own it"
-        if not reason:
-            result.whole += 1
-        else:
-            _judge(path, index, reason, judge, result, is_owned=index in owned, is_kept=index in away)
-        tell(done, len(files))
-    gone = owned.keys() - files.keys() - away.keys()
-    found = {summary.index for summary in result.adopt} | (owned.keys() - gone)
+    judge = StrayClassifier(PlannedDraws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
+    difference = diff_archive(_read_files(files, recorded, on_progress), recorded)
+    result.whole = len(difference.same) + len(difference.elsewhere)
+    for done, index in enumerate(difference.strays, result.whole + 1):
+        _judge(files[index], index, difference.changed.get(index), judge, result, recorded.get(index))
+        on_progress(done, len(files))
+    missing = set(difference.missing)
+    found = {summary.index for summary in result.adopt} | (recorded.keys() - missing)
     result.restore += _restorable(root, judge, found)
     back = {summary.index for _, summary in result.restore}
-    result.requeue += [(index, "its file is missing") for index in sorted(gone - back)]
+    result.requeue += [(index, GONE) for index in sorted(missing - back)]
     result.requeue = [(index, why) for index, why in result.requeue if index not in back]
     return result
 
 
-def _owned(ledger: Connection | None) -> Mapping[int, Row[Any]]:
-    if ledger is None:
-        return {}
-    rows: Any = ledger.execute(select(episodes.c.idx, episodes.c.size, episodes.c.sha256))
-    return {row.idx: row for row in rows}
+def _read_files(
+    files: Mapping[int, Place], recorded: Mapping[int, RecordedFile], on_progress: ProgressCallback
+) -> dict[int, ListedFile]:
+    """Returns what was found, with the digest of each file whose size is as recorded; tells each whole one."""
+    found, done = {}, count(1)
+    for index, path in files.items():
+        found[index] = _read_file(path, recorded.get(index))
+        if index in recorded and found[index].sha256 == recorded[index].sha256:
+            on_progress(next(done), len(files))
+    return found
+
+
+def _read_file(path: Place, record: RecordedFile | None) -> ListedFile:
+    size = path.stat().st_size
+    if record is None or size != record.size:
+        return ListedFile(size)
+    try:
+        return ListedFile(size, digest_of(path))
+    except OSError as error:
+        return ListedFile(size, fault=f"cannot be read: {error.strerror}")
 
 
 def _listing(root: Place) -> tuple[dict[int, Place], list[Place]]:
@@ -95,38 +113,27 @@ def _is_episode(path: Place, folder: Place) -> bool:
     return path.parent == folder and path.is_file() and not path.is_symlink()
 
 
-def _difference(path: Place, row: Row[Any]) -> str:
-    size = path.stat().st_size
-    if size != row.size:
-        return f"{size} bytes; in the ledger {row.size}"
-    try:
-        found = digest_of(path)
-    except OSError as error:
-        return f"cannot be read: {error.strerror}"
-    return "" if found == row.sha256 else f"SHA-256 {found}; in the ledger {row.sha256}"
-
-
 def _judge(
-    path: Place, index: int, reason: str, judge: StrayJudge, result: Survey, *, is_owned: bool, is_kept: bool
+    path: Place, index: int, change: str | None, judge: StrayClassifier, result: Survey, record: RecordedFile | None
 ) -> None:
-    verdict = judge.judge(path, index, replaces=is_owned)
+    verdict = judge.classify(path, index, replaces=change is not None)
     if not isinstance(verdict, str):
         result.adopt.append(verdict)
         return
-    result.quarantine.append((path, f"{reason}; {verdict}" if is_owned else verdict))
-    if is_owned and not is_kept:  # else a gateway has it still
-        result.requeue.append((index, reason))
+    result.quarantine.append((path, f"{change}; {verdict}" if change else verdict))
+    if change and record is not None and record.gateway is None:  # else a gateway has it still
+        result.requeue.append((index, change))
 
 
-def _restorable(root: Place, judge: StrayJudge, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
-    """Yields what was put aside although it is a whole episode of the plan, where the dataset has none."""
+def _restorable(root: Place, judge: StrayClassifier, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:
+    """Yields quarantined files that are intact episodes of the plan and missing in the dataset."""
     had = set(found)
     for path in children(root / QUARANTINE):
         name, _, mark = path.name.rpartition(".")
         index = index_of_file(name) if mark != "txt" else None
         if index is None or index in had or not path.is_file() or path.is_symlink():
             continue
-        verdict = judge.judge(path, index, replaces=True)
+        verdict = judge.classify(path, index, replaces=True)
         if not isinstance(verdict, str):
             had.add(index)
             yield path, verdict

@@ -17,7 +17,7 @@ from factory.scenes.cached import mark_as_last, package_name, recall_package, re
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.stage_file import require_stage
-from factory.scenes.target_list import TargetList, load_target_list
+from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import UsageError
 from schemas.scene import SCENE_FORMAT, encode_scene

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.support.numpy_types import Floats
 from schemas.terms import COLOUR_NAMES
 
 __all__ = ["dominant_name", "lab_of", "linear_of", "name_indices", "srgb_of"]
@@ -32,8 +33,6 @@ _NEUTRAL_VOTE = 0.5
 """What a sample of black, gray or white counts: a blue chair on a black base is a blue chair."""
 _BLACK_BELOW = 30.0
 """Lightness under which a colour without chroma is called black: charcoal is, once a room's light falls on it."""
-
-Floats = NDArray[np.float64]
 
 
 def linear_of(srgb: ArrayLike) -> Floats:

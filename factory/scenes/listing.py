@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from factory.scenes.importer import Part
 from factory.scenes.importer.targets import Candidate
-from factory.scenes.reach import SEE_RANGE_M, Terrain, is_reachable, ring_tiers
+from factory.scenes.navigation.reach import SEE_RANGE_M, Terrain, is_reachable, ring_tiers
 from factory.scenes.shade import target_colour
 from factory.scenes.textures import TextureBook
 from schemas.scene import Target

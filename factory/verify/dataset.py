@@ -17,11 +17,11 @@ from pydantic import ValidationError
 
 from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import SceneEntry, read_entry
-from coordinator.expansion.draw import cells
+from coordinator.expansion.cells import cells
 from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
 from factory.dataset.reader import Dataset
-from factory.scenes.target_list import list_file_name
+from factory.scenes.targets.target_list import list_file_name
 from factory.verify.episode import EpisodeCheck, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from schemas.dataset import EpisodeSummary

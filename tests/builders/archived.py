@@ -12,7 +12,7 @@ from coordinator.expansion.draw import to_job
 from coordinator.ledger import outcomes
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import ledger_url_of, planned_of
-from coordinator.recovery.mend import RepairInput
+from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.tables.checkpoint import write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from schemas.dataset import summary_of

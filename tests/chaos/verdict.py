@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 
 from coordinator.gateway.gather import gather
-from coordinator.recovery.mend import RepairInput, repair
+from coordinator.recovery.repair_dataset import RepairInput, repair
 from coordinator.validation.validator import Validator
 from schemas.encoding.digest import dataset_digest
 from tests.builders.ledger import room_catalog, room_plan

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from coordinator.expansion.file import load_plan
 from coordinator.protocol.protocol import parse
-from coordinator.protocol.relay_desk import RELAY_MESSAGES
+from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.tables.table_reader import read_column, read_failed_attempts
 from coordinator.validation.validator import ValidationTask
 from coordinator.validation.validator_child import judge

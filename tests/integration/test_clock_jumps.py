@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from tests.builders.ledger import room_catalog, room_plan
@@ -38,13 +39,16 @@ def running(folder: Path, clock: SetClock, lease_ttl_s: float) -> Iterator[Coord
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1, lease_ttl_s=lease_ttl_s, sweep_s=0.05)
     catalog = room_catalog(folder)
     with Coordinator(
-        folder / "out", room_plan(1), catalog, ("tcp/127.0.0.1:0",), settings=settings, clock=clock
+        folder / "out",
+        room_plan(1),
+        catalog,
+        CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings, clock=clock),
     ) as hub:
         yield hub
 
 
 def expiries(folder: Path) -> int:
-    with look_into(f"sqlite:///{folder / 'out' / 'ledger.db'}") as ledger:
+    with open_ledger(f"sqlite:///{folder / 'out' / 'ledger.db'}") as ledger:
         return len(ledger.execute(select(events.c.at).where(events.c.event == Event.EXPIRED)).all())
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from structlog.testing import capture_logs
 
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from tests.builders.ledger import room_catalog, room_plan
@@ -23,14 +24,19 @@ def test_tables_that_cannot_be_written_are_told_once_and_written_when_they_can_b
     obstacle.mkdir(parents=True)
     with (
         capture_logs() as lines,
-        Coordinator(root, room_plan(1), room_catalog(tmp_path), ("tcp/127.0.0.1:0",), settings=settings),
+        Coordinator(
+            root,
+            room_plan(1),
+            room_catalog(tmp_path),
+            CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings),
+        ),
     ):
-        until(lambda: any(line["event"] == "chore_failed" for line in lines))
+        until(lambda: any(line["event"] == "periodic_task_failed" for line in lines))
         threading.Event().wait(ENOUGH_S)
         obstacle.rmdir()
         obstacle.parent.rmdir()
-        until(lambda: any(line["event"] == "chore_failed_recovered" for line in lines))
-    told = [line for line in lines if line["event"] == "chore_failed"]
+        until(lambda: any(line["event"] == "periodic_task_failed_recovered" for line in lines))
+    told = [line for line in lines if line["event"] == "periodic_task_failed"]
     assert len(told) == 1
     assert "exc_info" not in told[0]
     assert "metadata.parquet" in told[0]["error"]

@@ -26,7 +26,7 @@ from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
 from factory.export.registry import find_exporter
 from factory.export.run import ExportOrder, run_export
-from factory.export.vlnce_episode import from_habitat
+from factory.export.vlnce.episode import from_habitat
 from schemas.scene import decode_scene
 from schemas.terms import Split
 from tests.builders.dataset import NOW, archive_episode, episode_of, office_package

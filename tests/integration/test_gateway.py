@@ -12,10 +12,11 @@ from sqlalchemy import select
 
 from coordinator.gateway.gather import GatherReport, gather
 from coordinator.gateway.service import Gateway
-from coordinator.ledger.keepers import all_keepers
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.gateway_episodes import gateways_by_episode
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.tables import events
-from coordinator.recovery.mend import RepairInput
+from coordinator.options import CoordinatorOptions
+from coordinator.recovery.repair_dataset import RepairInput
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
@@ -64,7 +65,12 @@ class Site:
     def open_core(self) -> Coordinator:
         plan, catalog = room_plan(EPISODES), room_catalog(self.folder)
         self.core = self._stack.enter_context(
-            Coordinator(self.folder / "out", plan, catalog, (self.endpoint,), settings=SETTINGS, checker=self.checker)
+            Coordinator(
+                self.folder / "out",
+                plan,
+                catalog,
+                CoordinatorOptions(listen=(self.endpoint,), settings=SETTINGS, checker=self.checker),
+            )
         )
         return self.core
 
@@ -85,8 +91,8 @@ class Site:
         return gather(patient, sources, datetime.now(UTC), requeue_missing=requeue_missing)
 
     def keepers(self) -> dict[int, str]:
-        with look_into(self.url) as ledger:
-            return dict(all_keepers(ledger))
+        with open_ledger(self.url) as ledger:
+            return dict(gateways_by_episode(ledger))
 
     def files(self, name: str) -> list[str]:
         return sorted(path.name for path in (self.folder / name / "episodes").iterdir())
@@ -269,7 +275,7 @@ def test_two_who_pull_one_bundle_end_with_one_owner(site):
         until(lambda: site.core.progress().jobs["archived"] == number)  # noqa: B023 - waited for within the round
     worker.close()
     until(lambda: len(site.files("out")) + len(site.files("gw1")) == EPISODES)  # the loser takes its copy away
-    with look_into(site.url) as ledger:
+    with open_ledger(site.url) as ledger:
         archived = [row.job_id for row in ledger.execute(select(events.c.job_id).where(events.c.event == "archived"))]
     assert len(archived) == len(set(archived)) == EPISODES
     assert site.core.progress().by_gateway.get("gw1", 0) == len(site.files("gw1"))

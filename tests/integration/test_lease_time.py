@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from tests.builders.ledger import room_catalog, room_plan
@@ -22,7 +23,7 @@ LATE_S = 1.0
 
 
 class SweptClock:
-    """Time that passes by one pause of the housekeeper's with each look at the ledger, and not otherwise."""
+    """Clock that advances by one pause of the periodic tasks with each read, and not otherwise."""
 
     def __init__(self, pause_s: float) -> None:
         self._now, self._pause = datetime(2026, 1, 2, tzinfo=UTC), timedelta(seconds=pause_s)
@@ -34,7 +35,7 @@ class SweptClock:
 
 
 def times_of(url: str, event: Event) -> list[float]:
-    with look_into(url) as ledger:
+    with open_ledger(url) as ledger:
         return [row.at for row in ledger.execute(select(events.c.at).where(events.c.event == event))]
 
 
@@ -48,10 +49,9 @@ def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path
         tmp_path / "out",
         room_plan(1),
         room_catalog(tmp_path),
-        ("tcp/127.0.0.1:0",),
-        settings=settings,
-        clock=clock,
-        elapsed=lambda: clock().timestamp(),
+        CoordinatorOptions(
+            listen=("tcp/127.0.0.1:0",), settings=settings, clock=clock, elapsed=lambda: clock().timestamp()
+        ),
     ) as hub:
         with WireWorker(hub.endpoints, hub.run) as worker:
             worker.job()
@@ -83,10 +83,9 @@ def test_a_live_worker_holds_a_job_no_longer_than_the_limit(tmp_path: Path, hold
         tmp_path / "out",
         room_plan(1),
         room_catalog(tmp_path),
-        ("tcp/127.0.0.1:0",),
-        settings=settings,
-        clock=clock,
-        elapsed=lambda: clock().timestamp(),
+        CoordinatorOptions(
+            listen=("tcp/127.0.0.1:0",), settings=settings, clock=clock, elapsed=lambda: clock().timestamp()
+        ),
     ) as hub:
         with WireWorker(hub.endpoints, hub.run) as worker:
             _, lease = worker.job()

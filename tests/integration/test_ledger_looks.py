@@ -12,7 +12,7 @@ from sqlalchemy.engine import Engine
 from coordinator.archive.staging import Staging
 from coordinator.ledger.engine import open_writer, sqlite_url
 from coordinator.ledger.opening import open_run
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, count_jobs
 from coordinator.ledger.workers import note_alive
 from factory.dataset.site import site_of
@@ -57,7 +57,7 @@ def test_a_look_beside_a_running_coordinator_sees_what_it_has_committed(data: Pa
         with engine.begin() as connection:
             note_alive(connection, "worker-2", "host", datetime.now(UTC))
         assert {worker.sid for worker in progress_of(site_of(str(data))).workers} == {"worker-1", "worker-2"}
-        with look_into(sqlite_url(data / "ledger.db")) as connection:
+        with open_ledger(sqlite_url(data / "ledger.db")) as connection:
             assert count_jobs(connection, JobFilter()) == 2
         assert ledger_files(data) == before
     finally:

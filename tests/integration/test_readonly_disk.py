@@ -13,7 +13,7 @@ import pytest
 
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import open_run, read_info
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from schemas.errors import WorldError
 from tests.builders.ledger import room_catalog, room_plan
 
@@ -41,7 +41,7 @@ def test_a_ledger_on_a_disk_that_is_not_written_to_is_read(disk: Path, tmp_path:
     engine.dispose()
     protect(disk)
     assert [path.name for path in disk.iterdir()] == ["ledger.db"]
-    with look_into(url) as ledger:
+    with open_ledger(url) as ledger:
         assert read_info(ledger).run == plan.run
 
 
@@ -56,5 +56,5 @@ def test_a_log_that_cannot_be_read_there_is_not_passed_over(disk: Path) -> None:
         shutil.copy(disk / name, killed / name)
     writer.close()
     protect(disk)
-    with pytest.raises(WorldError, match="cannot be read"), look_into(f"sqlite:///{killed / 'ledger.db'}"):
+    with pytest.raises(WorldError, match="cannot be read"), open_ledger(f"sqlite:///{killed / 'ledger.db'}"):
         pass

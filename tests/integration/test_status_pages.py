@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.status.address import HttpAddress, is_own_name, parse_address
@@ -33,13 +34,15 @@ TOKEN = "0123456789abcdef"
 def opened(tmp_path: Path) -> Iterator[Coordinator]:
     settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0)
     endpoint = ("tcp/127.0.0.1:0",)
-    with Coordinator(tmp_path / "out", room_plan(2), room_catalog(tmp_path), endpoint, settings=settings) as running:
+    with Coordinator(
+        tmp_path / "out", room_plan(2), room_catalog(tmp_path), CoordinatorOptions(listen=endpoint, settings=settings)
+    ) as running:
         yield running
 
 
 @pytest.fixture
 def server(opened: Coordinator) -> Iterator[StatusServer]:
-    with StatusServer(LOOPBACK, opened.vitals) as serving:
+    with StatusServer(LOOPBACK, opened.health) as serving:
         yield serving
 
 
@@ -108,8 +111,10 @@ def test_figures_follow_the_run(opened, server):
 
 
 def test_a_closed_coordinator_is_neither_healthy_nor_ready(tmp_path):
-    coordinator = Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ("tcp/127.0.0.1:0",))
-    with StatusServer(LOOPBACK, coordinator.vitals) as server:
+    coordinator = Coordinator(
+        tmp_path / "out", room_plan(1), room_catalog(tmp_path), CoordinatorOptions(listen=("tcp/127.0.0.1:0",))
+    )
+    with StatusServer(LOOPBACK, coordinator.health) as server:
         coordinator.close()
         assert ask(server, "/healthz")[0] == 503
         status, text = ask(server, "/readyz")
@@ -126,7 +131,7 @@ def test_anything_else_is_refused(server, method, path, status):
 
 
 def test_figures_behind_a_token_are_shown_to_its_owner_only_and_health_to_everybody(opened):
-    with StatusServer(LOOPBACK, opened.vitals, TOKEN) as server:
+    with StatusServer(LOOPBACK, opened.health, TOKEN) as server:
         assert ask(server, "/metrics")[0] == 401
         assert ask(server, "/metrics?token=x")[0] == 401
         assert ask(server, "/metrics", Authorization="Bearer 0123456789abcdeF")[0] == 401
@@ -243,7 +248,7 @@ def test_many_who_ask_at_once_are_all_answered_or_turned_away(server):
 def test_a_taken_address_is_named(opened, server):
     port = int(server.url.rpartition(":")[2])
     with pytest.raises(WorldError, match=f"127.0.0.1:{port}"):
-        StatusServer(HttpAddress("127.0.0.1", port), opened.vitals)
+        StatusServer(HttpAddress("127.0.0.1", port), opened.health)
 
 
 @pytest.mark.parametrize("text", ["127.0.0.1:9464", "localhost:0", "[::1]:80"])

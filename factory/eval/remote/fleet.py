@@ -12,17 +12,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from coordinator.clock import utc_now
 from coordinator.expansion.evaluation import EvalJobs
 from coordinator.ledger import operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
-from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.reading.reader import open_ledger
 from coordinator.ledger.reading.records import JobFilter, list_jobs
 from coordinator.ledger.states import JobState
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.ask import ask_presence
 from coordinator.protocol.tls import Guard
-from coordinator.service import Coordinator, utc_now
+from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.eval.process.run import Pace
 from factory.eval.remote.intake import Intake
@@ -97,12 +99,14 @@ def run_fleet(
         root,
         run_plan,
         catalog,
-        door.listen,
-        settings=_SETTINGS,
-        guard=door.guard,
-        checker=ResultJudge(tasks),
-        evaluation=evaluation,
-        connect=door.connect,
+        CoordinatorOptions(
+            listen=door.listen,
+            settings=_SETTINGS,
+            guard=door.guard,
+            checker=ResultJudge(tasks),
+            evaluation=evaluation,
+            connect=door.connect,
+        ),
     ) as coordinator:
         door.tell(coordinator.endpoints)
         is_over = False
@@ -110,7 +114,7 @@ def run_fleet(
             is_over = coordinator.wait(_POLL_S, stop)
             intake.take(root)
         if is_over:
-            coordinator.see_off(stop)
+            coordinator.wait_for_departures(stop)
     if is_over:
         _require_whole(root, store)
         shutil.rmtree(root, ignore_errors=True)  # all of it stands in the results
@@ -141,7 +145,7 @@ def _try_failed_again(root: Path) -> None:
 
 
 def _require_whole(root: Path, store: Store) -> None:
-    with look_into(ledger_url_of(root)) as connection:
+    with open_ledger(ledger_url_of(root)) as connection:
         failed = list_jobs(connection, JobFilter(states=(JobState.FAILED,)), limit=_NAMED)
     if failed:
         reasons = "\n".join(f"  - {job.episode.target_id} in {job.episode.scene}: {job.reason}" for job in failed)

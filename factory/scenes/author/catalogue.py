@@ -22,8 +22,9 @@ from factory.scenes.author import (
     props_storage,
     props_wall,
 )
-from factory.scenes.author.geometry import Floats, bounds
+from factory.scenes.author.geometry import bounds
 from factory.scenes.author.materials import PropPiece
+from schemas.support.numpy_types import Floats
 
 __all__ = ["CATALOGUE", "CatalogueEntry", "PropModel", "Workshop"]
 

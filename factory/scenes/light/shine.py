@@ -7,13 +7,13 @@ so that light runs smoothly over small pieces. No chance is involved.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factory.scenes.light.charts import number_rows
 from factory.scenes.light.lamps import Lamps, light_from, nearest_lamps
 from factory.scenes.light.rays import Caster
 from factory.scenes.light.texels import PATTERN_SIDE, Texels
 from schemas.support import portable
+from schemas.support.numpy_types import Bools, Floats, Ints, Singles
 
 __all__ = ["Rays", "lamp_light", "sky_light"]
 
@@ -24,10 +24,6 @@ _HIDDEN_SHARE = 0.35
 _CHUNK = 1 << 13
 """Texels at a time: what is held for each of them stays in the processor's cache."""
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Rays = tuple[int, int]
 """How many rays a flat and a bent texel cast."""
 

@@ -14,7 +14,7 @@ import coordinator.protocol.relay
 import schemas.wire
 from coordinator.protocol.protocol import ParsedRequest, parse
 from coordinator.protocol.relay import MAX_FILES, Duty, Inventory, Refused
-from coordinator.protocol.relay_desk import RELAY_MESSAGES
+from coordinator.protocol.relay_handlers import RELAY_MESSAGES
 from coordinator.validation.validator import Verdict
 from schemas.base import MAX_COUNT, MAX_ROWS, Model
 from schemas.episode import EpisodeMeta

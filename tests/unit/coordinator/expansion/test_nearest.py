@@ -13,7 +13,7 @@ from coordinator.expansion.cells import cells
 from coordinator.expansion.draw import expand, find_impossible
 from coordinator.expansion.file import load_plan
 from coordinator.expansion.nearest import find_nearest
-from coordinator.expansion.spelling import spell_plan
+from coordinator.expansion.plan_toml import plan_to_toml
 from schemas.config import SpawnConfig
 from schemas.plan import Budget, Plan, ScenePlan
 from schemas.terms import ExpertName, Split, Tier
@@ -129,7 +129,7 @@ def own_plan() -> Plan:
 @pytest.mark.parametrize("plan", [*BUILTIN_PLANS.values(), own_plan()], ids=lambda plan: plan.name)
 def test_a_plan_spelled_as_toml_is_read_back_as_the_same(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
-    path.write_text(spell_plan(plan))
+    path.write_text(plan_to_toml(plan))
     assert load_plan(str(path)) == plan
     assert load_plan(str(path)).digest == plan.digest
 
@@ -139,5 +139,5 @@ def test_a_path_with_any_sign_is_read_back_from_the_toml_of_a_plan(sign: str, tm
     plan = own_plan()
     named = plan.scenes[1].model_copy(update={"usd": f"/data/lab{sign}1.usda"})
     path = tmp_path / "plan.toml"
-    path.write_text(spell_plan(plan.model_copy(update={"scenes": (plan.scenes[0], named)})), encoding="utf-8")
+    path.write_text(plan_to_toml(plan.model_copy(update={"scenes": (plan.scenes[0], named)})), encoding="utf-8")
     assert load_plan(str(path)).scenes[1].usd == named.usd

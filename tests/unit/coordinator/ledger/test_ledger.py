@@ -449,7 +449,7 @@ def test_a_lease_belongs_to_the_host_that_claimed_it(desk):
 def test_sessions_are_bounded_and_silent_ones_make_room(desk, monkeypatch):
     def hello(host: str, number: int) -> bool:
         with desk.open() as connection:
-            return workers.introduce(
+            return workers.register(
                 connection, Hello(sid=f"{host}.{number}", host=host, slots=1, version="1"), desk.now
             )
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factory.export.mcap_messages import OPTICAL_FROM_BASE, calibration, measured_twists, stamp_of
+from factory.export.mcap.messages import OPTICAL_FROM_BASE, calibration, measured_twists, stamp_of
 from schemas.config import CameraConfig
 from workers.geometry.camera import intrinsics, optical_pose
 from workers.geometry.pose import Pose

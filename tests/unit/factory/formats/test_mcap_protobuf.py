@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from factory.export.mcap_messages import TOPICS
-from factory.export.mcap_protobuf import descriptor_set, encode
+from factory.export.mcap.messages import TOPICS
+from factory.export.mcap.protobuf import descriptor_set, encode
 
 GOLDEN = [
     (

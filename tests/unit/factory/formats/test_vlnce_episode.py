@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from factory.export.vlnce_episode import (
+from factory.export.vlnce.episode import (
     from_habitat,
     rotation_of,
     thin_track,

@@ -9,7 +9,7 @@ import pytest
 
 from coordinator.expansion.draw import find_impossible
 from coordinator.expansion.file import load_plan
-from coordinator.expansion.spelling import spell_plan
+from coordinator.expansion.plan_toml import plan_to_toml
 from factory.runs.first_plan import draft_plan
 from schemas.terms import Split, Tier
 from tests.builders.catalog import make_entry, make_target
@@ -32,7 +32,7 @@ def test_a_first_plan_is_possible(
     plan = draft_plan(entry, "/data/lab.usda", targets="/data/targets_lab.yaml")
     assert plan is not None
     file = tmp_path / "lab.toml"
-    file.write_text(spell_plan(plan))
+    file.write_text(plan_to_toml(plan))
     assert load_plan(str(file)) == plan
     assert find_impossible(plan, {"lab": entry}) == []
     (scene,) = plan.scenes

@@ -11,7 +11,7 @@ import yaml
 
 from coordinator.expansion.file import parse_plan
 from factory.scenes.rules import load_rules
-from factory.scenes.target_list import TargetEntry
+from factory.scenes.targets.target_list import TargetEntry
 from tests.builders.pages import ROOT, blocks, parse_line
 
 PAGE = ROOT / "docs" / "scenes" / "own.md"

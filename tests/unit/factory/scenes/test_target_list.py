@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from factory.scenes.compile import compile_stage
-from factory.scenes.target_list import TargetList, load_target_list, spell_target_list
+from factory.scenes.targets.target_list import TargetList, load_target_list, spell_target_list
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene
 from tests.builders.stage import StageText, room_body

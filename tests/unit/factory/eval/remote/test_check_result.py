@@ -135,7 +135,7 @@ def test_a_good_bundle_gets_a_receipt_that_clocks_do_not_change(tmp_path: Path) 
 
 
 def test_bundles_that_are_none_or_answer_something_else_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidBundle, match="no readable zip"):
+    with pytest.raises(InvalidBundle, match="not a readable zip"):
         judged(tmp_path, b"rubbish")
     with pytest.raises(InvalidBundle, match=r"spl is 0\.5"):
         judged(tmp_path, bundle_of(arrived(spl=0.5)))

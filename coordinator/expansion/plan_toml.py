@@ -1,0 +1,19 @@
+"""Serialises a plan as TOML, which `coordinator.expansion.file` parses into the same plan. Writes no file."""
+
+from __future__ import annotations
+
+import tomli_w
+
+from schemas.plan import Plan
+
+__all__ = ["plan_to_toml"]
+
+
+def plan_to_toml(plan: Plan) -> str:
+    """Returns the plan as TOML. Values that equal their default are omitted, except the shares."""
+    shares = {"tiers", "splits"}
+    data = plan.model_dump(mode="json", exclude_defaults=True, exclude_none=True, exclude=shares)
+    scenes = data.pop("scenes")
+    data |= plan.model_dump(mode="json", include=shares)
+    data["scenes"] = scenes
+    return tomli_w.dumps(data)

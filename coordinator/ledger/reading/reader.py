@@ -1,0 +1,61 @@
+"""Opens a ledger read-only and converts database errors. Does not write and needs no coordinator."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from sqlalchemy.engine import Connection
+from sqlalchemy.exc import DatabaseError
+
+from coordinator.ledger.engine import open_reader, shown_url
+from coordinator.ledger.reading.audit import ledger_trouble
+from schemas.errors import FactoryError, WorldError
+
+__all__ = ["Connection", "open_ledger", "require_sound", "translate_damage"]
+
+_REMEDY = "`factory repair` rebuilds it from the episodes"
+
+
+@contextmanager
+def open_ledger(url: str) -> Iterator[Connection]:
+    """Opens a ledger read-only; a context manager that yields the connection.
+
+    Raises:
+        WorldError: the ledger does not exist, or data read in the block are damaged.
+    """
+    engine = open_reader(url)
+    try:
+        with translate_damage(url), engine.connect() as connection:
+            yield connection
+    finally:
+        engine.dispose()
+
+
+@contextmanager
+def translate_damage(url: str) -> Iterator[None]:
+    """Converts exceptions of the block to `WorldError` if the ledger is damaged; other exceptions are re-raised.
+
+    An exception with an intact ledger is an error in the software, so the function audits the ledger first.
+    """
+    try:
+        yield
+    except DatabaseError as error:
+        raise WorldError(f"the ledger {shown_url(url)} cannot be read: {error.orig}; {_REMEDY}") from error
+    except FactoryError:
+        raise
+    except Exception as error:
+        require_sound(url, error)
+        raise
+
+
+def require_sound(url: str, cause: Exception | None = None) -> None:
+    """Checks that a ledger is intact.
+
+    Raises:
+        WorldError: the ledger is damaged; the message describes the damage.
+        UsageError: the ledger has a newer format.
+    """
+    trouble = ledger_trouble(url)
+    if trouble:
+        raise WorldError(f"the ledger {shown_url(url)} {trouble}; {_REMEDY}") from cause

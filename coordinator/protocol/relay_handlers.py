@@ -1,0 +1,198 @@
+"""Implements the requests of gateways as fenced operations on the ledger. Does not use zenoh.
+
+This is the counterpart of `protocol` for gateways. A gateway may record what the core's own pullers record, and reports
+the files that it stores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime
+from types import MappingProxyType
+from typing import Any
+
+from sqlalchemy import bindparam, select
+from sqlalchemy.engine import Connection
+
+from coordinator.archive.difference import ListedFile, describe_difference
+from coordinator.expansion.draw import to_job
+from coordinator.ledger import claims, gateway_episodes, outcomes
+from coordinator.ledger.moves import JobRow
+from coordinator.ledger.opening import planned_of
+from coordinator.ledger.repair import current_job, record_whole
+from coordinator.ledger.states import OPEN_STATES, JobState
+from coordinator.ledger.tables import jobs
+from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Pull, Terms, fail_attempt
+from coordinator.protocol.relay import (
+    MAX_LOST,
+    Archived,
+    Duty,
+    Hold,
+    Inventory,
+    InventoryReply,
+    Join,
+    JoinReply,
+    Orders,
+    Refused,
+    RelayOrder,
+    Stray,
+)
+from schemas.base import Model
+from schemas.dataset import EpisodeSummary, file_name_of
+from schemas.keys import Verb
+from schemas.terms import FailReason
+from schemas.wire import Ack, Fail, Refusal, cut_detail
+
+__all__ = ["RELAY_MESSAGES", "orders_for", "serve_gateway"]
+
+Handler = Callable[[Connection, Any, str, Terms, datetime], Model]
+_OF_THE_JOB = (
+    *("split", "scene", "instruction", "target_id", "template_id", "colour", "expert"),
+    *("scene_sha256", "plan_digest", "run"),
+)
+"""Fields that an episode's row copies from its job under the same name."""
+_MOST_AHEAD = 10_000
+"""Maximum number of attempts that a file may be ahead of a rebuilt ledger."""
+_DRAW = select(jobs).where(jobs.c.idx == bindparam("index"), jobs.c.draw == bindparam("of_draw"))
+_CURRENT = select(jobs).where(jobs.c.idx.in_(bindparam("indices", expanding=True)), jobs.c.superseded.is_(False))
+
+
+def serve_gateway(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:
+    """Executes a request of a gateway within the caller's transaction."""
+    return ProtocolAnswer(_HANDLERS[type(request.message)](connection, request.message, request.host, terms, now))
+
+
+def orders_for(pulls: tuple[Pull, ...]) -> Orders:
+    """Returns the message with the orders of a gateway."""
+    return Orders(
+        orders=tuple(
+            RelayOrder(lease=p.lease, sid=p.sid, sha256=p.sha256, size=p.size, job=p.job, target=p.target)
+            for p in pulls
+        )
+    )
+
+
+def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: datetime) -> Model:  # noqa: ARG001
+    if join.version != terms.version:
+        return Refusal(
+            error=f"gateway {gateway} runs minivla-factory {join.version}, the coordinator {terms.version}: install "
+            "the same version on both"
+        )
+    if terms.evaluation is not None:
+        return Refusal(error="gateways do not store the results of evaluations: connect the workers to the coordinator")
+    return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)
+
+
+def _hold(connection: Connection, hold: Hold, gateway: str, terms: Terms, now: datetime) -> Model:  # noqa: ARG001
+    return Ack(accepted=claims.extend(connection, hold.lease, now, hold.seconds))
+
+
+def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms, now: datetime) -> Model:
+    summary = told.summary
+    row = connection.execute(_DRAW, {"index": summary.index, "of_draw": summary.draw}).first()
+    if row is None:
+        return Ack(accepted=False)
+    wrong = _contradictions(row, summary, terms)
+    if wrong:
+        return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
+    if gateway_episodes.is_recorded_at_gateway(connection, summary.index, gateway, summary.file_sha256):
+        return Ack(accepted=True)  # a repeated request whose reply was lost
+    if told.lease is not None:
+        accepted = outcomes.archive(connection, told.lease, summary, now)
+    else:
+        accepted = _adopt(connection, summary, terms, now)
+    if accepted:
+        gateway_episodes.record_at_gateway(connection, summary.index, gateway)
+    return Ack(accepted=accepted)
+
+
+def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[str]:
+    """Returns the fields in which a reported episode differs from its job."""
+    job = to_job(terms.plan, terms.catalog, planned_of(row), summary.attempt)
+    wanted = {
+        "episode_id": job.episode_id,
+        "file_name": file_name_of(job.episode_id),
+        "target_category": job.category,
+        "spawn_tier": job.tier,
+    } | {name: getattr(job, name) for name in _OF_THE_JOB}
+    wrong = [name for name, value in wanted.items() if getattr(summary, name) != value]
+    return wrong if summary.attempt <= row.attempt + _MOST_AHEAD else [*wrong, "attempt"]
+
+
+def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: datetime) -> bool:
+    """Records a file that was published before a crash of its gateway or of the core, if the job is open.
+
+    A rebuilt ledger may be at an earlier attempt than the file.
+    """
+    row = current_job(connection, summary.index)
+    if row is None or row.state not in OPEN_STATES or row.draw != summary.draw or row.attempt > summary.attempt:
+        return False
+    if row.state == JobState.SUBMITTED and row.sha256 == summary.file_sha256:
+        return outcomes.adopt(connection, row.id, summary, now)
+    at = (summary.draw, summary.attempt)
+    return record_whole(connection, terms.plan, terms.catalog, summary, now, at) == ""
+
+
+def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, now: datetime) -> Model:
+    report = Fail(
+        sid=told.sid,
+        lease=told.lease,
+        reason=FailReason.INVALID,
+        detail=cut_detail(f"at gateway {gateway}: {told.detail}"),
+    )
+    return Ack(accepted=fail_attempt(connection, report, terms, now))
+
+
+def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
+    if told.is_new and (kept := gateway_episodes.count_by_gateway(connection).get(gateway)):
+        return Refusal(
+            error=f"the ledger has {kept} episodes at gateway {gateway}, but the gateway's directory is new: "
+            "give its former --out, or another --name; lost episodes are generated again after "
+            "`factory gather CORE_DIR --requeue-missing`"
+        )
+    files = {index: ListedFile(size) for index, size in told.files if told.first <= index <= told.last}
+    owned, wrong = set(), {}
+    for index, record in gateway_episodes.records_of_gateway(connection, gateway, told.first, told.last):
+        owned.add(index)
+        if why := describe_difference(files.get(index), record):
+            wrong[index] = why
+        if len(wrong) == MAX_LOST:
+            break
+    for index, why in wrong.items():
+        outcomes.lose(connection, index, now, f"at gateway {gateway}: {why}")
+    if len(wrong) == MAX_LOST:
+        return InventoryReply(lost=tuple(wrong))
+    strays = tuple(_strays(connection, files.keys() - owned, terms))
+    strays += tuple(Stray(index=index, why=why) for index, why in wrong.items() if index in files)
+    return InventoryReply(strays=strays, lost=tuple(wrong))
+
+
+def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator[Stray]:
+    rows = {row.idx: row for row in connection.execute(_CURRENT, {"indices": sorted(indices)})} if indices else {}
+    for index in sorted(indices):
+        row = rows.get(index)
+        if row is None:
+            yield Stray(index=index, why="the plan has no such episode")
+        elif row.state not in OPEN_STATES:
+            yield Stray(index=index, why=f"the ledger expects no file of it (its job is {row.state})")
+        else:
+            job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
+            target = terms.catalog[job.scene].info.target(job.target_id)
+            yield Stray(index=index, why=f"its job is {row.state}", job=job, target=target)
+
+
+RELAY_MESSAGES: Mapping[Verb, type[Model]] = MappingProxyType(
+    {
+        Verb.JOIN: Join,
+        Verb.ORDERS: Duty,
+        Verb.HOLD: Hold,
+        Verb.ARCHIVED: Archived,
+        Verb.REFUSED: Refused,
+        Verb.INVENTORY: Inventory,
+    }
+)
+"""Message type by verb of a gateway; the reply to `orders` does not need the ledger."""
+
+_HANDLERS: Mapping[type[Model], Handler] = MappingProxyType(
+    {Join: _join, Hold: _hold, Archived: _archived, Refused: _refused, Inventory: _inventory}
+)

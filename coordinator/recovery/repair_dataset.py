@@ -1,0 +1,237 @@
+"""Repairs a dataset without a running coordinator: adopts, quarantines and requeues episodes, rebuilds the ledger.
+
+The module does not delete files that could be episodes or ledgers: it moves them to `quarantine/` and writes the reason
+beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from sqlalchemy import Engine
+from sqlalchemy.engine import Connection
+
+from coordinator.archive.contract import Archive
+from coordinator.archive.opening import open_archive
+from coordinator.expansion.catalog import Catalog
+from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.opening import holds_run, open_run, read_info
+from coordinator.ledger.outcomes import lose
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.reading.records import read_summaries
+from coordinator.ledger.repair import record_whole
+from coordinator.recovery.ledger_replacement import quarantine_ledger
+from coordinator.recovery.report import Action, RepairKind, RepairReport
+from coordinator.recovery.survey import ProgressCallback, Survey, survey_archive
+from coordinator.recovery.table_records import restore_failures
+from coordinator.tables.checkpoint import read_failures, write_checkpoint
+from coordinator.tables.split_faults import find_faults
+from coordinator.tables.split_tables import write_split_tables
+from coordinator.tables.table_reader import read_column
+from coordinator.transfer.puller import Checker
+from schemas.dataset import EpisodeSummary
+from schemas.dataset_files import ATTEMPTS_FILE, CARD_FILE, META_FILE, METADATA_FILE
+from schemas.dataset_meta import read_dataset_meta
+from schemas.errors import ArchiveCorrupt, WorldError
+from schemas.job import episode_id
+from schemas.plan import Plan
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place, relative_name
+
+__all__ = ["RepairInput", "repair"]
+
+_LEASE_TTL_S = 15.0
+_LISTED_CHARS = 500
+
+
+@dataclass(frozen=True)
+class RepairInput:
+    """Dataset to repair, with its plan and scenes."""
+
+    root: Place
+    """Root of the dataset."""
+    home: Path
+    """Directory of the dataset; for object storage the directory of its ledger, part files and lock."""
+    url: str
+    """URL of the ledger."""
+    plan: Plan
+    """Plan of the run."""
+    catalog: Catalog
+    """Compiled scenes of the plan; the packages of scenes in `scenes` are stored outside the dataset."""
+    scenes: Mapping[str, str]
+    """Mapping of scene name to the reason why its package in the dataset is unusable."""
+    stranger: str = ""
+    """Reason why the ledger belongs to another dataset; empty if it belongs to this dataset or is lost."""
+
+
+def repair(
+    dataset: RepairInput,
+    checker: Checker,
+    now: datetime,
+    *,
+    apply: bool,
+    take_over: bool = False,
+    on_progress: ProgressCallback = lambda _done, _all: None,
+) -> RepairReport:
+    """Finds faults of a dataset and, with `apply`, repairs them.
+
+    Args:
+        dataset: dataset to repair.
+        checker: validator of files to adopt.
+        now: time of the repair.
+        apply: whether to apply the actions; otherwise the dataset is not changed.
+        take_over: whether to take over a dataset in object storage from a home whose coordinator has ended for good.
+        on_progress: progress callback with the number of examined episodes and the total.
+
+    Raises:
+        WorldError: a coordinator holds the dataset, or the disk cannot be written.
+        UsageError: the ledger belongs to another plan.
+    """
+    with ExitStack() as stack:
+        archive = stack.enter_context(_open(dataset, take_over)) if apply else None
+        trouble = dataset.stranger or ledger_trouble(dataset.url, dataset.catalog)
+        with _reading(dataset.url, trouble) as ledger:
+            survey = survey_archive(dataset.root, dataset.plan, dataset.catalog, ledger, checker, on_progress)
+            actions = [*_of_ledger(trouble), *_of_scenes(dataset), *_of(dataset.root, survey)]
+            actions += _of_tables(dataset, ledger, changes=bool(survey.adopt or survey.restore or survey.requeue))
+        if archive is not None and actions:
+            _apply_actions(dataset, archive, survey, trouble, now)
+        return RepairReport(
+            dataset=str(dataset.root),
+            run=dataset.plan.run,
+            applied=archive is not None,
+            actions=tuple(actions),
+            episodes=survey.whole + len(survey.adopt) + len(survey.restore),
+            planned=dataset.plan.episodes,
+        )
+
+
+def _open(dataset: RepairInput, take_over: bool) -> Archive:
+    store = dataset.root if isinstance(dataset.root, ObjectPath) else None
+    return open_archive(dataset.home, store, take_over=take_over)
+
+
+@contextmanager
+def _reading(url: str, trouble: str) -> Iterator[Connection | None]:
+    if trouble:
+        yield None
+        return
+    engine = open_reader(url)
+    try:
+        with engine.connect() as connection:
+            yield connection
+    finally:
+        engine.dispose()
+
+
+def _of_ledger(trouble: str) -> Iterator[Action]:
+    if trouble:
+        yield Action(kind=RepairKind.REBUILD, what="ledger", why=trouble)
+
+
+def _of_scenes(dataset: RepairInput) -> Iterator[Action]:
+    for name, why in dataset.scenes.items():
+        yield Action(kind=RepairKind.RESTORE, what=f"scene {name}", why=why)
+
+
+def _of(root: Place, survey: Survey) -> Iterator[Action]:
+    for summary in survey.adopt:
+        why = f"whole, draw {summary.draw}, attempt {summary.attempt}, and the ledger does not own it"
+        yield Action(kind=RepairKind.ADOPT, what=summary.file_name, why=why)
+    for path, summary in survey.restore:
+        why = f"a whole episode in quarantine, draw {summary.draw}, attempt {summary.attempt}"
+        yield Action(kind=RepairKind.RESTORE, what=relative_name(path, root), why=why)
+    for path, why in survey.quarantine:
+        yield Action(
+            kind=RepairKind.QUARANTINE, what=relative_name(path, root), why=" ".join(why.split())[:_LISTED_CHARS]
+        )
+    for index, why in survey.requeue:
+        yield Action(kind=RepairKind.REQUEUE, what=episode_id(index), why=why)
+
+
+def _of_tables(dataset: RepairInput, ledger: Connection | None, *, changes: bool) -> Iterator[Action]:
+    """Yields the tables that differ from the ledger, or will differ after the other actions."""
+    for name, why in _table_findings(dataset.root, ledger).items():
+        yield Action(kind=RepairKind.REWRITE, what=name, why=why)
+    if changes and ledger is not None:
+        yield Action(kind=RepairKind.REWRITE, what=METADATA_FILE, why="follows the actions above")
+
+
+def _table_findings(root: Place, ledger: Connection | None) -> dict[str, str]:
+    found: dict[str, str] = {}
+    digests = read_column(root / METADATA_FILE, "content_digest")
+    if isinstance(digests, str):
+        found[METADATA_FILE] = digests
+    elif ledger is not None:
+        owned = [row.content_digest for row in read_summaries(ledger)]
+        if owned != digests:
+            found[METADATA_FILE] = f"{len(digests)} rows that are not the ledger's {len(owned)}"
+    reasons = read_column(root / ATTEMPTS_FILE, "reason")
+    if isinstance(reasons, str):
+        found[ATTEMPTS_FILE] = reasons
+    elif ledger is not None:
+        failed = sum(1 for _ in read_failures(ledger))
+        if failed != len(reasons):
+            found[ATTEMPTS_FILE] = f"{len(reasons)} rows, the ledger has {failed}"
+    try:
+        read_dataset_meta(root)
+    except WorldError as error:
+        found[META_FILE] = str(error)
+    if not (root / CARD_FILE).is_file():
+        found[CARD_FILE] = "is not there"
+    with suppress(ArchiveCorrupt):  # reported above
+        found |= {fault.name: fault.text for fault in find_faults(root, deep=True)}
+    return found
+
+
+def _apply_actions(dataset: RepairInput, archive: Archive, survey: Survey, trouble: str, now: datetime) -> None:
+    """Applies the actions: files first, then the ledger, then the tables. An interrupted repair can be repeated."""
+    for name, why in dataset.scenes.items():
+        path = archive.scene_path(name, dataset.catalog[name].sha256)
+        if path.exists():
+            archive.quarantine(path, why)
+    for name, entry in dataset.catalog.items():
+        archive.add_scene(entry.path, name, entry.sha256)
+    for path, why in survey.quarantine:
+        archive.quarantine(path, why)
+    for path, summary in survey.restore:
+        archive.restore(path, summary.index)
+    if trouble:
+        quarantine_ledger(archive, dataset.url, trouble)
+    engine = open_writer(dataset.url)
+    try:
+        open_run(engine, dataset.plan, dataset.catalog, _lease_ttl_of(engine), now)
+        with engine.begin() as connection:
+            for index, why in survey.requeue:
+                lose(connection, index, now, why)
+        whole = [*survey.adopt, *(summary for _, summary in survey.restore)]
+        restore_failures(
+            engine, dataset.root, dataset.plan, dataset.catalog, now, {summary.index: summary for summary in whole}
+        )
+        for summary in whole:
+            _adopt(engine, dataset, archive, summary, now)
+        with engine.connect() as connection:
+            write_checkpoint(archive, connection, dataset.plan, dataset.catalog, now)
+        write_split_tables(archive, deep=True)
+    finally:
+        engine.dispose()
+
+
+def _adopt(engine: Engine, dataset: RepairInput, archive: Archive, summary: EpisodeSummary, now: datetime) -> None:
+    with engine.begin() as connection:
+        at = (summary.draw, summary.attempt)
+        refusal = record_whole(connection, dataset.plan, dataset.catalog, summary, now, at, replaces=True)
+        if refusal:
+            connection.rollback()
+    if refusal:
+        archive.quarantine(archive.path_of(summary.index), refusal)
+
+
+def _lease_ttl_of(engine: Engine) -> float:
+    """Returns the lease duration in the ledger, so that opening it does not change the duration."""
+    with engine.connect() as connection:
+        return read_info(connection).lease_ttl_s if holds_run(connection) else _LEASE_TTL_S

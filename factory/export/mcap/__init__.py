@@ -1,0 +1,1 @@
+"""Exporter to MCAP, with Foxglove or ROS 2 messages."""

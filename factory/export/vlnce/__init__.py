@@ -1,0 +1,1 @@
+"""Exporter to VLN-CE episodes and scenes."""

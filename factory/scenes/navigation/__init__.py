@@ -1,0 +1,1 @@
+"""Where the robot can stand and drive in a scene."""

@@ -1,0 +1,57 @@
+"""Finds the floor: the height that the robot drives on and the cells that have floor below them.
+
+Pure; never decides what stands on it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from schemas.errors import WorldError
+from schemas.support.numpy_types import Floats
+
+__all__ = ["FLOOR_TOLERANCE_M", "find_floor_height", "floor_triangles"]
+
+FLOOR_TOLERANCE_M = 0.03
+"""How far from the floor's height a surface is still floor, metres."""
+_BIN_M = 0.02
+_MIN_AREA_M2 = 2.0
+_MIN_SHARE = 0.4
+
+
+def _facing_up(triangles: Floats) -> tuple[Floats, Floats]:
+    """Heights and areas of the level, upward triangles; areas of the others are 0."""
+    crosses = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    doubled = np.linalg.norm(crosses, axis=1)
+    level = crosses[:, 2] > 0.98 * doubled
+    return triangles[:, :, 2].mean(axis=1), np.where(level, doubled / 2, 0.0)
+
+
+def find_floor_height(triangles: Floats) -> float:
+    """Returns the floor's height: the lowest level with much of the upward area, metres.
+
+    Args:
+        triangles: (T, 3, 3) all that is visible, world metres.
+
+    Raises:
+        WorldError: nowhere are two square metres of level ground.
+    """
+    heights, areas = _facing_up(triangles)
+    bins = np.floor(heights / _BIN_M).astype(np.int64)
+    levels, owner = np.unique(bins, return_inverse=True)
+    per_level = np.bincount(owner.reshape(-1), weights=areas)
+    largest = float(per_level.max(initial=0.0))
+    if largest < _MIN_AREA_M2:
+        raise WorldError(
+            f"the stage has no floor: the largest level surface has {largest:.2f} m2, a floor needs {_MIN_AREA_M2} m2; "
+            "check the stage's upAxis and metersPerUnit, and that the floor is visible and faces up"
+        )
+    lowest = levels[per_level >= _MIN_SHARE * largest].min()
+    chosen = (bins == lowest) & (areas > 0)
+    return round(float(np.average(heights[chosen], weights=areas[chosen])), 4)
+
+
+def floor_triangles(triangles: Floats, height: float) -> Floats:
+    """Returns the triangles (F, 3, 3) that are floor at a height."""
+    heights, areas = _facing_up(triangles)
+    return triangles[(areas > 0) & (np.abs(heights - height) <= FLOOR_TOLERANCE_M)]

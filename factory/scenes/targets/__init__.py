@@ -1,0 +1,1 @@
+"""The list of a scene's targets and edits of it."""
