@@ -92,7 +92,7 @@ def test_a_process_that_was_ended_may_have_lost_its_poses() -> None:
         ({"instruction": "Stay."}, "instruction is 'Stay.'"),
         ({"geodesic_m": 9.0}, "geodesic_m is 9.0"),
         ({"end": EvalEnd.TIMEOUT}, "success is True"),
-        ({"any_instance": False}, "none at any instance"),
+        ({"any_instance": False}, "success is true, but any_instance is false"),
         ({"num_steps": 1001}, "more than the 1000"),
         ({"final_ne_m": 1.2}, "the radius is 1 m"),
         ({"contact_steps": 122}, "122 steps with contact"),
