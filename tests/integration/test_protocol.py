@@ -294,5 +294,5 @@ def test_a_changed_scene_is_refused(tmp_path):
         pass
     (tmp_path / "other").mkdir()
     changed = room_catalog(tmp_path / "other", seed=1)
-    with pytest.raises(WorldError, match=r"scene 'room' was .* and is .* now"):
+    with pytest.raises(WorldError, match=r"scene 'room' has SHA-256 .*, but had .* when run"):
         Coordinator(out, room_plan(1), changed, CoordinatorOptions(listen=ANY_PORT))
