@@ -6,10 +6,10 @@ Reads datasets through `factory.dataset.reader`; never simulates, never changes 
 from __future__ import annotations
 
 from factory.export.base import EpisodeFacts, Exporter, ExportPiece, Finish, Options
-from factory.export.estimate import ExportEstimate, estimate_export
+from factory.export.execution.estimate import ExportEstimate, estimate_export
+from factory.export.execution.report import ExportReport, Skip
+from factory.export.execution.run import ExportOrder, ExportProgress, run_export
 from factory.export.registry import EXPORTERS, find_exporter
-from factory.export.report import ExportReport, Skip
-from factory.export.run import ExportOrder, ExportProgress, run_export
 
 __all__ = [
     "EXPORTERS",

@@ -23,9 +23,9 @@ EXPORTERS: Mapping[str, str] = MappingProxyType(
         "lerobot": "factory.export.lerobot.v30:LeRobotExporter",
         "lerobot-v2.1": "factory.export.lerobot.v21:LeRobotV21Exporter",
         "webdataset": "factory.export.webdataset:WebdatasetExporter",
-        "mcap": "factory.export.mcap:McapExporter",
+        "mcap": "factory.export.mcap.exporter:McapExporter",
         "gnm": "factory.export.gnm:GnmExporter",
-        "vlnce": "factory.export.vlnce:VlnceExporter",
+        "vlnce": "factory.export.vlnce.exporter:VlnceExporter",
     }
 )
 """Name -> module and class."""

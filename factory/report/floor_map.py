@@ -7,7 +7,7 @@ from collections import defaultdict
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.report.material import FloorMap, Outlines
+from factory.report.data import FloorMap, Outlines
 from schemas.scene import CompiledScene
 
 __all__ = ["map_of", "trace_outlines"]

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import ValidationError
 
-from factory.report.comparison import PaperComparison
+from factory.report.comparison.model import PaperComparison
 from factory.stats.model import Remark
 from schemas.base import Model
 from schemas.dataset_files import META_FILE

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.dataset.episode import Episode
+from factory.report.data import Drives, FloorMap, FrameSample, ReportInput
 from factory.report.floor_map import map_of
-from factory.report.material import Drives, FloorMap, FrameSample, ReportInput
 from factory.runs.catalog import find_package
 from factory.stats import compute_statistics
 from factory.stats.rows import Rows, read_rows

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from factory.report.compare import compare
-from factory.report.drawers import DRAWERS
-from factory.report.exhibit import Drawer, Exhibit
+from factory.report.comparison.rows import compare
+from factory.report.data import ReportInput
+from factory.report.drawing.figure import Drawer, Exhibit
+from factory.report.figures.registry import DRAWERS
 from factory.report.folder import FIGURES, PAGE_FILE, Summary, require_usable, write_files
 from factory.report.gather import gather
-from factory.report.material import ReportInput
-from factory.report.page import write_page
+from factory.report.page.document import write_page
 from schemas.storage.place import Place
 
 __all__ = ["make_report", "render_report"]

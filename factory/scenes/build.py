@@ -17,7 +17,7 @@ from factory.scenes.cached import mark_as_last, package_name, recall_package, re
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from factory.scenes.rules import RuleBook, load_rules
 from factory.scenes.stage_file import require_stage
-from factory.scenes.target_list import TargetList, load_target_list
+from factory.scenes.targets.target_list import TargetList, load_target_list
 from factory.scenes.version import COMPILER_VERSION
 from schemas.errors import UsageError
 from schemas.scene import SCENE_FORMAT, encode_scene
@@ -78,7 +78,7 @@ def build_scene(
     path = package_path(name, seed, cache, rules, targets)
     if not path.is_file():
         _require_usd()
-        from factory.scenes.compile import compile_stage  # only now: most runs find their scenes in the cache
+        from factory.scenes.compile.compiler import compile_stage  # only now: most runs find their scenes in the cache
 
         tell()
         with tempfile.TemporaryDirectory(prefix="scene-") as directory:
@@ -126,7 +126,7 @@ def import_scene(
     if known is not None:
         mark_as_last(known)
         return known
-    from factory.scenes.compile import compile_extraction  # only now: most runs find their scenes in the cache
+    from factory.scenes.compile.compiler import compile_extraction  # only now: most runs find their scenes in the cache
 
     tell()
     data = encode_scene(compile_extraction(path.name, extraction, name, path.name, rules, targets))

@@ -21,7 +21,7 @@ from coordinator.expansion.draw import cells
 from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
 from factory.dataset.reader import Dataset
-from factory.scenes.target_list import list_file_name
+from factory.scenes.targets.target_list import list_file_name
 from factory.verify.episode import EpisodeCheck, check_episode, target_of
 from factory.verify.report import Finding, Kind, VerifyReport
 from schemas.dataset import EpisodeSummary

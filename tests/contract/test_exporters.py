@@ -15,7 +15,7 @@ import pytest
 
 from factory.dataset.reader import Dataset
 from factory.export import EXPORTERS, ExportOrder, Progress, estimate_export, find_exporter, run_export
-from factory.export.manifest import MANIFEST_FILE, read_manifest
+from factory.export.execution.manifest import MANIFEST_FILE, read_manifest
 from factory.export.output import WORK_FOLDER
 from schemas.errors import UsageError, WorldError
 from schemas.support.extras import EXTRA_OF, install_command

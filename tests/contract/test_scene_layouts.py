@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
 from factory.scenes.author.placement import FloorPlan
-from factory.scenes.occupancy import BAND_M
+from factory.scenes.compile.occupancy import BAND_M
 from factory.scenes.rules import load_rules
 from schemas.terms import BUILTIN_CATEGORIES
 from workers.geometry.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid

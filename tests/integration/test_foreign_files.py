@@ -18,7 +18,7 @@ from factory.cli.main import _run
 from factory.dataset.reader import Dataset
 from factory.eval.models.spec_file import read_specs
 from factory.scenes.rules import load_rules
-from factory.scenes.target_list import load_target_list
+from factory.scenes.targets.target_list import load_target_list
 from factory.scenes.yaml_text import read_yaml
 from schemas.dataset_meta import read_dataset_meta
 from schemas.encoding.ndarray import decode_npy

@@ -16,7 +16,7 @@ from factory.eval.results.page import FailureExample, write_page
 from factory.eval.results.score import score_policy
 from factory.eval.results.video import draw_poster
 from factory.report import render_report
-from factory.report.exhibits import attempts, categories, samples
+from factory.report.figures import attempts, categories, samples
 from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
 from factory.visualize.film import write_mp4

@@ -31,7 +31,7 @@ def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool)
     SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
     Give the edited file to `factory scene build` or `factory scene import` with --targets FILE.
     """
-    from factory.scenes.target_list import list_file_name, spell_target_list
+    from factory.scenes.targets.target_list import list_file_name, spell_target_list
 
     info = chosen_scene(scene, seed).info
     path = out or Path(list_file_name(info.name))

@@ -13,9 +13,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from factory.scenes.author.layout_hospital import lay_out_hospital
-from factory.scenes.author.layout_office import lay_out_office
-from factory.scenes.author.layout_warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
+from factory.scenes.author.layouts.hospital import lay_out_hospital
+from factory.scenes.author.layouts.office import lay_out_office
+from factory.scenes.author.layouts.warehouse import lay_out_full_warehouse, lay_out_multiple_shelves
 from factory.scenes.author.placement import FloorPlan
 from schemas.errors import UsageError
 

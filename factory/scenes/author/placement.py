@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from numpy.random import Generator
 
-from factory.scenes.author.catalogue import PropModel, Workshop
 from factory.scenes.author.materials import PropPiece
+from factory.scenes.author.props.catalogue import PropModel, Workshop
 
 __all__ = ["FACING", "FloorPlan", "PropPlacement", "Rectangle", "Structure", "wall_pose"]
 

@@ -15,10 +15,10 @@ import numpy as np
 from PIL import Image
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from factory.scenes.author.catalogue import PropModel
 from factory.scenes.author.geometry import AuthoredMesh, merge
 from factory.scenes.author.materials import PropPiece, SurfaceMaterial, linear_rgb
 from factory.scenes.author.placement import FloorPlan, PropPlacement
+from factory.scenes.author.props.catalogue import PropModel
 from factory.scenes.author.textures import draw_texture
 
 __all__ = ["write_scene"]

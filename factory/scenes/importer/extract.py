@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from factory.scenes.importer.assets import read_asset
-from factory.scenes.importer.complaints import say_refusal, text_of
-from factory.scenes.importer.fence import Fence
+from factory.scenes.importer.diagnostics import say_refusal, text_of
 from factory.scenes.importer.material import Surface, bound_material, read_surface
 from factory.scenes.importer.mesh import (
     ImportedMesh,
@@ -29,6 +28,7 @@ from factory.scenes.importer.mesh import (
     read_mesh,
     uv_values,
 )
+from factory.scenes.importer.outside_files import Fence
 from factory.scenes.importer.stage import BROKEN_PRIM, PrimPlacement, find_unseen, open_stage, walk_stage
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.errors import WorldError

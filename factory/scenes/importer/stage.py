@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
-from factory.scenes.importer.complaints import say_complaint, say_refusal, text_of
+from factory.scenes.importer.diagnostics import say_complaint, say_refusal, text_of
 from factory.scenes.stage_file import require_stage
 from schemas.errors import WorldError
 

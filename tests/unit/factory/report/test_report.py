@@ -14,8 +14,8 @@ from PIL import Image
 
 from factory.html.palette import colour
 from factory.report import make_report, render_report
-from factory.report.drawers import DRAWERS
-from factory.report.exhibits import action_space, attempts, samples, spawn_maps
+from factory.report.figures import action_space, attempts, samples, spawn_maps
+from factory.report.figures.registry import DRAWERS
 from factory.report.folder import PAGE_FILE
 from factory.report.gather import gather
 from factory.stats import measure_dataset

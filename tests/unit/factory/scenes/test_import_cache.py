@@ -10,7 +10,7 @@ import pytest
 from factory.runs.imported import find_imported
 from factory.scenes.build import find_import, import_scene
 from factory.scenes.rules import RuleBook, load_rules
-from factory.scenes.target_list import TargetEntry, TargetList
+from factory.scenes.targets.target_list import TargetEntry, TargetList
 from tests.builders.stage import StageText, room_body
 
 TEXT = StageText()

@@ -16,7 +16,7 @@ from coordinator.expansion.file import parse_plan
 from factory.cli.common.groups import DefaultGroup
 from factory.cli.main import cli
 from factory.scenes.rules import load_rules
-from factory.scenes.target_list import TargetEntry
+from factory.scenes.targets.target_list import TargetEntry
 
 PAGE = Path(__file__).parents[4] / "docs" / "scenes" / "own.md"
 BLOCKS = re.findall(r"```(\w*)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)

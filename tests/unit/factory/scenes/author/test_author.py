@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from factory.scenes.author import AUTHOR_VERSION, BUILTIN_SCENES, author_scene, lay_out_scene
-from factory.scenes.author.catalogue import CATALOGUE, Workshop
 from factory.scenes.author.geometry import bounds, triangle_count
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.placement import FloorPlan
+from factory.scenes.author.props.catalogue import CATALOGUE, Workshop
 from schemas.errors import UsageError
 from schemas.terms import BUILTIN_CATEGORIES
 

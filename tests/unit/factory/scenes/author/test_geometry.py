@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factory.scenes.author.catalogue import CATALOGUE, Workshop
 from factory.scenes.author.geometry import (
     AuthoredMesh,
     block,
@@ -22,6 +21,7 @@ from factory.scenes.author.geometry import (
     uncapped,
 )
 from factory.scenes.author.materials import linear_rgb
+from factory.scenes.author.props.catalogue import CATALOGUE, Workshop
 
 SOLIDS = {
     "block": (block((0, 0, 0), (1, 2, 3)), 6.0),

@@ -1,0 +1,200 @@
+"""The messages of an episode for ROS 2: topics, frames (REP 105, 103) and values. Pure; encodes nothing.
+
+Frames: map -> odom -> base_link -> front_camera_link -> front_camera_optical_frame. `map` is the scene's world frame,
+and as odometry is exact, `odom` coincides with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.export.mcap.messages import OPTICAL_FROM_BASE, Said, calibration
+from schemas.config import CameraConfig
+from schemas.episode import EpisodeMeta
+from schemas.scene import CompiledScene, Target
+
+__all__ = ["LATCHED", "ROS2_TOPICS", "say_images", "say_motion", "say_still"]
+
+MAP, ODOM, BASE = "map", "odom", "base_link"
+CAMERA, OPTICAL = "front_camera_link", "front_camera_optical_frame"
+_NANOSECONDS = 1_000_000_000
+_OCCUPIED, _FREE = 100, 0
+_CUBE, _TEXT = 1, 9
+_RED, _WHITE = {"r": 1.0, "g": 0.16, "b": 0.16, "a": 0.35}, {"r": 1.0, "g": 1.0, "b": 1.0, "a": 1.0}
+_UPRIGHT = {"w": 1.0}
+
+ROS2_TOPICS: Mapping[str, str] = MappingProxyType(
+    {
+        "/camera/rgb/image_raw/compressed": "sensor_msgs/msg/CompressedImage",
+        "/camera/rgb/camera_info": "sensor_msgs/msg/CameraInfo",
+        "/camera/depth/image_raw": "sensor_msgs/msg/Image",
+        "/camera/depth/camera_info": "sensor_msgs/msg/CameraInfo",
+        "/camera/ids/image_raw": "sensor_msgs/msg/Image",
+        "/tf": "tf2_msgs/msg/TFMessage",
+        "/tf_static": "tf2_msgs/msg/TFMessage",
+        "/odom": "nav_msgs/msg/Odometry",
+        "/cmd_vel": "geometry_msgs/msg/Twist",
+        "/action_tokens": "std_msgs/msg/UInt8MultiArray",
+        "/instruction": "std_msgs/msg/String",
+        "/target": "visualization_msgs/msg/MarkerArray",
+        "/map": "nav_msgs/msg/OccupancyGrid",
+        "/path/driven": "nav_msgs/msg/Path",
+        "/path/planned": "nav_msgs/msg/Path",
+    }
+)
+"""Topic -> message; the planned path is there for experts that plan."""
+LATCHED = frozenset({"/tf_static", "/instruction", "/target", "/map", "/path/driven", "/path/planned"})
+"""Topics that are published once, for whoever subscribes later."""
+
+
+def say_still(meta: EpisodeMeta, poses: NDArray[np.float32], scene: CompiledScene, stamp_ns: int) -> Iterator[Said]:
+    """Yields what is published once, at frame 0.
+
+    Args:
+        meta: of the episode.
+        poses: (T, 7) x, y, z, qw, qx, qy, qz of base_link in the world.
+        scene: in which it was driven.
+        stamp_ns: of frame 0.
+    """
+    yield Said("/tf_static", {"transforms": list(_static_transforms(meta.job.camera, stamp_ns))})
+    yield Said("/instruction", {"data": meta.job.instruction})
+    yield Said("/target", {"markers": _markers(scene.info.target(meta.job.target_id), stamp_ns)})
+    yield Said("/map", _map(scene, stamp_ns))
+    yield Said("/path/driven", _path([_pose(row) for row in poses.tolist()], stamp_ns))
+    if meta.route.planned:
+        z = scene.info.floor_height_m
+        planned = [_pose((x, y, z, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))) for x, y, yaw in meta.route.planned]
+        yield Said("/path/planned", _path(planned, stamp_ns))
+
+
+def say_motion(
+    stamp_ns: int,
+    pose: NDArray[np.float32],
+    twist: NDArray[np.float64],
+    action: NDArray[np.float32],
+    tokens: NDArray[np.int16],
+) -> Iterator[Said]:
+    """Yields where the robot is at a frame, how it moves, and what it is told to do next.
+
+    Args:
+        stamp_ns: of the frame.
+        pose: (7,) x, y, z, qw, qx, qy, qz of base_link in the world.
+        twist: (2,) measured v in m/s and w in rad/s.
+        action: (2,) commanded v in m/s and w in rad/s.
+        tokens: (2,) the action on the grid.
+    """
+    body = _pose(pose.tolist())
+    yield Said("/tf", {"transforms": [_transform(ODOM, BASE, body, stamp_ns)]})
+    moving = {"linear": {"x": float(twist[0])}, "angular": {"z": float(twist[1])}}
+    header = _header(ODOM, stamp_ns)
+    yield Said("/odom", {"header": header, "child_frame_id": BASE, "pose": {"pose": body}, "twist": {"twist": moving}})
+    yield Said("/cmd_vel", {"linear": {"x": float(action[0])}, "angular": {"z": float(action[1])}})
+    yield Said("/action_tokens", {"data": tokens.astype(np.uint8)})
+
+
+def say_images(
+    stamp_ns: int, camera: CameraConfig, png: bytes, depth: NDArray[np.float32], ids: NDArray[np.uint16]
+) -> Iterator[Said]:
+    """Yields the images of a frame with their calibration.
+
+    Args:
+        stamp_ns: of the frame.
+        camera: as a pinhole.
+        png: (640, 640, 3) sRGB as PNG.
+        depth: (640, 640) metres along the optical axis, 0 where nothing was hit, which REP 117 has as +Inf.
+        ids: (640, 640) instance ids.
+    """
+    header = _header(OPTICAL, stamp_ns)
+    info = _camera_info(camera, header)
+    colour = {"header": header, "format": "rgb8; png compressed bgr8", "data": png}
+    yield Said("/camera/rgb/image_raw/compressed", colour)
+    yield Said("/camera/rgb/camera_info", info)
+    metres = np.where(depth > 0, depth, np.float32(np.inf)).astype("<f4")
+    yield Said("/camera/depth/image_raw", _image(header, "32FC1", metres))
+    yield Said("/camera/depth/camera_info", info)
+    yield Said("/camera/ids/image_raw", _image(header, "mono16", ids.astype("<u2")))
+
+
+def _header(frame: str, stamp_ns: int) -> dict[str, Any]:
+    stamp = {"sec": stamp_ns // _NANOSECONDS, "nanosec": stamp_ns % _NANOSECONDS}
+    return {"stamp": stamp, "frame_id": frame}
+
+
+def _pose(row: Any) -> dict[str, dict[str, float]]:
+    x, y, z, qw, qx, qy, qz = row
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": qx, "y": qy, "z": qz, "w": qw}}
+
+
+def _transform(parent: str, child: str, pose: dict[str, dict[str, float]], stamp_ns: int) -> dict[str, Any]:
+    moved = {"translation": pose["position"], "rotation": pose["orientation"]}
+    return {"header": _header(parent, stamp_ns), "child_frame_id": child, "transform": moved}
+
+
+def _static_transforms(camera: CameraConfig, stamp_ns: int) -> Iterator[dict[str, Any]]:
+    qx, qy, qz, qw = OPTICAL_FROM_BASE
+    mount = (camera.x_m, camera.y_m, camera.z_m, 1.0, 0.0, 0.0, 0.0)
+    yield _transform(MAP, ODOM, _pose((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)), stamp_ns)
+    yield _transform(BASE, CAMERA, _pose(mount), stamp_ns)
+    yield _transform(CAMERA, OPTICAL, _pose((0.0, 0.0, 0.0, qw, qx, qy, qz)), stamp_ns)
+
+
+def _camera_info(camera: CameraConfig, header: dict[str, Any]) -> dict[str, Any]:
+    pinhole = calibration(camera)
+    return {
+        "header": header,
+        "height": pinhole["height"],
+        "width": pinhole["width"],
+        "distortion_model": "plumb_bob",
+        "d": [0.0] * 5,
+        "k": pinhole["K"],
+        "r": pinhole["R"],
+        "p": pinhole["P"],
+    }
+
+
+def _image(header: dict[str, Any], encoding: str, image: NDArray[Any]) -> dict[str, Any]:
+    height, width = image.shape
+    step = width * image.itemsize
+    data = image.tobytes()
+    return {"header": header, "height": height, "width": width, "encoding": encoding, "step": step, "data": data}
+
+
+def _path(poses: list[dict[str, Any]], stamp_ns: int) -> dict[str, Any]:
+    header = _header(MAP, stamp_ns)
+    return {"header": header, "poses": [{"header": header, "pose": pose} for pose in poses]}
+
+
+def _map(scene: CompiledScene, stamp_ns: int) -> dict[str, Any]:
+    info = scene.info
+    rows, columns = scene.occupancy.shape
+    x, y = info.grid_origin_m
+    origin = _pose((x, y, info.floor_height_m, 1.0, 0.0, 0.0, 0.0))
+    size = {"resolution": info.grid_resolution_m, "width": columns, "height": rows, "origin": origin}
+    data = np.where(scene.occupancy > 0, _OCCUPIED, _FREE).astype(np.int8).reshape(-1)
+    return {"header": _header(MAP, stamp_ns), "info": size, "data": data}
+
+
+def _markers(target: Target, stamp_ns: int) -> list[dict[str, Any]]:
+    x, y, z = target.centroid_m
+    width, depth, height = target.size_m
+    header = _header(MAP, stamp_ns)
+    box = {
+        "type": _CUBE,
+        "pose": {"position": {"x": x, "y": y, "z": z}, "orientation": _UPRIGHT},
+        "scale": {"x": width, "y": depth, "z": height},
+        "color": _RED,
+    }
+    text = {
+        "type": _TEXT,
+        "pose": {"position": {"x": x, "y": y, "z": z + height / 2 + 0.2}, "orientation": _UPRIGHT},
+        "scale": {"z": 0.2},
+        "color": _WHITE,
+        "text": target.target_id,
+    }
+    return [{"header": header, "ns": "target", "id": number, **marker} for number, marker in enumerate((box, text))]

@@ -1,0 +1,185 @@
+"""Why a number differs from the paper's, in a sentence or two with the numbers that show it. Pure text."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from factory.report.comparison.facts import RunFacts, facts_of
+from factory.report.data import ReportInput
+from factory.stats import paper
+from factory.stats.model import AttemptRow, Published, Statistics
+from factory.stats.rollouts import ALL
+from schemas.language import needs_colour, say_category
+from schemas.terms import ExpertName, Split, Tier
+
+__all__ = [
+    "say_category_share",
+    "say_colours",
+    "say_correlation",
+    "say_error",
+    "say_floor",
+    "say_largest",
+    "say_length",
+    "say_mix",
+    "say_planned",
+    "say_slope",
+    "say_standardised",
+    "say_steps",
+    "say_success",
+]
+
+
+def say_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
+    """TL = spawn distance - NE + detour, in the mean exactly; the paper's distance is inferred for straight drives."""
+    implied = published_tl_m + published_ne_m
+    return (
+        f"Starts are {facts.spawn_m:.2f} m from the target on average, in the paper {implied:.2f} m (its TL + NE, if "
+        f"driven straight): {_signed(facts.spawn_m - implied)} m. The way driven here is {abs(facts.detour_m):.2f} m "
+        f"{'longer' if facts.detour_m >= 0 else 'shorter'} than the straight line."
+    )
+
+
+def say_mix(facts: RunFacts) -> str:
+    """The tiers behind a mean."""
+    return " Tiers: " + ", ".join(f"{tier} {_percent(share)}" for tier, share in facts.tiers.items()) + "."
+
+
+def say_standardised(statistics: Statistics) -> str:
+    """What the mean TL would be with the paper's shares of the tiers."""
+    means = {row.group: row.tl_mean_m for row in statistics.tiers}
+    total = 0.0
+    for tier, said in paper.TIERS.items():
+        mean = means.get(tier)
+        if mean is None or said.share is None:
+            return f" No {tier} episodes, so it cannot be weighted by the paper's tiers."
+        total += said.share * mean
+    return f" Weighted by the paper's tiers it is {total:.2f} m."
+
+
+def say_steps(facts: RunFacts, said: Published) -> str:
+    """Steps follow length and speed."""
+    here = facts.steps_per_m
+    text = f"{facts.tl_m:.2f} m at {here:.1f} steps a metre here" if here else f"{facts.tl_m:.2f} m here"
+    if said.tl_mean_m is None:
+        return f"{text}."
+    if said.steps_mean is None:
+        return f"{text}; TL {said.tl_mean_m:.2f} m in the paper."
+    return f"{text}, {said.tl_mean_m:.2f} m at {said.steps_mean / said.tl_mean_m:.1f} in the paper."
+
+
+def say_floor(material: ReportInput, scene: str) -> str:
+    """How large and how winding a scene is."""
+    facts = facts_of(material.of(scene))
+    if scene == ALL or facts is None or scene not in material.maps:
+        return ""
+    text = f" {material.maps[scene].free_area_m2:.0f} m² of free floor"
+    straight = facts.spawn_m - material.statistics.success_radius_m
+    if facts.geodesic_m is not None and straight > 0:
+        text += f"; the shortest way is {facts.geodesic_m / straight:.2f} times the straight line"
+    return f"{text}."
+
+
+def say_error(statistics: Statistics) -> str:
+    """Which scene stands apart."""
+    rows = [row for row in statistics.navigation_error if row.group != ALL and row.mean is not None]
+    published = paper.NAVIGATION_ERROR.ne_mean_m or 0.0
+    worst = max(rows, key=lambda row: abs((row.mean or 0.0) - published))
+    lowest, highest = worst.quantiles.get("p00", 0.0), worst.quantiles.get("p100", 0.0)
+    text = (
+        f"Farthest off is {_scene(worst.group)}: mean {worst.mean:.3f} m, {lowest:.3f} to {highest:.3f} m (N {worst.n})"
+    )
+    if statistics.success_radius_m != 1:
+        text += f"; the success radius here is {statistics.success_radius_m:g} m"
+    return f"{text}."
+
+
+def say_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
+    """Shares are those of the plan's cells, which of few episodes are not what it asks for."""
+    if not statistics.complete:
+        state = f"{statistics.episodes} of {statistics.planned} made so far"
+    else:
+        exact = all(cell.planned == cell.archived for cell in statistics.cells)
+        state = "filled exactly" if exact else "which the cells here do not meet"
+    counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
+    mine = sum(cell.planned for cell in statistics.cells if group in {cell.tier, cell.split})
+    quota = _percent(mine / max(1, sum(cell.planned for cell in statistics.cells)))
+    cut = "" if quota == _percent(asked) else f" in all, {quota} of its {statistics.planned} episodes"
+    return f"The plan asks for {_percent(asked)}{cut}, {state}{counted}."
+
+
+def say_largest(statistics: Statistics) -> str:
+    """Which categories are the most frequent."""
+    names = [f"{say_category(row.group)} {_percent(row.share or 0)}" for row in statistics.categories[:3]]
+    return f"Here they are {', '.join(names)}; in the paper monitor 29 %, rack 22 %, crate 11 %."
+
+
+def say_category_share(material: ReportInput, category: str) -> str:
+    """A category's share follows the share of the scenes that have it."""
+    homes = {row.scene for row in material.episodes if row.target_category == category}
+    if not homes:
+        offered = [scene.name for scene in material.meta.plan.scenes if category in sum(scene.categories, ())]
+        where = f"{', '.join(map(_scene, offered))} would have it" if offered else "no scene of the plan has it"
+        return f"None of {len(material.episodes)} episodes names one; {where}."
+    here = sum(row.scene in homes for row in material.episodes) / len(material.episodes)
+    counted = [scene.n for name, scene in paper.SCENES.items() if name in homes and scene.n is not None]
+    there = sum(counted) / (paper.OVERALL.n or 1)
+    text = f"Scenes that have it hold {_percent(here)} of the episodes here, {_percent(there)} in the paper"
+    drawn = "categories first" if material.meta.plan.balance == "categories" else "evenly over instances"
+    return f"{text}; targets are drawn {drawn}."
+
+
+def say_correlation(facts: RunFacts | None) -> str:
+    """r is a matter of the spread of distances against that of detours."""
+    if facts is None or facts.spawn_std_m is None or facts.detour_std_m is None:
+        return ""
+    return (
+        f"Detours spread by {facts.detour_std_m:.2f} m (standard deviation) while start distances spread by "
+        f"{facts.spawn_std_m:.2f} m: the smaller the former against the latter, the nearer r is to 1."
+    )
+
+
+def say_slope(statistics: Statistics) -> str:
+    """Which tier bends the line."""
+    parts = [
+        f"{fit.group} {fit.slope:.2f} (N {fit.n})"
+        for fit in statistics.correlation
+        if fit.slope is not None and fit.group in set(Tier)
+    ]
+    return f"Slopes by tier: {', '.join(parts)}." if parts else ""
+
+
+def say_colours(material: ReportInput) -> str:
+    """Colours are known here."""
+    coloured = sum(row.colour != "unknown" for row in material.episodes)
+    used = len({row.template_id for row in material.episodes if needs_colour(row.template_id)})
+    return (
+        f"Colours come from the scenes' materials here: {coloured} of {len(material.episodes)} targets have one, "
+        f"which unlocks {used} templates that the paper could not use."
+    )
+
+
+def say_success(material: ReportInput, row: AttemptRow) -> str:
+    """What failed, and how starts are chosen."""
+    lost = Counter(row.reasons)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(lost.items())) or "none failed"
+    text = f"{row.success.count} of {row.attempts} attempts succeeded ({reasons})."
+    spawn, expert = material.meta.plan.spawn, material.meta.plan.expert
+    if expert is ExpertName.PLANNER:
+        return f"{text} The planner drives around what the paper's controller stalls at."
+    return (
+        f"{text} Starts are drawn until the straight line to the success circle is free by "
+        f"{spawn.approach_clearance_m:.2f} m, rather where the way is wider; the paper draws blindly and "
+        "discards failures."
+    )
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _scene(name: str) -> str:
+    return name.replace("_", " ")

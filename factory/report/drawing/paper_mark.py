@@ -1,0 +1,16 @@
+"""The mark of a published value, the same in every figure."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from factory.html.palette import colour
+from factory.report.drawing.canvas import Axes, mark
+
+__all__ = ["mark_paper"]
+
+
+def mark_paper(axes: Axes, points: ArrayLike, label: str = "paper") -> None:
+    """Draws a hollow diamond at each of (K, 2) points."""
+    edge = {"facecolor": colour("card"), "edgecolor": colour("paper"), "linewidth": 1.6}
+    mark(axes, points, marker="D", s=40, zorder=4, label=label, **edge)

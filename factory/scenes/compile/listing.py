@@ -1,0 +1,100 @@
+"""From candidates to the scene's targets: reachable things with stable names, colours and the tiers they serve.
+
+Pure; what cannot be reached is left out and said so, never silently.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from factory.scenes.compile.shade import target_colour
+from factory.scenes.compile.textures import TextureBook
+from factory.scenes.importer import Part
+from factory.scenes.survey.reach import SEE_RANGE_M, Terrain, is_reachable, ring_tiers
+from factory.scenes.targets.candidates import Candidate
+from schemas.scene import Target
+from schemas.terms import Tier
+
+__all__ = ["HIGHEST_BOTTOM_M", "list_targets", "with_colours", "with_far_tier"]
+
+HIGHEST_BOTTOM_M = 2.0
+"""What hangs higher over the floor than this is no target, metres."""
+
+
+def list_targets(
+    terrain: Terrain, candidates: Sequence[Candidate], ids: Mapping[str, int], floor_m: float, notes: list[str]
+) -> tuple[Target, ...]:
+    """Returns the candidates that can be reached, in the order of their paths and without colours yet.
+
+    Names count all candidates of a category, so that a target keeps its name when another becomes reachable.
+    """
+    seen: Counter[str] = Counter()
+    targets = []
+    for candidate in candidates:
+        seen[candidate.category] += 1
+        target = _target(candidate, f"{candidate.category}_{seen[candidate.category]:03d}", ids[candidate.path])
+        bottom = float(candidate.box[0, 2]) - floor_m
+        if not -1.0 < bottom < HIGHEST_BOTTOM_M:
+            notes.append(f"{target.target_id}: left out, it hangs {bottom:.2f} m over the floor ({candidate.path})")
+        elif not is_reachable(terrain, target):
+            notes.append(f"{target.target_id}: left out, no pose within its success circle fits ({candidate.path})")
+        else:
+            straight, connected = ring_tiers(terrain, target)
+            targets.append(target.model_copy(update={"straight_tiers": straight, "connected_tiers": connected}))
+    return tuple(targets)
+
+
+def _target(candidate: Candidate, name: str, instance_id: int) -> Target:
+    centre, size = candidate.box.mean(axis=0), np.ptp(candidate.box, axis=0)
+    return Target(
+        target_id=name,
+        category=candidate.category,
+        instance_id=instance_id,
+        prim_path=candidate.path,
+        centroid_m=_rounded(centre),
+        size_m=_rounded(size),
+    )
+
+
+def _rounded(vector: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Tenths of a millimetre: hides the last bits in which machines may differ."""
+    x, y, z = (round(float(value), 4) for value in vector)
+    return (x, y, z)
+
+
+def with_colours(
+    targets: Sequence[Target],
+    parts: Sequence[Part],
+    owners: Sequence[str],
+    book: TextureBook,
+    uncoloured: frozenset[str] = frozenset(),
+) -> tuple[Target, ...]:
+    """Returns the targets with the names of their dominant colours, but for categories that are called after none."""
+    own: dict[str, list[Part]] = {}
+    for part, owner in zip(parts, owners, strict=True):
+        own.setdefault(owner, []).append(part)
+    named = []
+    for target in targets:
+        if target.category in uncoloured:
+            named.append(target)
+            continue
+        rng = np.random.default_rng(0)
+        named.append(target.model_copy(update={"colour": target_colour(own[target.prim_path], book, rng)}))
+    return tuple(named)
+
+
+def with_far_tier(
+    targets: Sequence[Target], spawns: NDArray[np.float64], sees: NDArray[np.uint8]
+) -> tuple[Target, ...]:
+    """Returns the targets with the far tier added: straight where a spawn sees it, connected where one is far off."""
+    full = []
+    for column, target in enumerate(targets):
+        distance = np.linalg.norm(spawns - np.asarray(target.centroid_m[:2]), axis=1)
+        straight = target.straight_tiers + ((Tier.FAR,) if sees[:, column].any() else ())
+        connected = target.connected_tiers + ((Tier.FAR,) if (distance >= SEE_RANGE_M[0]).any() else ())
+        full.append(target.model_copy(update={"straight_tiers": straight, "connected_tiers": connected}))
+    return tuple(full)

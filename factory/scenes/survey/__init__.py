@@ -1,0 +1,1 @@
+"""Surveys a compiled floor: reachable targets, spawn points and their quality. Pure and deterministic."""

@@ -1,0 +1,81 @@
+"""Honours a user's edited list of targets: which prims are targets, and what they are called.
+
+Pure; what is not on the list stays in the scene as a thing, but is no target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from factory.scenes.importer import Part
+from factory.scenes.targets.candidates import Candidate
+from factory.scenes.targets.target_list import TargetList
+from schemas.errors import UsageError
+from schemas.scene import Target
+
+__all__ = ["apply_candidate_edits", "apply_target_edits", "recoloured"]
+
+
+def apply_candidate_edits(
+    found: tuple[Candidate, ...], parts: Sequence[Part], chosen: TargetList | None
+) -> tuple[Candidate, ...]:
+    """Returns the listed prims as candidates, and of those that the rules found the ones apart from them.
+
+    Args:
+        found: what the rules say.
+        parts: the visible parts.
+        chosen: the user's list, or `None` to keep what was found.
+
+    Raises:
+        UsageError: the list names prims that the scene does not show, or one prim inside another.
+    """
+    if chosen is None:
+        return found
+    paths = [entry.prim_path for entry in chosen.targets]
+    inner = [(a, b) for a in paths for b in paths if a.startswith(b + "/")]
+    if inner:
+        raise UsageError(f"targets file: {inner[0][0]} lies inside {inner[0][1]}; list only one of them")
+    groups = [[part for part in parts if _is_in(part.path, path)] for path in paths]
+    unknown = [path for path, group in zip(paths, groups, strict=True) if not group]
+    if unknown:
+        raise UsageError(
+            f"targets file: the scene shows no prim {', '.join(unknown)}; "
+            "`factory scene targets` lists those that it has"
+        )
+    listed = [
+        Candidate(entry.prim_path, entry.category, _box(group))
+        for entry, group in zip(chosen.targets, groups, strict=True)
+    ]
+    apart = [one for one in found if not any(_is_in(one.path, path) or _is_in(path, one.path) for path in paths)]
+    return tuple(sorted([*listed, *apart], key=lambda candidate: candidate.path))
+
+
+def _is_in(path: str, ancestor: str) -> bool:
+    return path == ancestor or path.startswith(ancestor + "/")
+
+
+def _box(parts: Sequence[Part]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    corners = np.concatenate([part.triangles.reshape(-1, 3) for part in parts])
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def apply_target_edits(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
+    """Returns the enabled targets under the names that the list gives them."""
+    if chosen is None:
+        return targets
+    names = {entry.prim_path: entry.id for entry in chosen.targets if entry.enabled}
+    return tuple(
+        target.model_copy(update={"target_id": names[target.prim_path]})
+        for target in targets
+        if target.prim_path in names
+    )
+
+
+def recoloured(targets: tuple[Target, ...], chosen: TargetList | None) -> tuple[Target, ...]:
+    """Returns the targets in the colours that the list gives them."""
+    colours = {} if chosen is None else {entry.prim_path: entry.colour for entry in chosen.targets}
+    return tuple(
+        target.model_copy(update={"colour": colours.get(target.prim_path, target.colour)}) for target in targets
+    )
