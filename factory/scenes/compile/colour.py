@@ -1,6 +1,6 @@
-"""Colour arithmetic: sRGB, linear light and CIELAB, and the basic name that people give a colour.
+"""Converts colours between sRGB, linear light and CIELAB, and assigns basic colour names.
 
-Pure; never decides which surfaces count.
+Pure. Does not choose the surfaces to sample.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _BLACK, _GRAY, _WHITE, _RED, _ORANGE, _YELLOW, _GREEN, _BLUE, _PURPLE, _PINK, _B
 _HUES = ((0, 45, _RED), (45, 72, _ORANGE), (72, 108, _YELLOW), (108, 195, _GREEN), (195, 308, _BLUE))
 _NAMELESS = len(COLOUR_NAMES)
 _TEAL = (183.0, 217.0)
-"""Hues that some people call green and others blue: a vote for neither."""
+"""Ambiguous hues between green and blue, degrees; samples in this range vote for neither."""
 _LATE_HUES = ((308, 342, _PURPLE), (342, 361, _RED))
 
 _TO_XYZ = np.array(
@@ -24,14 +24,14 @@ _TO_XYZ = np.array(
 )
 _D65 = np.array([0.95047, 1.0, 1.08883])
 MIN_SHARE = 0.5
-"""Share of the votes that a name needs; below it a thing has no one colour."""
+"""Minimum share of the votes of a dominant colour name."""
 MAX_RIVAL = 0.36
-"""Share of the votes from which on a second name makes the first one doubtful."""
+"""Share of the votes of the second name above which the first is ambiguous."""
 _NEUTRALS = [_BLACK, _GRAY, _WHITE]
 _NEUTRAL_VOTE = 0.5
-"""What a sample of black, gray or white counts: a blue chair on a black base is a blue chair."""
+"""Weight of a black, gray or white sample: a blue chair on a black base is a blue chair."""
 _BLACK_BELOW = 30.0
-"""Lightness under which a colour without chroma is called black: charcoal is, once a room's light falls on it."""
+"""Lightness below which an achromatic colour is called black. It includes charcoal, which looks black indoors."""
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def linear_of(srgb: ArrayLike) -> Floats:
 
 
 def srgb_of(linear: ArrayLike) -> Floats:
-    """Returns sRGB values 0..1 of linear light; what is out of range is clipped."""
+    """Returns sRGB values 0..1 of linear light; values out of range are clipped."""
     c = np.clip(np.asarray(linear, float), 0.0, 1.0)
     curved: Floats = 1.055 * c ** (1 / 2.4) - 0.055
     return np.where(c <= 0.0031308, 12.92 * c, curved)
@@ -61,7 +61,7 @@ def lab_of(srgb: ArrayLike) -> Floats:
 def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
     """Returns the index in `COLOUR_NAMES` of each sRGB value (..., 3): sectors of lightness, chroma and hue.
 
-    What people do not agree on has the index after the last.
+    Ambiguous colours have the index after the last name.
     """
     lab = lab_of(srgb)
     lightness, chroma = lab[..., 0], np.hypot(lab[..., 1], lab[..., 2])
@@ -80,7 +80,7 @@ def name_indices(srgb: ArrayLike) -> NDArray[np.int64]:
 
 
 def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool_]:
-    """Dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
+    """Returns whether colours are brown: dark or dull orange, dull red, and the dull yellow of wood and cardboard."""
     orange = (hue >= 48) & (hue < 72) & ((lightness < 58) | (chroma < 45))
     red = (hue >= 28) & (hue < 48) & (chroma < 38) & (lightness < 60)
     yellow = (hue >= 72) & (hue < 98) & (lightness < 88) & (chroma < 45)
@@ -88,10 +88,10 @@ def _is_brown(lightness: Floats, chroma: Floats, hue: Floats) -> NDArray[np.bool
 
 
 def dominant_name(srgb: ArrayLike) -> str:
-    """Returns the name that has at least half of the votes and no other comes near to, or `unknown`.
+    """Returns the name with at least half of the votes and a clear margin to the second, or `unknown`.
 
     Args:
-        srgb: samples (N, 3), 0..1; each is a vote, one without hue half a vote.
+        srgb: samples (N, 3), 0..1; each is one vote, an achromatic sample half a vote.
     """
     names = name_indices(srgb)
     if names.size == 0:

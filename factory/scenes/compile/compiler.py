@@ -1,6 +1,6 @@
-"""Compiles a USD stage into the package that workers simulate: geometry, look, collider, grid, targets, spawns.
+"""Compiles a USD stage into a scene package: geometry, appearance, collider, occupancy grid, targets, spawns.
 
-Orchestration only, and a function of the stage's bytes and the rules; each step is a module of its own.
+Calls one module per step. The result depends only on the bytes of the stage, the rules and the target list.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Shown:
-    """What can be seen, and which thing it belongs to."""
+    """Visible parts, and the object that each belongs to."""
 
     parts: tuple[Part, ...]
     candidates: tuple[Candidate, ...]
@@ -59,18 +59,18 @@ class _Shown:
     ids: dict[str, int]
     book: TextureBook
     chosen: TargetList | None
-    """The user's list of targets, if there is one."""
+    """Target list of the user, if given."""
     uncoloured: frozenset[str]
-    """Categories that are never called after a colour."""
+    """Categories whose colour is never named."""
 
     def triangles(self) -> Floats:
-        """Returns (T, 3, 3) all triangles, world metres."""
+        """Returns all triangles (T, 3, 3), world metres."""
         return np.concatenate([part.triangles for part in self.parts])
 
 
 @dataclass(frozen=True)
 class _Survey:
-    """Where the robot can start and what it can reach from there."""
+    """Spawn points, and the targets that are reachable from them."""
 
     targets: tuple[Target, ...]
     spawns: NDArray[np.float32]
@@ -88,16 +88,16 @@ def compile_stage(
     """Compiles a USD stage.
 
     Args:
-        path: its root layer.
-        name: what the scene is called.
-        source: what it is, in words, for the record.
-        rules: what is called how; the built-in table when `None`.
-        chosen: the user's list of targets; all that the rules find when `None`.
-        limits: what is refused.
+        path: root layer of the stage.
+        name: name of the scene.
+        source: origin of the stage, recorded in the package.
+        rules: category rules; the built-in table when `None`.
+        chosen: target list of the user; all targets that the rules find when `None`.
+        limits: limits of the import.
 
     Raises:
-        UsageError: there is no such file, or the list names prims that the stage lacks.
-        WorldError: it is no stage, shows no mesh, has no floor, or no thing of a category can be reached.
+        UsageError: the file does not exist, or `chosen` names prims that the stage does not have.
+        WorldError: the file is not a stage, or the stage has no visible mesh, no floor or no reachable target.
     """
     return compile_extraction(path.name, extract_stage(path, limits), name, source, rules, chosen)
 
@@ -110,19 +110,19 @@ def compile_extraction(
     rules: RuleBook | None = None,
     chosen: TargetList | None = None,
 ) -> CompiledScene:
-    """Compiles what was read of a stage; the rest is as for `compile_stage`.
+    """Compiles an extracted stage.
 
     Args:
-        file: name of the root layer's file, for messages.
-        extraction: what the stage shows.
-        name: what the scene is called.
-        source: what it is, in words, for the record.
-        rules: what is called how; the built-in table when `None`.
-        chosen: the user's list of targets; all that the rules find when `None`.
+        file: file name of the root layer, for messages.
+        extraction: visible and collision geometry of the stage.
+        name: name of the scene.
+        source: origin of the stage, recorded in the package.
+        rules: category rules; the built-in table when `None`.
+        chosen: target list of the user; all targets that the rules find when `None`.
 
     Raises:
-        UsageError: the list names prims that the stage lacks.
-        WorldError: it shows no mesh, has no floor, or no thing of a category can be reached.
+        UsageError: `chosen` names prims that the stage does not have.
+        WorldError: the stage has no visible mesh, no floor or no reachable target.
     """
     rules = rules or load_rules()
     notes = list(extraction.notes)
@@ -157,7 +157,7 @@ def compile_extraction(
 
 
 def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tuple[Part, ...]:
-    """Drops parts that lie absurdly far from the others: authors' slips would spoil bounds and grid."""
+    """Drops parts that are implausibly far from the others, because they would inflate the bounds and the grid."""
     parts = [part for part in extraction.parts if len(part.triangles)]
     if not any(not part.is_collider for part in parts):
         noted = "; ".join(extraction.notes[-4:])
@@ -200,7 +200,7 @@ def _show(
 
 @contextmanager
 def _told_with_sizes(file: str, extraction: Extraction, parts: Sequence[Part]) -> Iterator[None]:
-    """Adds to an error what shows a wrong unit: the stage's, and the size of its widest prim."""
+    """Adds the unit of the stage and the size of its widest prim to an error, so that a wrong unit is visible."""
     try:
         yield
     except WorldError as error:
@@ -237,7 +237,7 @@ def _survey(file: str, terrain: Terrain, shown: _Shown, floor_m: float, notes: l
 
 
 def _taken(candidates: Sequence[Candidate], floor_m: float) -> Floats:
-    """Returns (K, 2, 2) lower and upper corners x, y of the boxes around the candidates, but for what hangs high."""
+    """Returns the lower and upper corners x, y (K, 2, 2) of the candidates' boxes, without those that hang high."""
     boxes = [candidate.box for candidate in candidates if candidate.box[0, 2] - floor_m < HIGHEST_BOTTOM_M]
     return np.array([box[:, :2] for box in boxes]).reshape(-1, 2, 2)
 

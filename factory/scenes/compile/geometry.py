@@ -1,6 +1,6 @@
-"""Lays the visible parts out as the renderer wants them: un-welded vertices in runs of one instance and one texture.
+"""Builds the vertex arrays of the renderer: unwelded vertices, sorted into runs of one instance and one texture.
 
-Pure, baked light included; decides no colour, no id and no order of its own.
+Pure. Bakes the light map. Does not assign instance ids.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Geometry", "lay_out_geometry"]
 
 @dataclass(frozen=True)
 class Geometry:
-    """The visible arrays of a compiled scene; fields as in `schemas.scene.CompiledScene`."""
+    """Render arrays of a compiled scene; fields as in `schemas.scene.CompiledScene`."""
 
     positions: NDArray[np.float32]
     uvs: NDArray[np.float32]
@@ -43,15 +43,15 @@ def lay_out_geometry(
     floor_m: float,
     notes: list[str],
 ) -> Geometry:
-    """Groups parts by instance and texture, and bakes the light that falls on them.
+    """Groups parts by instance and texture, and bakes their light map.
 
     Args:
-        parts: the visible parts.
-        owners: the object of each part.
+        parts: visible parts.
+        owners: path of the object of each part.
         ids: instance id of each object.
-        book: the textures.
-        floor_m: height of the floor.
-        notes: receives why there is no light, where there is none.
+        book: textures of the scene.
+        floor_m: height of the floor, metres.
+        notes: list that receives a note if the light cannot be baked.
     """
     keys = [(ids[owner], texture_layer(part, book)) for part, owner in zip(parts, owners, strict=True)]
     order = sorted(range(len(parts)), key=lambda row: (keys[row], parts[row].path))
@@ -83,7 +83,7 @@ def _lit(
     grey: NDArray[np.float64],
     notes: list[str],
 ) -> LightMap:
-    """Bakes the light, or leaves the scene without and says so where it has too many pieces."""
+    """Bakes the light map; with too many charts, returns an empty map and adds a note."""
     try:
         return bake_light(triangles, groups, brightness, floor_m, grey)
     except TooManyPieces as error:
@@ -92,7 +92,7 @@ def _lit(
 
 
 def _brightness(parts: Sequence[Part], book: TextureBook) -> NDArray[np.float64]:
-    """How brightly each triangle glows: as authored, or where nothing in the scene is, by its name."""
+    """Returns the emitted luminance of each triangle: as authored, or by prim name if the scene authors no emission."""
     is_authored = any(part.surface.emits for part in parts)
     glows = [part.surface.emits if is_authored else glows_by_name(part.path) for part in parts]
     values = [glow_brightness(part, book) if glow else 0.0 for part, glow in zip(parts, glows, strict=True)]
@@ -100,7 +100,7 @@ def _brightness(parts: Sequence[Part], book: TextureBook) -> NDArray[np.float64]
 
 
 def _uvs(part: Part, layer: int) -> NDArray[np.float64]:
-    """Texture coordinates (3 T, 2), each triangle moved by whole repeats to lie near zero, where floats are fine."""
+    """Returns texture coordinates (3 T, 2), each triangle shifted by whole repeats to near zero for float precision."""
     if layer < 0 or part.uvs is None:
         return np.zeros((3 * len(part.triangles), 2))
     finite = np.nan_to_num(part.uvs, posinf=0.0, neginf=0.0)

@@ -1,6 +1,6 @@
-"""From candidates to the scene's targets: reachable things with stable names, colours and the tiers they serve.
+"""Selects the targets of a scene from the candidates: reachable objects with stable names, colours and tiers.
 
-Pure; what cannot be reached is left out and said so, never silently.
+Pure. Adds a note for every candidate that is left out.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from schemas.terms import Tier
 __all__ = ["HIGHEST_BOTTOM_M", "list_targets", "with_colours", "with_far_tier"]
 
 HIGHEST_BOTTOM_M = 2.0
-"""What hangs higher over the floor than this is no target, metres."""
+"""Maximum height of the bottom of a target above the floor, metres."""
 
 
 def list_targets(
     terrain: Terrain, candidates: Sequence[Candidate], ids: Mapping[str, int], floor_m: float, notes: list[str]
 ) -> tuple[Target, ...]:
-    """Returns the candidates that can be reached, in the order of their paths and without colours yet.
+    """Returns the reachable candidates as targets without colours, in the order of their paths.
 
-    Names count all candidates of a category, so that a target keeps its name when another becomes reachable.
+    Names number all candidates of a category, so that a target keeps its name when another becomes reachable.
     """
     seen: Counter[str] = Counter()
     targets = []
@@ -61,7 +61,7 @@ def _target(candidate: Candidate, name: str, instance_id: int) -> Target:
 
 
 def _rounded(vector: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Tenths of a millimetre: hides the last bits in which machines may differ."""
+    """Rounds to tenths of a millimetre, so that the result does not depend on the machine."""
     x, y, z = (round(float(value), 4) for value in vector)
     return (x, y, z)
 
@@ -73,7 +73,7 @@ def with_colours(
     book: TextureBook,
     uncoloured: frozenset[str] = frozenset(),
 ) -> tuple[Target, ...]:
-    """Returns the targets with the names of their dominant colours, but for categories that are called after none."""
+    """Returns the targets with the names of their dominant colours, except for uncoloured categories."""
     own: dict[str, list[Part]] = {}
     for part, owner in zip(parts, owners, strict=True):
         own.setdefault(owner, []).append(part)
@@ -90,7 +90,7 @@ def with_colours(
 def with_far_tier(
     targets: Sequence[Target], spawns: NDArray[np.float64], sees: NDArray[np.uint8]
 ) -> tuple[Target, ...]:
-    """Returns the targets with the far tier added: straight where a spawn sees it, connected where one is far off."""
+    """Returns the targets with the far tier: straight if a spawn sees the target, connected if a spawn is far away."""
     full = []
     for column, target in enumerate(targets):
         distance = np.linalg.norm(spawns - np.asarray(target.centroid_m[:2]), axis=1)

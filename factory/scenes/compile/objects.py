@@ -1,6 +1,6 @@
-"""Which thing each part belongs to, and its instance id: targets, models, or single prims, in the order of their paths.
+"""Assigns each part to an object (target, model or single prim) and numbers the objects by path.
 
-Pure bookkeeping over paths; geometry and categories are decided elsewhere.
+Pure; works on paths only. Does not use geometry or categories.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ def assign_objects(parts: Sequence[Part], things: Iterable[str], models: Iterabl
     """Returns the path of the object that each part belongs to.
 
     Args:
-        parts: the parts.
-        things: paths of target candidates; they come first.
-        models: paths of instances and components; the outermost wins.
+        parts: visible parts.
+        things: paths of target candidates; they take precedence.
+        models: paths of instances and components; the outermost applies.
     """
     first, second = frozenset(things), frozenset(models)
     owners = [_owner(part.path, first) or _owner(part.path, second) or part.path for part in parts]
@@ -35,7 +35,7 @@ def assign_objects(parts: Sequence[Part], things: Iterable[str], models: Iterabl
 
 
 def _owner(path: str, known: frozenset[str]) -> str:
-    """The outermost ancestor-or-self of a path that is known, or empty."""
+    """Returns the outermost known ancestor of a path, or the path itself if known, or an empty string."""
     steps = path.split("/")
     prefixes = ("/".join(steps[:count]) for count in range(2, len(steps) + 1))
     return next((prefix for prefix in prefixes if prefix in known), "")

@@ -1,6 +1,6 @@
-"""The look of a part's corners, as the sRGB values the renderer multiplies, and how brightly it glows by itself.
+"""Computes vertex colours (sRGB), emission and reflectance of parts.
 
-Pure; how much light falls on it is baked elsewhere.
+Pure. Does not compute illumination; `scenes.light` bakes it.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def _crosses(triangles: Floats) -> Floats:
 
 
 def texture_layer(part: Part, book: TextureBook) -> int:
-    """Returns the layer that a part shows, or -1 for plain colour."""
+    """Returns the texture layer of a part, or -1 for a plain colour."""
     return book.layer_of.get(part.surface.texture, -1) if part.uvs is not None else -1
 
 
 def _base(part: Part, book: TextureBook) -> Floats:
-    """Linear colour broadcastable to (T, 3, 3): what multiplies the texture, or stands for it."""
+    """Returns a linear colour broadcastable to (T, 3, 3): the factor of the texture, or the colour without one."""
     surface = part.surface
     tint = np.array(surface.colour)
     if surface.texture and texture_layer(part, book) < 0:
@@ -58,19 +58,19 @@ def _base(part: Part, book: TextureBook) -> Floats:
 
 
 def glows_by_name(path: str) -> bool:
-    """Whether a prim's own name or its parent's says lamp, light, screen or window."""
+    """Returns whether the name of a prim or of its parent contains lamp, light, screen or window."""
     return any(_LAMP_WORDS.search(split_name(name)) for name in path.split("/")[-2:])
 
 
 def corner_colours(part: Part, book: TextureBook) -> NDArray[np.uint8]:
-    """Returns (T, 3, 3) the sRGB colours of a part's corners in full light."""
+    """Returns the sRGB colours (T, 3, 3) of the corners of a part in full light."""
     linear = _base(part, book) + np.array(part.surface.emission)
     srgb = np.broadcast_to(srgb_of(linear), part.triangles.shape)
     return np.rint(srgb * 255).astype(np.uint8)
 
 
 def glow_brightness(part: Part, book: TextureBook) -> float:
-    """Returns the linear luminance 0..1 that a glowing part shines with: its emission's, else its picture's."""
+    """Returns the emitted linear luminance, 0..1, of a part: of its emission, else of its texture."""
     colour = np.array(part.surface.emission)
     if not colour.any():
         colour = np.array(part.surface.colour) * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
@@ -78,7 +78,7 @@ def glow_brightness(part: Part, book: TextureBook) -> float:
 
 
 def reflectance(part: Part, book: TextureBook) -> Floats:
-    """Returns (T,) the linear luminance 0..1 of a part's triangles in full light, pictures by their mean."""
+    """Returns the linear luminance (T,), 0..1, of the triangles of a part in full light; the mean for textures."""
     linear = np.broadcast_to(_base(part, book), part.triangles.shape).mean(axis=1)
     if texture_layer(part, book) >= 0:
         linear = linear * book.mean_of.get(part.surface.texture, (1.0, 1.0, 1.0))
@@ -86,12 +86,12 @@ def reflectance(part: Part, book: TextureBook) -> Floats:
 
 
 def target_colour(parts: list[Part], book: TextureBook, rng: np.random.Generator) -> str:
-    """Returns the colour name of a thing, by samples spread over all its faces but those that look down.
+    """Returns the colour name of an object, from samples on all faces that do not face down.
 
     Args:
-        parts: the parts of the thing.
-        book: the textures.
-        rng: draws the samples.
+        parts: parts of the object.
+        book: textures of the scene.
+        rng: random generator of the samples.
     """
     crosses = [_crosses(part.triangles) for part in parts]
     areas = np.concatenate([np.linalg.norm(c, axis=1) * (c[:, 2] > -0.7 * np.linalg.norm(c, axis=1)) for c in crosses])
@@ -107,7 +107,7 @@ def target_colour(parts: list[Part], book: TextureBook, rng: np.random.Generator
 
 
 def _sample(part: Part, book: TextureBook, triangles: NDArray[np.int64], rng: np.random.Generator) -> Floats:
-    """sRGB 0..1 at one random point of each named triangle, without light."""
+    """Returns the unlit sRGB colour, 0..1, at one random point of each given triangle."""
     weights = rng.dirichlet((1.0, 1.0, 1.0), len(triangles))
     base = np.broadcast_to(_base(part, book), part.triangles.shape)[triangles]
     linear = np.einsum("nk,nkc->nc", weights, base)

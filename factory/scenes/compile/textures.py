@@ -1,6 +1,6 @@
-"""The textures of a scene as one array: decoded, 512 x 512, sRGB, each picture once.
+"""Decodes the textures of a scene into one array of unique 512 x 512 sRGB layers.
 
-Decodes with Pillow; what is missing or one too many becomes a plain colour and a note.
+Uses Pillow. A missing or surplus texture is replaced by a plain colour, with a note.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class TextureBook:
-    """Which texture file is which layer."""
+    """Texture layers of a scene, with the layer of each texture path."""
 
     layers: Picture
     """(L, 512, 512, 3) sRGB, top row first."""
     layer_of: Mapping[str, int]
-    """Layer by path, for those that have one."""
+    """Texture path -> layer index."""
     mean_of: Mapping[str, tuple[float, float, float]]
-    """Linear mean colour by path, for all that could be read."""
+    """Texture path -> linear mean colour, for every readable texture."""
     notes: tuple[str, ...]
 
 
@@ -46,9 +46,9 @@ def load_textures(
     """Decodes the textures of a scene.
 
     Args:
-        areas: square metres that each texture path covers; the largest get the layers.
-        read: returns the bytes behind a path, or `None`.
-        users: a prim that shows each texture, for the notes.
+        areas: area that each texture path covers, square metres; the largest get a layer.
+        read: function that returns the bytes of a path, or `None`.
+        users: one prim that uses each texture, for the notes.
     """
     notes: list[str] = []
     pictures: dict[str, Picture] = {}
@@ -88,7 +88,7 @@ def _decode(path: str, data: bytes | None, user: str, notes: list[str]) -> Pictu
 
 
 def _eight_bit(image: Image.Image) -> Image.Image:
-    """Converts any picture to 8-bit RGB; 16-bit gray is scaled, which Pillow's own conversion would clip."""
+    """Converts an image to 8-bit RGB; scales 16-bit gray, which the conversion of Pillow would clip."""
     if image.mode.startswith(("I", "F")):
         values = np.asarray(image, np.float64)
         top = 255.0 / max(float(values.max()), 1e-9) if image.mode == "F" else 1 / 257
@@ -99,7 +99,7 @@ def _eight_bit(image: Image.Image) -> Image.Image:
 
 
 def _largest(areas: Mapping[str, float], digest_of: Mapping[str, str], notes: list[str]) -> list[str]:
-    """The digests that get a layer, in a stable order."""
+    """Returns the digests that get a layer, in a stable order."""
     covered: dict[str, float] = {}
     for path, digest in digest_of.items():
         covered[digest] = covered.get(digest, 0.0) + areas[path]

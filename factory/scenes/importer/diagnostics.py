@@ -1,6 +1,6 @@
-"""What USD complains about, in one line each: the same words on every machine and at every run.
+"""Formats diagnostics of USD as single lines that are equal on every machine and in every run.
 
-Its own words hold addresses of memory and places on disk; they would make two imports of one stage differ.
+Removes memory addresses and directories, which would make two imports of one stage differ. Does not call USD.
 """
 
 from __future__ import annotations
@@ -8,12 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-__all__ = ["say_complaint", "say_refusal", "text_of"]
+__all__ = ["format_error", "format_warning", "text_of"]
 
 _LONGEST = 300
 _NOISE = (
     re.compile(r"\s*\(\w+ stage on stage @[^@]*@ <0x[0-9a-f]+>\)"),
-    re.compile(r",@anon:0x[0-9a-f]+:[^@]*@"),  # the layer of the session, which nobody wrote
+    re.compile(r",@anon:0x[0-9a-f]+:[^@]*@"),  # the anonymous session layer
     re.compile(r"pxrInternal_\w*?::"),
     re.compile(r"(?<=<)/[^<>]*/(?=[^<>/]+\.usd[acz]?>)"),
     re.compile(r"^/\S*/(?=[^/\s]+:\d+)"),
@@ -28,18 +28,18 @@ _REMEDIES = (
 
 
 def text_of(read: Callable[[], str]) -> str:
-    """Returns words of USD's that may quote a file which is no UTF-8; bytes that are none are replaced."""
+    """Returns a message of USD; replaces bytes that are not UTF-8, which quoted files may contain."""
     try:
         return read()
     except UnicodeDecodeError as error:
         return error.object.decode(errors="replace")
 
 
-def say_complaint(text: str) -> str:
-    """Returns a warning of USD's as one line, files by their names, with what to do about it where that is known.
+def format_warning(text: str) -> str:
+    """Formats a warning of USD as one line, with file names instead of paths and a remedy if one is known.
 
     Args:
-        text: the commentary of a diagnostic.
+        text: commentary of a diagnostic.
     """
     line = _plain(text)
     remedies = (remedy for words, remedy in _REMEDIES if words in line.lower())
@@ -47,11 +47,11 @@ def say_complaint(text: str) -> str:
     return f"{line[:_LONGEST].rstrip(' .;')}; {remedy}" if remedy else line[:_LONGEST]
 
 
-def say_refusal(text: str) -> str:
-    """Returns why USD opens no stage, as one line: the first of its errors, which is the deepest.
+def format_error(text: str) -> str:
+    """Formats an error of USD as one line: the first error of the list, which is the root cause.
 
     Args:
-        text: of a `Tf.ErrorException`: errors, each with its place in USD's own source.
+        text: text of a `Tf.ErrorException`: errors, each with its location in the source of USD.
     """
     errors = [part.partition(" : '")[2].strip().removesuffix("'") for part in text.split("\n\tError in ") if part]
     return _plain(next((error for error in errors if error), text))[:_LONGEST]
@@ -65,6 +65,6 @@ def _plain(text: str) -> str:
 
 
 def _file_name(asset: str) -> str:
-    """The file without its folder; what it packs keeps its place: `a/b.usdz[c/d.png]` becomes `b.usdz[c/d.png]`."""
+    """Returns the file name of an asset path, with its path in a package: `a/b.usdz[c/d.png]` is `b.usdz[c/d.png]`."""
     file, bracket, packed = asset.partition("[")
     return file.rpartition("/")[2] + bracket + packed

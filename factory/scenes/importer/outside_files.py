@@ -1,6 +1,6 @@
-"""Keeps an import inside the folder of its stage: what a material names elsewhere on the disk is not read.
+"""Restricts an import to the folder of its stage: textures outside the folder are not read.
 
-Compares paths, links followed; reads nothing.
+Compares resolved paths. Reads no files.
 """
 
 from __future__ import annotations
@@ -11,32 +11,32 @@ from pathlib import Path
 
 from factory.scenes.importer.material import Surface
 
-__all__ = ["Fence"]
+__all__ = ["ReadableFolder"]
 
 
 @dataclass(frozen=True)
-class Fence:
-    """The folder of the root layer."""
+class ReadableFolder:
+    """Folder of the root layer, from which an import may read textures."""
 
     root_layer: Path
     is_open: bool
-    """Whether everything may be read."""
+    """Whether all paths are allowed."""
 
     def encloses(self, asset: str) -> bool:
-        """Whether an absolute asset path, `a.usdz[b.png]` included, lies in the folder tree."""
+        """Returns whether an absolute asset path, such as `a.usdz[b.png]`, is inside the folder."""
         file = Path(asset.partition("[")[0])
         return self.is_open or file.resolve().is_relative_to(self.root_layer.resolve().parent)
 
     def kept_inside(self, surface: Surface, material: str, notes: list[str]) -> Surface:
-        """Returns the surface, in its plain colour when its texture lies outside.
+        """Returns the surface, with a plain colour if its texture is outside the folder.
 
         Args:
-            surface: as the material has it.
-            material: path of the material's prim.
-            notes: receives what was refused.
+            surface: appearance of the material.
+            material: path of the material prim.
+            notes: list that receives a note for each rejected texture.
         """
         texture = surface.texture
-        climbs = ".." in Path(texture).parts and not Path(texture).is_absolute()  # unresolved: not there, or no right
+        climbs = ".." in Path(texture).parts and not Path(texture).is_absolute()  # unresolved
         if not texture or (not climbs and (not Path(texture).is_absolute() or self.encloses(texture))):
             return surface
         shown = os.path.relpath(texture, self.root_layer.resolve().parent) if not climbs else texture

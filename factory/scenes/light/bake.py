@@ -1,6 +1,6 @@
-"""Bakes the light of a scene into a map: ambient occlusion, and lamps with soft shadows; same scene, same bytes.
+"""Bakes the light map of a scene: ambient occlusion, and lamps with soft shadows. Deterministic.
 
-A coarse look first finds the pieces that are hidden or in the dark, so that the fine one spends its texels elsewhere.
+A coarse pass finds hidden and dark charts, so that the fine pass uses fewer texels for them.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _COARSE = 0.25
 _COARSE_SKY, _COARSE_LAMPS = (5, 5), (2, 2)
 _FINE_SKY, _FINE_LAMPS = (14, 27), (8, 12)
 _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
-"""Density of texels on pieces that are within something solid, and on pieces that no lamp reaches."""
+"""Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
 _MIDDLE_GREY = 0.5
-"""Reflectance that needs no correction of the exposure."""
+"""Mean reflectance without exposure correction."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -38,10 +38,10 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class LightMap:
-    """Baked light."""
+    """Baked light map of a scene."""
 
     uvs: NDArray[np.float32]
-    """(T, 3, 2) place of each corner in the picture, 0..1."""
+    """(T, 3, 2) light map coordinates of each corner, 0..1."""
     picture: NDArray[np.uint8]
     """(H, W, 3) gamma-encoded, 255 is full light."""
 
@@ -49,13 +49,13 @@ class LightMap:
 def bake_light(
     triangles: Floats, groups: Ints, brightness: Floats, floor_m: float, reflectance: Floats | None = None
 ) -> LightMap:
-    """Bakes the light of a scene.
+    """Bakes the light map of a scene.
 
     Args:
-        triangles: (T, 3, 3) what can be seen, world metres, counter-clockwise from outside.
-        groups: (T,) the part of each; surfaces of different parts are never joined.
-        brightness: (T,) how brightly each glows by itself; 0 for what only reflects.
-        floor_m: height of the floor.
+        triangles: (T, 3, 3) visible triangles, world metres, counter-clockwise from outside.
+        groups: (T,) part of each triangle; surfaces of different parts are not joined.
+        brightness: (T,) emitted luminance; 0 for surfaces without emission.
+        floor_m: height of the floor, metres.
         reflectance: (T,) luminance 0..1 of each surface in full light, for the exposure; middle grey when `None`.
     """
     charts = find_charts(triangles, groups)
@@ -80,7 +80,7 @@ def bake_light(
 
 
 def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tuple[Floats, Bools]:
-    """Returns maps (3, H, W), smooth within flat charts: openness, share and amount of lamplight; and where known."""
+    """Returns maps (3, H, W): openness, lamp visibility, lamp light, smoothed within charts; and a validity mask."""
     sky, hidden = sky_light(caster, texels, _FINE_SKY)
     whole, free = lamp_light(caster, texels, lamps, _FINE_LAMPS)
     known, bent = _mask(owner.shape, texels, ~hidden), _mask(owner.shape, texels, texels.is_bent)
@@ -90,7 +90,7 @@ def _cast_light(caster: Caster, texels: Texels, lamps: Lamps, owner: Ints) -> tu
 
 
 def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Floats:
-    """(C,) how dense the texels of each chart should lie, by a coarse look: 1, or less for what is hidden or dark."""
+    """Returns (C,) the texel density of each chart from a coarse pass: 1, or less for hidden or dark charts."""
     layout = unwrap(charts, np.full(len(charts.area), _COARSE))
     texels = lay_texels(charts, bends, layout).cast()
     _, hidden = sky_light(caster, texels, _COARSE_SKY)
@@ -102,7 +102,7 @@ def _interest(caster: Caster, charts: Charts, bends: Bends, lamps: Lamps) -> Flo
 
 
 def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
-    """(C,) the mean reflectance of each chart."""
+    """Returns (C,) the mean reflectance of each chart."""
     if reflectance is None:
         return np.full(len(charts.area), _MIDDLE_GREY)
     total = np.bincount(charts.of_triangle, reflectance)
@@ -110,7 +110,7 @@ def _chart_means(charts: Charts, reflectance: Floats | None) -> Floats:
 
 
 def _maps(shape: tuple[int, int], texels: Texels, *values: Floats) -> Floats:
-    """Lays values (N,) of the texels out as maps (K, H, W), zero where nothing lies."""
+    """Writes values (N,) of the texels into maps (K, H, W), zero elsewhere."""
     flat = np.zeros((len(values), *shape))
     for each, target in zip(values, flat, strict=True):
         target[texels.cell] = each

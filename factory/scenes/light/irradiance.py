@@ -1,7 +1,7 @@
-"""How much light reaches each texel: from everywhere past what is near, and from lamps past what stands between.
+"""Computes the light of each texel: ambient light with occlusion, and lamp light with shadows. Deterministic.
 
-Flat texels cast few rays, and neighbours cast different ones, to be averaged later; bent ones cast more and the same,
-so that light runs smoothly over small pieces. No chance is involved.
+Texels of flat charts cast few rays, different for neighbours, which are averaged later. Texels of curved charts cast
+more rays, the same for all, so that the light is smooth over small charts.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ _CELL_M = 2.5
 _LAMPS_A_CELL = 24
 _HIDDEN_SHARE = 0.35
 _CHUNK = 1 << 13
-"""Texels at a time: what is held for each of them stays in the processor's cache."""
+"""Number of texels per batch; the working set of a batch fits the processor cache."""
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Rays = tuple[int, int]
-"""How many rays a flat and a bent texel cast."""
+"""Number of rays of a texel on a flat chart and on a curved chart."""
 
 
 def _sequence(count: int) -> Floats:
-    """Returns (9, count, 2) evenly spread numbers 0..1: the additive recurrence of the plastic number, dealt out."""
+    """Returns nine low-discrepancy sequences (9, count, 2), 0..1: interleaved R2 (plastic number) sequences."""
     steps = np.arange(1, count * PATTERN_SIDE**2 + 1)[:, None] * (0.7548776662466927, 0.5698402909980532)
     return np.asarray((steps % 1.0).reshape(count, PATTERN_SIDE**2, 2).swapaxes(0, 1))
 
 
 def sky_light(caster: Caster, texels: Texels, rays: Rays) -> tuple[Floats, Bools]:
-    """Returns (N,) how open the half-space over each texel is, 0..1, and whether it lies within something solid."""
+    """Returns (N,) the openness of the half-space above each texel, 0..1, and whether the texel is inside a solid."""
     opening, hidden = np.zeros(len(texels.chart)), np.zeros(len(texels.chart), bool)
     for is_bent, count in zip((False, True), rays, strict=True):
         rows = np.flatnonzero(texels.is_bent == is_bent)
@@ -68,7 +68,7 @@ def _sky(caster: Caster, texels: Texels, run: Ints, count: int) -> tuple[Singles
 
 
 def lamp_light(caster: Caster, texels: Texels, lamps: Lamps, rays: Rays) -> tuple[Floats, Floats]:
-    """Returns (N,) the light that lamps would throw on each texel were nothing between, and the share that arrives."""
+    """Returns (N,) the unoccluded light of the lamps at each texel, and the share that is visible."""
     cells = np.column_stack((np.floor(texels.points / _CELL_M), texels.is_bent))
     cell = number_rows(cells.astype(np.int64))
     order = np.argsort(cell, kind="stable")
@@ -84,7 +84,7 @@ def lamp_light(caster: Caster, texels: Texels, lamps: Lamps, rays: Rays) -> tupl
 
 
 def _lit(caster: Caster, texels: Texels, run: Ints, lamps: Lamps, count: int) -> tuple[Singles, Singles]:
-    """Chooses lamps by what they would give, and points on them, and looks whether the way there is free."""
+    """Samples lamps by their unoccluded light, and points on them, and tests visibility."""
     points, normals = (
         np.ascontiguousarray(values.T, np.float32) for values in (texels.points[run], texels.axes[run, 2])
     )

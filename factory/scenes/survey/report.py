@@ -1,6 +1,6 @@
-"""How good the start points of a compiled scene are: number, spread, floor within reach, targets in sight.
+"""Measures the spawn points of a compiled scene: number, spacing, floor coverage, visible targets.
 
-Pure; finds no points of its own (`survey.py` does), it only measures those in the package.
+Pure. Does not compute spawn points; `spawns.py` does.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from workers.geometry.grid import Grid
 __all__ = ["NEAR_M", "SpawnSight", "SurveyReport", "report_survey"]
 
 NEAR_M = 2.0
-"""Floor within this distance of a spawn counts as covered, metres."""
+"""Distance from a spawn within which floor counts as covered, metres."""
 
 
 @dataclass(frozen=True)
 class SpawnSight:
-    """One start point and what can be driven to straight from it."""
+    """Spawn point, with the targets that are reachable from it by straight driving."""
 
     x_m: float
     y_m: float
@@ -32,34 +32,34 @@ class SpawnSight:
 
 @dataclass(frozen=True)
 class SurveyReport:
-    """The survey of one scene."""
+    """Spawn survey of one scene."""
 
     spawns: int
     free_area_m2: float
     nearest_min_m: float
-    """Distance of the two spawns closest to each other; 0 below two."""
+    """Minimum distance between two spawns, metres; 0 with fewer than two."""
     nearest_median_m: float
-    """Median distance of a spawn to its nearest neighbour; 0 below two."""
+    """Median distance of a spawn to its nearest neighbour, metres; 0 with fewer than two."""
     within_m: float
     share_within: float
-    """Share of the connected floor within `within_m` of a spawn."""
+    """Share of the connected floor within `within_m` of a spawn, 0..1."""
     farthest_floor_m: float
-    """Distance from the loneliest spot of the connected floor to its nearest spawn; 0 without spawns."""
+    """Maximum distance of a point of the connected floor from its nearest spawn, metres; 0 without spawns."""
     blind: int
-    """Spawns from which no target can be driven to straight."""
+    """Number of spawns from which no target is reachable by straight driving."""
     unseen: tuple[str, ...]
-    """Targets that no spawn sees."""
+    """Ids of the targets that no spawn sees."""
     sights: tuple[SpawnSight, ...]
     shortcomings: tuple[str, ...]
-    """What the scene lacks to be used, each with a remedy; empty when it lacks nothing."""
+    """Unmet requirements of the scene, each with a remedy; empty if all are met."""
 
 
 def report_survey(scene: CompiledScene, within_m: float = NEAR_M) -> SurveyReport:
-    """Measures the spawns of a scene.
+    """Measures the spawn points of a scene.
 
     Args:
-        scene: the package.
-        within_m: how near to a spawn the floor counts as covered, metres.
+        scene: compiled scene.
+        within_m: distance from a spawn within which floor counts as covered, metres.
     """
     spawns = scene.spawns.astype(np.float64)
     apart = cKDTree(spawns).query(spawns, k=2)[0][:, 1] if len(spawns) > 1 else np.zeros(1)

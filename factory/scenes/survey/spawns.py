@@ -1,6 +1,6 @@
-"""Surveys the floor for start points: where the robot fits with nearly any heading, spread as evenly as can be.
+"""Computes the spawn points of a floor: points where the robot fits with most headings, evenly spread.
 
-Pure and deterministic: the same grid gives the same points.
+Pure and deterministic. Does not sample at random.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from workers.geometry.grid import DISC_RADIUS_M
 __all__ = ["MIN_SPAWNS", "survey_spawns"]
 
 MIN_SPAWNS = 40
-"""Points that a scene should have (DESIGN 4)."""
+"""Recommended minimum number of spawn points of a scene (DESIGN 4)."""
 _USUAL, _MANY, _BIG_AREA_M2 = 64, 96, 250.0
 _HEADINGS, _MIN_FREE_HEADINGS = 16, 12
 _CLOSEST_M = 0.3
@@ -23,10 +23,10 @@ Floats = NDArray[np.float64]
 
 
 def survey_spawns(terrain: Terrain) -> NDArray[np.float32]:
-    """Returns (S, 2) start points x, y in metres for the base_link, spread over the whole connected floor.
+    """Returns spawn points (S, 2) x, y of the base_link, metres, spread over the connected floor.
 
-    At three headings in four the footprint with the spawn margin is free and stands on the connected floor; none lies
-    beneath a thing of a category.
+    For three headings in four, the footprint with the spawn margin is free and on the connected floor. No point is
+    within the box of a candidate.
     """
     points = _open_points(terrain)
     area = float(terrain.floor.sum()) * terrain.grid.resolution_m**2
@@ -37,8 +37,8 @@ def survey_spawns(terrain: Terrain) -> NDArray[np.float32]:
 
 
 def _open_points(terrain: Terrain) -> Floats:
-    """Centres (N, 2) of every other cell, row and column, on which the base_link has 12 of 16 headings."""
-    near = terrain.grid.clearance >= DISC_RADIUS_M  # no pose fits elsewhere, so most cells need no test
+    """Returns the centres (N, 2) of every second cell in both directions where the base_link has 12 of 16 headings."""
+    near = terrain.grid.clearance >= DISC_RADIUS_M  # no pose fits in the other cells
     points = terrain.grid.centre_of(2 * np.argwhere(near[::2, ::2]))
     headings = np.zeros(len(points), np.int64)
     for yaw in 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS:
@@ -47,7 +47,7 @@ def _open_points(terrain: Terrain) -> Floats:
 
 
 def _spread(points: Floats, clearance: Floats, wanted: int) -> NDArray[np.int64]:
-    """Farthest-point sampling: starts in the widest place, then always takes the point farthest from all taken."""
+    """Farthest-point sampling: starts at the largest clearance, then adds the point farthest from all chosen ones."""
     chosen = [int(clearance.argmax())]
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < wanted and distance.max() >= _CLOSEST_M:

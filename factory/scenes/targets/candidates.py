@@ -1,6 +1,6 @@
-"""Which prims are things of a category: the outermost match wins, containers are descended.
+"""Finds target candidates: prims whose names match a category rule. The outermost match applies.
 
-Pure: works on paths, boxes and rules; never opens a stage and never asks whether a robot could get there.
+Pure: works on paths, boxes and rules. Does not read stages and does not compute reachability.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Box = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Candidate:
-    """A thing of a category, reachable or not."""
+    """Prim that matches a category rule, reachable or not."""
 
     path: str
     category: str
@@ -37,12 +37,12 @@ class _Tree:
 
 
 def find_candidates(extraction: Extraction, parts: Sequence[Part], rules: RuleBook) -> tuple[Candidate, ...]:
-    """Finds the things of a category among the parts that can be seen.
+    """Finds the candidates among the visible parts.
 
     Args:
-        extraction: for its labels, groups and components.
-        parts: the visible parts; their vertices make the boxes.
-        rules: what is called how.
+        extraction: extracted stage, for its labels, groups and components.
+        parts: visible parts; their vertices define the boxes.
+        rules: category rules.
 
     Returns:
         The candidates in the order of their paths.
@@ -91,7 +91,7 @@ def _name(path: str, extraction: Extraction) -> str:
 
 
 def _is_container(tree: _Tree, path: str, category: str, extraction: Extraction, rules: RuleBook) -> bool:
-    """Whether it only collects things: two children of its category stand beside each other."""
+    """Returns whether a prim is a container: two of its children have its category and disjoint boxes."""
     if path in extraction.components:
         return False
     matches = ((child, rules.match(_name(child, extraction))) for child in tree.children.get(path, ()))

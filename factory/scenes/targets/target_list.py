@@ -1,6 +1,6 @@
-"""The file `targets_<scene>.yaml`: the targets of a scene, to be read and edited by people.
+"""Reads and writes `targets_<scene>.yaml`, the target list of a scene that users edit.
 
-Reads and writes the file; how an edited one is honoured stands in `honour.py`.
+Does not apply the list; `edits.py` does.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _HEAD = """\
 
 
 class TargetEntry(Model):
-    """One row: a prim and what it is to be called."""
+    """Row of the list: a prim with the id, category and colour of its target."""
 
     id: Name
-    """Name of the target in the dataset, e.g. `chair_007`."""
+    """Target id in the dataset, e.g. `chair_007`."""
     category: Name
     colour: str = "unknown"
     """One of the eleven basic colours, or `unknown`."""
@@ -45,12 +45,12 @@ class TargetEntry(Model):
     @classmethod
     def _is_a_colour(cls, colour: str) -> str:
         if colour not in (*COLOUR_NAMES, "unknown"):
-            raise ValueError(f"no basic colour; known are {', '.join(COLOUR_NAMES)}, unknown")
+            raise ValueError(f"not a basic colour; known are {', '.join(COLOUR_NAMES)}, unknown")
         return colour
 
 
 class TargetList(Model):
-    """The whole file; a prim that it does not name is no target."""
+    """Content of the file. Prims that it does not list are not targets."""
 
     scene: Name
     targets: tuple[TargetEntry, ...]
@@ -67,18 +67,18 @@ class TargetList(Model):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what is honoured; comments, centroids and sizes do not count."""
+        """SHA-256 of the rows, without comments, centroids and sizes, which have no effect."""
         rows = (f"{e.prim_path}\n{e.id}\n{e.category}\n{e.colour}\n{e.enabled}" for e in self.targets)
         return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()
 
 
 def list_file_name(scene: str) -> str:
-    """Returns the name of a scene's file."""
+    """Returns the file name of the target list of a scene."""
     return f"targets_{scene}.yaml"
 
 
 def spell_target_list(info: SceneInfo) -> str:
-    """Returns the file of a compiled scene, all targets enabled."""
+    """Returns the text of the target list of a compiled scene, all targets enabled."""
     rows = [
         {
             "id": target.target_id,
@@ -97,30 +97,30 @@ def spell_target_list(info: SceneInfo) -> str:
 
 
 def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:
-    """Reads an edited file.
+    """Reads a target list.
 
     Args:
-        path: the file.
-        scene: what the scene is called, for the command that writes such a file.
+        path: path of the file.
+        scene: name of the scene, used in the command that an error message suggests.
 
     Raises:
-        UsageError: it is not there or is no such file; every mistake is named with its row.
+        UsageError: the file does not exist or is not valid; the message lists every error with its row.
     """
     try:
         return TargetList.model_validate(read_yaml(path.read_text(encoding="utf-8")))
     except OSError as error:
         command = f"factory scene targets {scene} -o {shlex.quote(str(path))}"
         raise UsageError(
-            f"no targets file at {path} ({say_absence(error)}); leave it out to have all that the rules find, or write "
-            f"one to edit with `{command}`"
+            f"cannot read targets file {path} ({say_absence(error)}); omit it to use all targets that the rules find, "
+            f"or write one with `{command}`"
         ) from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is no targets file: it is no UTF-8 text") from error
+        raise UsageError(f"{path} is not a valid targets file: its text is not UTF-8") from error
     except yaml.YAMLError as error:
-        raise UsageError(f"{path} is no YAML: {error}") from error
+        raise UsageError(f"{path} is not valid YAML: {error}") from error
     except ValidationError as error:
         mistakes = "\n".join(f"  - {_key(item['loc'])}{_message(item['msg'])}" for item in error.errors())
-        raise UsageError(f"{path} is no targets file:\n{mistakes}") from error
+        raise UsageError(f"{path} is not a valid targets file:\n{mistakes}") from error
 
 
 def _key(place: tuple[int | str, ...]) -> str:
