@@ -72,10 +72,10 @@ def bake_light(
     touch = contact_shade(triangles, floor_m, texels.points, texels.axes[:, 2])
     filled = fill_hidden(np.concatenate((cast, _maps(layout.shape, texels, touch))), known, owner)
     sky, free, whole, rim = filled
-    shines = _mask(layout.shape, texels, glow[texels.chart] > 0)
+    emitting = _mask(layout.shape, texels, glow[texels.chart] > 0)
     grey = _maps(layout.shape, texels, _chart_means(charts, reflectance)[texels.chart])[0]
-    picture = tone(sky * rim, whole * free, known & ~shines, grey)
-    picture[shines] = 255
+    picture = tone(sky * rim, whole * free, known & ~emitting, grey)
+    picture[emitting] = 255
     return LightMap(layout.uvs.astype(np.float32), picture)
 
 

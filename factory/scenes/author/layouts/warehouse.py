@@ -1,6 +1,6 @@
-"""The two warehouses: pallet-rack rows with a cross aisle, and a smaller hall of alternating rack and shelf rows.
+"""Layouts of the warehouses: pallet-rack rows with a cross aisle, and a smaller hall with rack and shelf rows.
 
-Decides where things stand, in metres; never builds a mesh. Every rack bay is its own prop.
+Places structures and props, in metres; every rack bay is a separate prop. Does not build meshes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RACK_DEPTH_M = 0.84
 
 
 class RackRow(NamedTuple):
-    """One line of storage along x: what stands in it, where its centre lies, which way it faces."""
+    """Row of storage units along x: kind of unit, position of the centre line, direction."""
 
     kind: str
     y: float
@@ -64,7 +64,7 @@ def lay_out_multiple_shelves(plan: FloorPlan) -> None:
 
 
 def _rack_rows(plan: FloorPlan, hall: Rectangle, aisle: float) -> Iterator[RackRow]:
-    """Single and back-to-back rack rows, as many as the hall is deep; singles are reached from both sides."""
+    """Yields single and back-to-back rack rows over the depth of the hall; singles have access from both sides."""
     y = 3.2
     while y < hall.y1 - 2.8:
         yield RackRow("rack", y, FACING["N"])
@@ -84,9 +84,9 @@ def _shell(plan: FloorPlan, hall: Rectangle, gates: int) -> None:
         wall(plan, True, y, (hall.x0 - 0.06, hall.x1 + 0.06), faces, (), HEIGHT_M, (KICK, KICK))
     for x in (hall.x0, hall.x1):
         wall(plan, False, x, (hall.y0, hall.y1), faces, (), HEIGHT_M, (KICK, KICK))
-    inside, shop = hall.grown(-0.06), plan.workshop
+    inside, props = hall.grown(-0.06), plan.props
     gate_side = "EW"[plan.pick(2)]
-    gate = shop.model("SM_RollerGate", 0)
+    gate = props.model("SM_RollerGate", 0)
     for number in range(gates):
         x, y, yaw = wall_pose(gate, inside, gate_side, (number + 0.5) / gates, 0.0)
         plan.add(gate, x, y, yaw)
@@ -94,9 +94,9 @@ def _shell(plan: FloorPlan, hall: Rectangle, gates: int) -> None:
         plan.keep_clear(Rectangle(x0, y - 1.7, x1, y + 1.7))
     for side in "NS":
         for along in (0.1, 0.3, 0.5, 0.7, 0.9):
-            plan.hang(shop.model("SM_Window", 2), inside, side, along)
+            plan.hang(props.model("SM_Window", 2), inside, side, along)
             plan.hang(
-                shop.model("SM_SafetyNotice", plan.pick(3)),
+                props.model("SM_SafetyNotice", plan.pick(3)),
                 inside,
                 side,
                 along + float(plan.rng.uniform(-0.05, 0.05)),
@@ -104,8 +104,8 @@ def _shell(plan: FloorPlan, hall: Rectangle, gates: int) -> None:
 
 
 def _fill_rows(plan: FloorPlan, hall: Rectangle, rows: list[RackRow], margin: float) -> None:
-    """Stands bays or shelf units along each row, leaves the cross aisle open, marks aisles on the floor."""
-    rng, shop = plan.rng, plan.workshop
+    """Places bays or shelf units along each row, keeps the cross aisle free and marks aisles on the floor."""
+    rng, props = plan.rng, plan.props
     cross = hall.x0 + float(rng.uniform(0.42, 0.58)) * hall.width
     frame, shelf_look = plan.pick(3), plan.pick(8)
     for row in rows:
@@ -118,7 +118,7 @@ def _fill_rows(plan: FloorPlan, hall: Rectangle, rows: list[RackRow], margin: fl
                     x = x0 + (slot + 0.5) * pitch
                     look = frame + 3 * plan.pick(3) if row.kind == "rack" else shelf_look + 4 * plan.pick(2)
                     name = "SM_RackPile_04" if row.kind == "rack" else "SM_ShelfSteel_A"
-                    plan.place(shop.model(name, look), x, row.y, row.yaw, None, -0.05)
+                    plan.place(props.model(name, look), x, row.y, row.yaw, None, -0.05)
             if count:
                 _mark_row(plan, row, x0, x0 + count * pitch)
 
@@ -130,7 +130,7 @@ def _mark_row(plan: FloorPlan, row: RackRow, x0: float, x1: float) -> None:
     marking(plan, Rectangle(x0 - 0.25, edge - 0.04, x1 + 0.25, edge + 0.04), YELLOW)
     for x in (x0 - 0.35, x1 + 0.25):
         marking(plan, Rectangle(x, row.y - 0.4, x + 0.1, row.y + 0.4), HAZARD)
-    post = plan.workshop.model("SM_ImpactPost", 0)
+    post = plan.props.model("SM_ImpactPost", 0)
     for x in (x0 - 0.12, x1 + 0.12):
         if row.kind == "rack":
             plan.place(post, x, row.y + toward * 0.33, 0.0, None, -0.05)
@@ -139,22 +139,22 @@ def _mark_row(plan: FloorPlan, row: RackRow, x0: float, x1: float) -> None:
 def _wall_shelves(plan: FloorPlan, inside: Rectangle, count: int) -> None:
     """Shelf units with their backs to the east and west walls."""
     for number in range(count):
-        model = plan.workshop.model("SM_ShelfSteel_A", plan.pick(8))
+        model = plan.props.model("SM_ShelfSteel_A", plan.pick(8))
         plan.against_somewhere(model, inside, "EW", 0.05 if number % 2 else 0.5, 30)
 
 
 def _floor_goods(plan: FloorPlan, inside: Rectangle, singles: int, clusters: int) -> None:
     """Barrels and crates along the walls, alone and in small groups, and clutter between them."""
-    rng, shop = plan.rng, plan.workshop
+    rng, props = plan.rng, plan.props
     names = ("SM_BarelPlastic_A", "SM_CratePlastic_A", "SM_BarelPlastic_A", "SM_CrateWood_B")
     for number in range(singles):
-        plan.against_somewhere(shop.model(names[number % 4], plan.pick(12)), inside, "NESW", 0.35)
+        plan.against_somewhere(props.model(names[number % 4], plan.pick(12)), inside, "NESW", 0.35)
     for _ in range(clusters):
         x, y = float(rng.uniform(1.5, inside.x1 - 1.5)), (1.0, inside.y1 - 1.0)[plan.pick(2)]
         name = names[plan.pick(4)]
         for _ in range(2 + plan.pick(2)):
             dx, dy = float(rng.uniform(-0.8, 0.8)), float(rng.uniform(-0.4, 0.4))
-            plan.place(shop.model(name, plan.pick(12)), x + dx, y + dy, float(rng.uniform(-0.5, 0.5)), inside, 0.02)
+            plan.place(props.model(name, plan.pick(12)), x + dx, y + dy, float(rng.uniform(-0.5, 0.5)), inside, 0.02)
     clutter = (
         "SM_PalletPile",
         "SM_CardBoxPile",
@@ -165,6 +165,6 @@ def _floor_goods(plan: FloorPlan, inside: Rectangle, singles: int, clusters: int
         "SM_CardBoxPile",
     )
     for name in clutter:
-        plan.against_somewhere(shop.model(name, plan.pick(4)), inside, "NESW", 0.6)
+        plan.against_somewhere(props.model(name, plan.pick(4)), inside, "NESW", 0.6)
     for side in "NS":
-        plan.against_somewhere(shop.model("SM_PalletPile", plan.pick(4)), inside, side, 0.5)
+        plan.against_somewhere(props.model("SM_PalletPile", plan.pick(4)), inside, side, 0.5)

@@ -1,6 +1,6 @@
-"""The registry of props: model name -> builder and how many variants it has. A new prop is one builder and one line.
+"""Registry of props: model name -> builder and number of variants. A new prop needs one builder and one line here.
 
-Names of targets follow the assets of the field, misspellings included; all other names match no category rule.
+Names of targets follow common asset names, with their misspellings; all other names match no category rule.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from factory.scenes.author.geometry import Floats, bounds
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.props import clinic, clutter, office, safety, seating, storage, wall
 
-__all__ = ["CATALOGUE", "CatalogueEntry", "PropModel", "Workshop"]
+__all__ = ["CATALOGUE", "CatalogueEntry", "PropBuilder", "PropModel"]
 
 Builder = Callable[[int, Generator], list[PropPiece]]
 
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """One line of the registry: who builds it and how many variants exist."""
+    """Entry of the registry: builder and number of variants."""
 
     build: Builder
     variants: int
@@ -32,7 +32,7 @@ class CatalogueEntry:
 
 @dataclass(frozen=True)
 class PropModel:
-    """A built prop.
+    """Built prop.
 
     Attributes:
         name: layer and prim name, such as SM_ChairOffice_A_02.
@@ -102,18 +102,18 @@ CATALOGUE: Mapping[str, CatalogueEntry] = MappingProxyType(
         "SM_RollerGate": CatalogueEntry(wall.roller_door, 1),
     }
 )
-"""Every prop by model name."""
+"""Model name -> catalogue entry."""
 
 
-class Workshop:
-    """Builds each model once per scene; what it builds depends on (seed, name, variant) alone."""
+class PropBuilder:
+    """Cache of prop models of one scene. A model depends on (seed, name, variant) only."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
         self._models: dict[str, PropModel] = {}
 
     def model(self, name: str, variant: int) -> PropModel:
-        """The model of a prop; `variant` wraps around the number of variants."""
+        """Returns the model of a prop; `variant` is taken modulo the number of variants."""
         entry = CATALOGUE[name]
         index = variant % entry.variants
         full_name = f"{name}_{index:02d}"

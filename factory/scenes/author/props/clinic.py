@@ -1,6 +1,6 @@
-"""Hospital furniture that is never a target: beds, night stands, drips, curtains, trolleys, a wheelchair.
+"""Builders of hospital furniture that is not a target: beds, night stands, drips, curtains, trolleys, a wheelchair.
 
-Builders in metres, origin on the floor, head end at +y. Never decides where anything stands.
+Lengths in metres, origin on the floor, head end at +y. Does not place props.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Furniture and clutter that is never a target: cabinets, counters, lamps, pallets, cones, a pallet truck.
+"""Builders of furniture and clutter that is not a target: cabinets, counters, lamps, pallets, cones, a pallet truck.
 
-Builders in metres, origin on the floor, front facing -y. Never decides where anything stands.
+Lengths in metres, origin on the floor, front facing -y. Does not place props.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def cone(_variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def protection_post(_variant: int, _rng: Generator) -> list[PropPiece]:
-    """A yellow impact post with black bands, as they guard rack ends."""
+    """A yellow impact post with black bands, for the ends of racks."""
     bands = [uncapped(cylinder(0.062, z, z + 0.12, sides=8)) for z in (0.25, 0.55)]
     return [
         PropPiece(painted("Yellow"), cylinder(0.06, 0.0, 0.8, sides=8)),
@@ -204,7 +204,7 @@ def protection_post(_variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def workbench(_variant: int, _rng: Generator) -> list[PropPiece]:
-    """A packing bench with rolls and a box; called a bench so that no rule takes it for a target."""
+    """A packing bench with rolls and a box; the name `bench` matches no category rule."""
     top = block((-0.9, -0.4, 0.86), (0.9, 0.4, 0.92))
     legs = [block((x - 0.04, y - 0.04, 0.0), (x + 0.04, y + 0.04, 0.86)) for x in (-0.82, 0.82) for y in (-0.33, 0.33)]
     low = block((-0.85, -0.3, 0.25), (0.85, 0.35, 0.28))

@@ -1,6 +1,6 @@
-"""Tables, desks, monitors, plants, waste bins: builders in metres, origin on the floor, front (user side) at -y.
+"""Builders of tables, desks, monitors, plants and waste bins: metres, origin on the floor, front (user side) at -y.
 
-Never decides where anything stands and never writes USD. Desk frames leave the knee space open for a low robot.
+Desk frames leave the knee space open for a low robot. Does not place props.
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def trash_can(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def keys_pad(_variant: int, _rng: Generator) -> list[PropPiece]:
-    """A computer's typing pad and mouse, lying on a desk top at z = 0."""
+    """A keyboard and a mouse on a desk top at z = 0."""
     keys = SurfaceMaterial("Keys", "#2c2f34", "Keys")
     board = fitted_block((-0.22, -0.07, 0.0), (0.22, 0.07, 0.022))
     return [PropPiece(keys, board), PropPiece(BLACK, pad((0.28, -0.05, 0.0), (0.34, 0.05, 0.03), 0.012))]

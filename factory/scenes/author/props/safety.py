@@ -1,6 +1,6 @@
-"""Fire extinguishers and whiteboards: builders in metres, origin on the floor below them, front facing -y.
+"""Builders of fire extinguishers and whiteboards: metres, origin on the floor below them, front facing -y.
 
-Wall-hung things keep their mounting height in the mesh; never decides where anything hangs.
+The mesh of a wall-mounted prop includes its mounting height. Does not place props.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def fire_extinguisher(variant: int, _rng: Generator) -> list[PropPiece]:
 
 
 def _mount(kind: int, radius: float, bottom: float, top: float) -> list[PropPiece]:
-    """What carries the bottle: a floor stand with a pole, a wall plate, or wheels."""
+    """Mount of the bottle: a floor stand with a pole, a wall plate, or wheels."""
     if kind == 0:
         tray = lathe([(0.13, 0.0), (0.13, 0.02), (0.10, 0.05)], sides=12)
         pole = rod((0.0, radius + 0.02, 0.02), (0.0, radius + 0.02, 0.95), 0.012)

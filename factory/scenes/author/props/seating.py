@@ -1,6 +1,6 @@
-"""Chairs, stools and sofas: builders that return pieces in metres, origin on the floor, front facing -y.
+"""Builders of chairs, stools and sofas: metres, origin on the floor, front facing -y.
 
-Never decides where anything stands and never writes USD.
+Does not place props.
 """
 
 from __future__ import annotations

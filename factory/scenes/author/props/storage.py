@@ -1,6 +1,6 @@
-"""Pallet racks, shelves, barrels and crates with their loads: builders in metres, origin on the floor, front at -y.
+"""Builders of pallet racks, shelves, barrels and crates with their loads: metres, origin on the floor, front at -y.
 
-A rack is one 2.7 m bay. Never names a load after a category and never decides where anything stands.
+A rack is one 2.7 m bay. The names of loads match no category rule. Does not place props.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _load(x: float, z: float, room: float, rng: Generator) -> list[PropPiece]:
         return []
     base = [
         PropPiece(ROUGH, standing_block((x - 0.58, -0.38, z), (x + 0.58, 0.38, z + 0.14)))
-    ]  # its front hides its gaps
+    ]  # the front hides the gaps
     top, height = z + 0.14, float(rng.uniform(0.55, 0.85)) * (room - 0.2)
     if kind < 0.68:
         return [*base, *carton_stack(x, 0.0, top, (1.08, 0.72, height), rng)]
@@ -160,7 +160,7 @@ def shelf(variant: int, rng: Generator) -> list[PropPiece]:
     for deck in range(decks):
         z = 0.12 + deck * step
         low, high = (-half_x + 0.003, -half_y + 0.003, z - 0.03), (half_x - 0.003, half_y - 0.003, z)
-        pieces.append(PropPiece(plank, block(low, high)))  # not flush with the posts: both would show, in specks
+        pieces.append(PropPiece(plank, block(low, high)))  # not flush with the posts, which would cause z-fighting
         if deck < decks - 1:
             pieces.extend(_shelf_goods(half_x - 0.06, half_y - 0.04, z, step - 0.06, kind, rng))
     for x in (-half_x + 0.025, half_x - 0.025):
@@ -235,7 +235,7 @@ def _crate_shell(is_topmost: bool) -> list[AuthoredMesh]:
 
 
 def _rail(low: float, high: float, has_inside: bool = False) -> AuthoredMesh:
-    """A rail 2 cm thick around the crate between two heights; ledges, or its inside, run on to the filling."""
+    """A rail 2 cm thick around the crate between two heights; ledges, or its inside, extend to the filling."""
     inside = [(0.02, high), (0.05, low - 0.04)] if has_inside else [(0.035, high)]
     outlines = [(0.30 - inset, 0.20 - inset, z) for inset, z in [(0.035, low), (0.0, low), (0.0, high), *inside]]
     return uncapped(loft(np.array([[(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)] for x, y, z in outlines])))

@@ -1,6 +1,6 @@
-"""Things that hang on walls and are never a target: posters, notices, signs, screens, clocks, windows, roller doors.
+"""Builders of wall-mounted props that are not targets: posters, notices, signs, screens, clocks, windows, roller doors.
 
-Builders in metres, wall plane at y = 0, front facing -y, heights above the floor in the mesh.
+Lengths in metres, wall plane at y = 0, front facing -y. The mesh includes the mounting height. Does not place props.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ POSTERS = tuple(
 def _picture(
     art: SurfaceMaterial, frame: SurfaceMaterial, low: tuple[float, float], high: tuple[float, float]
 ) -> list[PropPiece]:
-    """A framed rectangle between two (x, z) corners, standing 3 cm off the wall."""
+    """A framed rectangle between two (x, z) corners, 3 cm off the wall."""
     (x0, z0), (x1, z1) = low, high
     border = block((x0 - 0.025, -0.03, z0 - 0.025), (x1 + 0.025, 0.0, z1 + 0.025))
     return [
