@@ -1,6 +1,6 @@
-"""A dataset in the formats people train from: one file or folder a format, behind one base class and a registry.
+"""Exports datasets to training formats. Each format is one module with an exporter class, listed in a registry.
 
-Reads datasets through `factory.dataset.reader`; never simulates, never changes the dataset.
+Reads datasets through `factory.dataset.reader`. Does not simulate and does not change the dataset.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How large an export will be and how long it will take: measured on one episode of middling length. Keeps nothing."""
+"""Estimates size and duration of an export from one episode of median length. Keeps no files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from factory.dataset.reader import Dataset
-from factory.export.execution.manifest import require_ours
+from factory.export.execution.manifest import require_same_export
 from factory.export.execution.run import ExportOrder, plan_manifest, run_export
 from factory.export.registry import find_exporter, require_packages
 from schemas.base import Model
@@ -24,43 +24,43 @@ _TRIES = 3
 
 
 class ExportEstimate(Model):
-    """What an export will be, as far as one episode can tell."""
+    """Estimate of an export from one sample episode."""
 
     dataset: str
     format: str
     out: str
     episodes: int
     frames: int
-    """Expected in the export."""
+    """Expected number of frames in the export."""
     bytes: int
-    """Expected size of the export."""
+    """Expected size of the export, bytes."""
     peak_bytes: int
-    """Expected on disk while it is made; formats that join episodes hold them twice for a while."""
+    """Expected peak disk use, bytes; formats that join episodes temporarily store them twice."""
     seconds: float
-    """Expected wall time with `workers` processes that have a core each."""
+    """Expected wall time with `workers` processes on as many cores, seconds."""
     workers: int
     free_bytes: int
-    """On the disk of the export now."""
+    """Free space on the disk of the export, bytes."""
     fits: bool
-    """Whether the peak does."""
+    """Whether `peak_bytes` fits into `free_bytes`."""
     sample: str
-    """The episode that was measured."""
+    """Id of the sample episode."""
     sample_frames: int
     sample_bytes: int
     sample_seconds: float
 
 
 def estimate_export(order: ExportOrder) -> ExportEstimate:
-    """Exports one episode to a temporary place and multiplies.
+    """Exports one episode to a temporary directory and extrapolates.
 
     Raises:
-        UsageError: the options fit neither format nor dataset, or nothing is asked for.
-        WorldError: what a real export would be refused for; or no episode could be read.
+        UsageError: the options do not fit the format or the dataset, or no episode is selected.
+        WorldError: the export is not possible, or no episode could be read.
     """
     exporter = find_exporter(order.format)
     require_packages(exporter)
     dataset, manifest = plan_manifest(order, exporter)
-    require_ours(order.out, manifest)
+    require_same_export(order.out, manifest)
     sample, frames, size, seconds = _measure(order, dataset)
     steps = np.asarray(dataset.metadata["num_steps"].to_pylist(), np.float64)
     scale = float(steps.sum()) / float(steps[dataset.metadata["episode_id"].to_pylist().index(sample)])
@@ -86,7 +86,7 @@ def estimate_export(order: ExportOrder) -> ExportEstimate:
 
 
 def _measure(order: ExportOrder, dataset: Dataset) -> tuple[str, int, int, float]:
-    """Returns id, frames, bytes and seconds of the first episode around the middle that can be read."""
+    """Returns id, frames, bytes and seconds of the first readable episode near the median length."""
     said = ""
     for name in _by_nearness_to_the_median(dataset)[:_TRIES]:
         with tempfile.TemporaryDirectory(prefix="export-") as place:

@@ -1,6 +1,6 @@
-"""`export.json`: whose export a directory holds, and whether it is whole. A model; refuses what is not the same.
+"""Reads, writes and compares `export.json`: source, options and completeness of the export in a directory.
 
-Holds no clock, so that equal exports are equal.
+Contains no times, so that equal exports have equal bytes.
 """
 
 from __future__ import annotations
@@ -16,49 +16,49 @@ from schemas.base import Model, Sha256
 from schemas.dataset_meta import DatasetMeta, software_versions
 from schemas.errors import WorldError
 
-__all__ = ["MANIFEST_FILE", "ExportManifest", "Source", "read_manifest", "require_ours", "write_manifest"]
+__all__ = ["MANIFEST_FILE", "ExportManifest", "Source", "read_manifest", "require_same_export", "write_manifest"]
 
 MANIFEST_FILE = "export.json"
 
 
 class Source(Model):
-    """What was exported: two exports of the same source, format and options are the same export."""
+    """Source of an export. Exports with equal source, format and options are equal."""
 
     run: str
     dataset_digest: Sha256
-    """Over the content digests of all episodes of the dataset."""
+    """SHA-256 over the content digests of all episodes of the dataset."""
     selection_digest: Sha256
-    """The same over the episodes that were asked for."""
+    """SHA-256 over the content digests of the selected episodes."""
     splits: tuple[str, ...]
-    """Asked for; empty for all."""
+    """Selected splits; empty for all."""
     episodes: int
-    """Asked for."""
+    """Number of selected episodes."""
 
 
 class ExportManifest(Model):
-    """The whole of `export.json`."""
+    """Content of `export.json`."""
 
     manifest: int = 1
-    """Version of this file."""
+    """Version of the manifest format."""
     format: str
     format_version: int
     options: dict[str, Any]
     source: Source
     software: dict[str, str]
-    """Versions of the packages that wrote the files."""
+    """Package -> version, for the packages that wrote the files."""
     episodes: int = Field(default=0, ge=0)
-    """In the export."""
+    """Number of episodes in the export."""
     frames: int = Field(default=0, ge=0)
     complete: bool = False
-    """Whether every episode that was asked for is in it."""
+    """Whether the export contains all selected episodes."""
     skipped: tuple[Skip, ...] = ()
 
 
 def read_manifest(root: Path) -> ExportManifest | None:
-    """Returns the manifest of a directory, or `None` where there is none.
+    """Returns the manifest of a directory, or `None` if it has none.
 
     Raises:
-        WorldError: it cannot be understood.
+        WorldError: the manifest is damaged.
     """
     path = root / MANIFEST_FILE
     try:
@@ -75,14 +75,15 @@ def write_manifest(out: Output, manifest: ExportManifest) -> None:
     out.write_text(MANIFEST_FILE, manifest.model_dump_json(indent=1) + "\n")
 
 
-def require_ours(root: Path, wanted: ExportManifest) -> ExportManifest | None:
-    """Makes sure that a directory is free for an export or holds the very same one, and touches nothing.
+def require_same_export(root: Path, wanted: ExportManifest) -> ExportManifest | None:
+    """Checks that a directory is free for an export or contains the same export. Writes nothing.
 
     Returns:
-        What is there already, or `None` where nothing is.
+        The manifest of the existing export, or `None`.
 
     Raises:
-        WorldError: it holds other things, another dataset, format or options, or one begun with other software.
+        WorldError: the directory contains other files, an export of another dataset, format or options, or an
+            unfinished export of other software.
     """
     found = read_manifest(root) if root.is_dir() else None
     if found is None:
@@ -96,7 +97,7 @@ def require_ours(root: Path, wanted: ExportManifest) -> ExportManifest | None:
 
 
 def of_software(meta: DatasetMeta, modules: tuple[str, ...]) -> dict[str, str]:
-    """Returns the versions that files of an export depend on."""
+    """Returns the versions of the packages that the files of an export depend on."""
     return {"dataset_format": str(meta.format), **software_versions(("minivla-factory", "numpy", "pyarrow", *modules))}
 
 
@@ -109,18 +110,18 @@ def _differences(found: ExportManifest, wanted: ExportManifest) -> list[str]:
     texts = [
         _differ("format", found.format, wanted.format),
         _differ("dataset", f"{one.run} {one.dataset_digest[:12]}", f"{two.run} {two.dataset_digest[:12]}"),
-        _differ("options", _say(found.options), _say(wanted.options)),
+        _differ("options", _format_pairs(found.options), _format_pairs(wanted.options)),
     ]
     if not any(texts):
         texts.append(_differ("episodes", _selection(one), _selection(two)))
     if not any(texts) and not found.complete:
-        versions = (f"version {found.format_version}", _say(found.software))
+        versions = (f"version {found.format_version}", _format_pairs(found.software))
         texts.append(_differ("unfinished, begun with", ", ".join(versions), _versions(wanted)))
     return texts
 
 
 def _versions(manifest: ExportManifest) -> str:
-    return f"version {manifest.format_version}, {_say(manifest.software)}"
+    return f"version {manifest.format_version}, {_format_pairs(manifest.software)}"
 
 
 def _selection(source: Source) -> str:
@@ -131,5 +132,5 @@ def _differ(what: str, found: str, wanted: str) -> str:
     return "" if found == wanted else f"{what} {found}, asked for {wanted}"
 
 
-def _say(values: dict[str, Any]) -> str:
+def _format_pairs(values: dict[str, Any]) -> str:
     return ", ".join(f"{name}={value}" for name, value in sorted(values.items())) or "none"

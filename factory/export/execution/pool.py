@@ -1,4 +1,4 @@
-"""Tasks over spawned processes, a bounded number in flight, ended at once when told or when the parent dies."""
+"""Runs tasks in spawned processes with a bounded queue. The processes end when the parent stops them or dies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from schemas.errors import WorldError
 
-__all__ = ["carry_out"]
+__all__ = ["run_tasks"]
 
 Asked = TypeVar("Asked")
 Answer = TypeVar("Answer")
@@ -22,16 +22,16 @@ _AHEAD = 2
 _GLANCE_S = 0.2
 
 
-def carry_out(
-    do: Callable[[Asked], Answer], tasks: Iterable[Asked], workers: int, stop: threading.Event
+def run_tasks(
+    function: Callable[[Asked], Answer], tasks: Iterable[Asked], workers: int, stop: threading.Event
 ) -> Iterator[Answer]:
-    """Yields the answers as they come, in any order; ends early, without those in flight, once `stop` is set.
+    """Yields the results in order of completion. Ends early, without the tasks in progress, when `stop` is set.
 
     Args:
-        do: importable by name; its arguments and answers can be pickled.
-        tasks: drawn from as processes become free.
-        workers: processes; 0 does everything in this one.
-        stop: looked at a few times a second.
+        function: importable function; its arguments and results must be picklable.
+        tasks: arguments, consumed as processes become idle.
+        workers: number of processes; 0 runs all tasks in this process.
+        stop: event that is polled several times per second.
 
     Raises:
         WorldError: a process died.
@@ -40,25 +40,25 @@ def carry_out(
         for task in tasks:
             if stop.is_set():
                 return
-            yield do(task)
+            yield function(task)
         return
-    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks that threads of ours may hold
+    fresh = multiprocessing.get_context("spawn")  # a fork would copy locks held by threads
     theirs, ours = fresh.Pipe(duplex=False)
     pool = ProcessPoolExecutor(workers, mp_context=fresh, initializer=_begin, initargs=(theirs,))
     try:
-        yield from _feed(pool, do, iter(tasks), workers * _AHEAD, stop)
+        yield from _feed(pool, function, iter(tasks), workers * _AHEAD, stop)
     except BrokenProcessPool as error:
-        died = "a process of the export died (killed, or out of memory?); what is done is kept"
-        raise WorldError(f"{died}: call it again, with fewer --workers if memory is short") from error
+        died = "a process of the export died (killed, or out of memory?); finished episodes are kept"
+        raise WorldError(f"{died}: run the command again, with fewer --workers if memory is short") from error
     finally:
-        ours.close()  # ends whatever still runs
+        ours.close()  # ends processes that still run
         pool.shutdown(wait=True, cancel_futures=True)
         theirs.close()
 
 
 def _feed(
     pool: ProcessPoolExecutor,
-    do: Callable[[Asked], Answer],
+    function: Callable[[Asked], Answer],
     tasks: Iterator[Asked],
     ahead: int,
     stop: threading.Event,
@@ -71,7 +71,7 @@ def _feed(
             if task is None:
                 more = False
                 break
-            flying.add(pool.submit(do, task))
+            flying.add(pool.submit(function, task))
         if not flying:
             return
         done, flying = wait(flying, _GLANCE_S, FIRST_COMPLETED)
@@ -79,14 +79,14 @@ def _feed(
             yield future.result()
 
 
-def _begin(leash: Connection) -> None:
-    """Ties this process to its parent: Ctrl-C is the parent's to handle, and its end is ours."""
+def _begin(parent_pipe: Connection) -> None:
+    """Initialises a process: it ignores Ctrl-C, which the parent handles, and ends when the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(leash,), name="leash", daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent_pipe,), name="parent_pipe", daemon=True).start()
 
 
-def _end_with(leash: Connection) -> None:
+def _end_with(parent_pipe: Connection) -> None:
     try:
-        leash.recv_bytes()
+        parent_pipe.recv_bytes()
     except (EOFError, OSError):
         os._exit(1)

@@ -1,4 +1,4 @@
-"""What an export says of itself when it ends. Models only."""
+"""Models of the report of an export."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ __all__ = ["ExportReport", "Skip"]
 
 
 class Skip(Model):
-    """An episode that could not be exported."""
+    """Episode that could not be exported, with the reason."""
 
     episode_id: str
     reason: str
 
 
 class ExportReport(Model):
-    """The outcome of an export."""
+    """Report of an export."""
 
     dataset: str
     dataset_digest: str
-    """Of the episodes that were asked for."""
+    """Digest of the selected episodes."""
     format: str
     out: str
     episodes: int
-    """In the export now."""
+    """Number of episodes in the export."""
     frames: int
-    """In the export now."""
+    """Number of frames in the export."""
     resumed: int
-    """Episodes that an earlier, interrupted call had brought."""
+    """Number of episodes that earlier, interrupted calls exported."""
     skipped: tuple[Skip, ...]
     absent: tuple[str, ...]
-    """Planned episodes that the dataset does not hold, as a run is not finished or gave them up; none where certain
-    episodes were asked for."""
+    """Ids of planned episodes that the dataset does not have, because the run is unfinished or has abandoned them;
+    empty if episodes were selected by id."""
     bytes: int
-    """Size of the export."""
+    """Size of the export, bytes."""
     seconds: float
-    """Wall time of this call."""
+    """Wall time of this call, seconds."""
     frames_per_second: float | None
-    """Of this call; null when it wrote no episode."""
+    """Frames per second of this call; null if it wrote no episode."""
     complete: bool
-    """Whether all episodes that were asked for are in it."""
+    """Whether the export contains all selected episodes."""
 
     @property
     def finished(self) -> bool:
-        """Whether the export can be used: it was not interrupted."""
+        """Whether the export was not interrupted and is usable."""
         return self.complete or bool(self.skipped)

@@ -1,4 +1,4 @@
-"""An export from beginning to end: select, make the missing pieces, finish. Resumes; knows no format."""
+"""Runs an export: selects episodes, exports missing pieces, finishes. Resumes interrupted exports of every format."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from factory.dataset.episode import Episode
 from factory.dataset.reader import Dataset
 from factory.export.base import ExportPiece, Finish, Options
-from factory.export.execution.manifest import ExportManifest, Source, of_software, require_ours, write_manifest
-from factory.export.execution.pool import carry_out
+from factory.export.execution.manifest import ExportManifest, Source, of_software, require_same_export, write_manifest
+from factory.export.execution.pool import run_tasks
 from factory.export.execution.report import ExportReport, Skip
 from factory.export.execution.selection import select
 from factory.export.execution.task import ExportTask, make_piece
@@ -29,20 +29,20 @@ _NAMED = 5
 
 
 class ExportProgress(NamedTuple):
-    """Where an export stands."""
+    """Progress of an export."""
 
     done: int
-    """Episodes in the export or skipped."""
+    """Number of exported or skipped episodes."""
     total: int
-    """Episodes asked for."""
+    """Number of selected episodes."""
     frames: int
-    """Written in this call."""
+    """Number of frames written in this call."""
     stage: str
-    """`episodes`, then `finishing`."""
+    """Stage: `episodes`, then `finishing`."""
 
 
 class _Stopped(Exception):
-    """Somebody asked to stop while the last files were being written."""
+    """The user stopped the export during `finish`."""
 
 
 ExportProgressCallback = Callable[[ExportProgress], None]
@@ -50,24 +50,24 @@ ExportProgressCallback = Callable[[ExportProgress], None]
 
 @dataclass(frozen=True)
 class ExportOrder:
-    """What is to be exported where."""
+    """Specification of an export: dataset, selection, format, options and output directory."""
 
     root: Place
-    """Of the dataset."""
+    """Root of the dataset."""
     out: Path
     format: str
     options: Options
     splits: tuple[str, ...] = ()
-    """Empty for all."""
+    """Selected splits; empty for all."""
     episodes: tuple[str, ...] = ()
-    """Ids; empty for all."""
+    """Selected ids; empty for all."""
     workers: int = 0
-    """Processes; 0 does everything in this one."""
+    """Number of worker processes; 0 exports in this process."""
 
 
 @dataclass
 class _State:
-    """What an export knows while it runs."""
+    """State of a running export."""
 
     order: ExportOrder
     exporter: AnyExporter
@@ -76,16 +76,16 @@ class _State:
     stop: threading.Event
     on_progress: ExportProgressCallback
     pieces: dict[int, ExportPiece[Any]] = field(default_factory=dict)
-    """By position."""
+    """Position -> piece."""
     skipped: dict[int, Skip] = field(default_factory=dict)
-    """By position."""
+    """Position -> skipped episode."""
     frame_counts: dict[int, int] = field(default_factory=dict)
-    """By position."""
+    """Position -> number of frames."""
     resumed: int = 0
     frames: int = 0
-    """Written in this call."""
+    """Number of frames written in this call."""
 
-    def require_going_on(self) -> None:
+    def require_running(self) -> None:
         if self.stop.is_set():
             raise _Stopped
 
@@ -99,26 +99,26 @@ def run_export(
     on_progress: ExportProgressCallback = lambda _: None,
     stop: threading.Event | None = None,
 ) -> ExportReport:
-    """Exports a dataset, or goes on with an export that was interrupted.
+    """Exports a dataset, or resumes an interrupted export.
 
     Args:
-        order: what, where and how.
-        on_progress: called as episodes come in.
-        stop: ends the export soon when set; what is done is kept, and the report says that it is not complete.
+        order: specification of the export.
+        on_progress: callback after each episode.
+        stop: event that interrupts the export; finished episodes are kept, and the report is not `complete`.
 
     Returns:
-        What was done; episodes that are damaged or missing stand in `skipped`.
+        The report; damaged and missing episodes are listed in `skipped`.
 
     Raises:
-        UsageError: the options fit neither format nor dataset, a package is missing, or nothing is asked for.
-        WorldError: no dataset, the directory holds something else, the disk is full, or not one
-            episode could be read.
+        UsageError: the options do not fit the format or the dataset, a package is missing, or no episode is selected.
+        WorldError: the dataset does not exist, the directory contains other files, the disk is full, or no episode
+            could be read.
     """
     begun = time.monotonic()
     exporter = find_exporter(order.format)
     require_packages(exporter)
     dataset, manifest = plan_manifest(order, exporter)
-    there = require_ours(order.out, manifest)
+    there = require_same_export(order.out, manifest)
     if there is not None and there.complete:
         return _nothing_to_do(order, dataset, there)
     with Output(order.out) as out:
@@ -132,17 +132,17 @@ def run_export(
 
 
 def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, ExportManifest]:
-    """Returns the episodes that are asked for, and the manifest of an export that begins; writes nothing.
+    """Returns the selected episodes and the initial manifest of the export. Writes nothing.
 
     Raises:
-        UsageError: the options fit neither format nor dataset, or nothing is asked for.
-        WorldError: there is no dataset.
+        UsageError: the options do not fit the format or the dataset, or no episode is selected.
+        WorldError: the dataset does not exist.
     """
     whole = Dataset(order.root)
     if isinstance(order.root, Path):
         one, two = order.root.resolve(), order.out.resolve()
         if one == two or one in two.parents or two in one.parents:
-            raise UsageError(f"--out {order.out}: dataset and export may not lie in each other; choose a folder beside")
+            raise UsageError(f"--out {order.out}: the export must be outside of the dataset; choose another folder")
     dataset = select(whole, order.splits, order.episodes)
     order.options.check(dataset.meta)
     source = Source(
@@ -165,7 +165,7 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
 def _make_pieces(state: _State) -> None:
     state.tell("episodes")
     waiting: dict[str, int] = {}
-    for made in carry_out(make_piece, _tasks(state, waiting), state.order.workers, state.stop):
+    for made in run_tasks(make_piece, _tasks(state, waiting), state.order.workers, state.stop):
         position = waiting.pop(made.episode_id)
         if made.facts is None:
             state.skipped[position] = Skip(episode_id=made.episode_id, reason=made.damage or "damaged")
@@ -179,7 +179,7 @@ def _make_pieces(state: _State) -> None:
 
 
 def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[ExportTask]:
-    """Yields what is still to be made; notes what is there already and what cannot even be tried."""
+    """Yields the tasks of missing pieces; records existing pieces and episodes that cannot be opened."""
     options = state.order.options.model_dump_json()
     names = state.dataset.metadata["episode_id"]
     seen: set[str] = set()
@@ -201,7 +201,7 @@ def _tasks(state: _State, waiting: dict[str, int]) -> Iterator[ExportTask]:
 def _episode_at(state: _State, position: int, name: str, is_twin: bool) -> Episode | None:
     try:
         if is_twin:
-            raise ArchiveCorrupt(f"{name} stands twice in the metadata: a resumed run writes it anew")
+            raise ArchiveCorrupt(f"{name} is listed twice in the metadata: resume the run to rewrite it")
         return state.dataset[position]
     except ArchiveCorrupt as error:
         state.skipped[position] = Skip(episode_id=name, reason=str(error))
@@ -222,18 +222,18 @@ def _finish(state: _State, manifest: ExportManifest) -> ExportManifest:
     state.tell("finishing")
     pieces = [state.pieces[position] for position in sorted(state.pieces)]
     state.out.begin_finish(piece.episode_id for piece in pieces)
-    state.out.before_file = state.require_going_on
+    state.out.before_file = state.require_running
     try:
         state.exporter.finish(Finish(state.dataset, state.order.options, pieces, state.out))
     except _Stopped:
         return manifest
-    state.out.before_file = lambda: None  # all is there: only the manifest is missing
+    state.out.before_file = lambda: None  # only the manifest is missing
     frames = sum(state.frame_counts.values())
     update = {"episodes": len(pieces), "frames": frames, "complete": not skipped, "skipped": skipped}
     manifest = manifest.model_copy(update=update)
     write_manifest(state.out, manifest)
     if manifest.complete:
-        state.out.drop_work()  # while episodes are missing, the pieces serve the next call
+        state.out.drop_work()  # an incomplete export keeps its pieces for the next call
     return manifest
 
 
@@ -277,7 +277,7 @@ def _report(state: _State, manifest: ExportManifest, seconds: float) -> ExportRe
 
 
 def _absent(order: ExportOrder, dataset: Dataset) -> tuple[str, ...]:
-    """Returns the ids of the plan that a dataset does not hold; none where certain episodes were asked for."""
+    """Returns the planned ids that the dataset does not have; empty if episodes were selected by id."""
     if order.episodes or dataset.meta.complete:
         return ()
     held = set(Dataset(order.root).metadata["episode_id"].to_pylist())

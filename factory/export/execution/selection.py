@@ -1,4 +1,4 @@
-"""Which episodes of a dataset a user asks for. Filters; opens no episode."""
+"""Selects episodes of a dataset by split and id. Does not open episodes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ["parse_episodes", "select"]
 
 
 def parse_episodes(text: str) -> list[str]:
-    """Returns the ids that `1-50,ep_000060` names.
+    """Parses ids and ranges such as `1-50,ep_000060`.
 
     Raises:
-        UsageError: a part is neither a number, an id nor a range of them.
+        UsageError: a part is not a number, an id or a range.
     """
     found: dict[str, None] = {}
     for part in text.split(","):
@@ -29,10 +29,10 @@ def parse_episodes(text: str) -> list[str]:
 
 
 def select(dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str] = ()) -> Dataset:
-    """Returns the episodes of those splits and ids, in the order of the plan; all where none is named.
+    """Returns the episodes of the given splits and ids, in the order of the plan; all if none are given.
 
     Raises:
-        UsageError: an id is not in the dataset, or nothing is left.
+        UsageError: an id is not in the dataset, or no episode is selected.
     """
     wanted_splits, wanted = list(splits), list(episodes)
     if wanted:

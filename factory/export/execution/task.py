@@ -1,4 +1,4 @@
-"""Making one piece: what a process of the export does with one episode. Writes into its staging folder only."""
+"""Exports one episode in a worker process. Writes into the staging folder of its task only."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from schemas.base import Model
 from schemas.errors import ArchiveCorrupt, InvalidBundle
 from schemas.storage.disk import translated
 
-__all__ = ["ExportTask", "Made", "make_piece"]
+__all__ = ["ExportTask", "PieceResult", "make_piece"]
 
 
 class ExportTask:
-    """An episode to export, as it is sent to a process."""
+    """Picklable task: one episode to export."""
 
     def __init__(self, exporter: str, options: str, episode: Episode, folder: Path) -> None:
         self.exporter = exporter
         self.options = options
-        """As JSON."""
+        """Options as JSON."""
         self.episode = episode
         self.folder = folder
-        """To make the piece in; not there yet."""
+        """Staging folder; it does not exist yet."""
 
 
-class Made(Model):
-    """What became of a task."""
+class PieceResult(Model):
+    """Result of a task: facts or damage."""
 
     episode_id: str
     facts: str | None = None
-    """As JSON; the folder holds the synced piece."""
+    """Facts as JSON; the folder contains the synced piece."""
     damage: str | None = None
-    """Why there is none; the folder is gone."""
+    """Reason why the episode could not be exported; the folder is deleted."""
     frames: int = 0
 
 
-def make_piece(task: ExportTask) -> Made:
+def make_piece(task: ExportTask) -> PieceResult:
     """Exports one episode into its staging folder.
 
     Raises:
-        WorldError: the disk is full or gone; the folder is gone as well.
+        WorldError: the disk is full or not available; the folder is deleted.
     """
     name, folder = task.episode.episode_id, task.folder
     exporter = find_exporter(task.exporter)
@@ -56,18 +56,18 @@ def make_piece(task: ExportTask) -> Made:
             sync_tree(folder)
         whole = True
     except ArchiveCorrupt as error:
-        return Made(episode_id=name, damage=str(error))
+        return PieceResult(episode_id=name, damage=str(error))
     except InvalidBundle as error:
         text = f"{task.episode.path} is damaged ({'; '.join(error.findings)}): run `factory verify --deep`"
-        return Made(episode_id=name, damage=text)
+        return PieceResult(episode_id=name, damage=text)
     finally:
         if not whole:
             shutil.rmtree(folder, ignore_errors=True)
-    return Made(episode_id=name, facts=facts.model_dump_json(), frames=facts.frames)
+    return PieceResult(episode_id=name, facts=facts.model_dump_json(), frames=facts.frames)
 
 
 def _require_as_listed(episode: Episode) -> None:
-    """Refuses a file that was swapped or replaced behind the tables' back."""
+    """Validates that the content of a file matches its row of the metadata."""
     meta, row = episode.meta, episode.summary
     if (meta.episode_id, meta.content_digest) != (row.episode_id, row.content_digest):
         found = f"{meta.episode_id} with content digest {meta.content_digest}, the metadata says {row.content_digest}"

@@ -1,1 +1,1 @@
-"""Format `mcap`: messages, schemas of Foxglove and ROS 2, and the exporter."""
+"""Format `mcap`: messages and schemas of Foxglove and ROS 2, and the exporter."""

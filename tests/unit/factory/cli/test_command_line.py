@@ -67,7 +67,7 @@ def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, 
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("lerobt", "no format 'lerobt'; there are paper, .*; did you mean 'lerobot'"),
+        ("lerobt", "unknown format 'lerobt'; formats: paper, .*; did you mean 'lerobot'"),
         ("rlds", "TFDS builds it .*docs/formats/rlds/README.md"),
     ],
 )
