@@ -1,4 +1,4 @@
-"""What the figures are drawn from: statistics, rows, drives, frames and maps of one dataset. Values only."""
+"""Models of the input of a report: statistics, rows, tracks, frames and maps of one dataset. Data only."""
 
 from __future__ import annotations
 
@@ -15,73 +15,73 @@ from schemas.tokens import GRID_POINTS
 __all__ = ["Drives", "FloorMap", "FrameSample", "Outlines", "ReportInput"]
 
 Outlines = list[NDArray[np.float64]]
-"""Closed loops of (K, 2) points; holes are loops too."""
+"""Closed loops of points (K, 2); holes are separate loops."""
 
 
 @dataclass(frozen=True)
 class FrameSample:
-    """One frame of one episode."""
+    """Sample frame of an episode."""
 
     row: EpisodeSummary
     t: int
     """Step of the frame."""
     rgb: NDArray[np.uint8]
-    """(640, 640, 3) sRGB as recorded."""
+    """(640, 640, 3) recorded sRGB image."""
     target: NDArray[np.bool_]
-    """(640, 640) where the target is seen."""
+    """(640, 640) mask of the target."""
 
 
 @dataclass
 class Drives:
-    """What was read out of the episodes themselves."""
+    """Data read from the episode files: tracks, token counts, sample frames."""
 
     tracks: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Episode id -> (K, 2) x, y of base_link in the world frame, metres, thinned."""
     tokens: NDArray[np.int64] = field(default_factory=lambda: np.zeros((GRID_POINTS, GRID_POINTS), np.int64))
-    """Steps on each point of the action grid: [speed token, yaw rate token]."""
+    """Number of steps per point of the action grid: [speed token, yaw rate token]."""
     samples: list[FrameSample] = field(default_factory=list)
 
     @property
     def steps(self) -> int:
-        """All steps that were read."""
+        """Number of steps read."""
         return int(self.tokens.sum())
 
 
 @dataclass(frozen=True)
 class FloorMap:
-    """The floor of a scene from above, world frame, metres."""
+    """Floor map of a scene in the world frame, metres."""
 
     bounds_m: tuple[float, float, float, float]
-    """West, east, south and north end of what is not empty."""
+    """West, east, south and north bound of the non-empty area, metres."""
     floor: Outlines
-    """Connected floor."""
+    """Outlines of the connected floor."""
     low: Outlines
-    """What stands in the robot's way."""
+    """Outlines of all obstacles."""
     wall: Outlines
-    """What of that also hides what is behind."""
+    """Outlines of the obstacles that occlude."""
     surveyed_m: NDArray[np.float32]
-    """(S, 2) surveyed spawn points."""
+    """(S, 2) surveyed spawn points, metres."""
     targets_m: NDArray[np.float64]
-    """(K, 2) centroids of all targets."""
+    """(K, 2) centroids of all targets, metres."""
     free_area_m2: float
 
 
 @dataclass(frozen=True)
 class ReportInput:
-    """All of it."""
+    """Input of a report."""
 
     meta: DatasetMeta
     statistics: Statistics
-    """Its remarks hold those of reading the episodes too."""
+    """Statistics of the dataset, with the remarks from reading the episodes."""
     episodes: list[EpisodeSummary]
     failures: list[FailedAttempt] | None
     drives: Drives
     maps: dict[str, FloorMap]
-    """Scene -> map; those that cannot be read are missing."""
+    """Scene -> map; scenes that cannot be read are missing."""
 
     @property
     def scenes(self) -> list[str]:
-        """Scenes of the plan, in its order."""
+        """Scenes in the order of the plan."""
         return [scene.name for scene in self.meta.plan.scenes]
 
     def of(self, scene: str) -> list[EpisodeSummary]:

@@ -1,4 +1,4 @@
-"""Base class of the exporters of both LeRobot versions, and the description of the dataset dataset."""
+"""Base class of the exporters of both LeRobot versions, and the description of the exported dataset."""
 
 from __future__ import annotations
 

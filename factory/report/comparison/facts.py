@@ -1,6 +1,7 @@
-"""What explains a group's lengths: how far off it starts, how straight and how fast it goes. Pure; means are of stats.
+"""Computes means that explain the trajectory lengths of a group: start distance, detour and speed. Pure.
 
-A drive's detour is its length less the straight line from its start to its end at NE from the target.
+The detour of an episode is its trajectory length minus the straight line from its start to its end, which is at
+distance NE from the target.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ __all__ = ["RunFacts", "facts_of"]
 
 @dataclass(frozen=True)
 class RunFacts:
-    """Means over a group of episodes; metres and seconds."""
+    """Means over a group of episodes, in metres and steps."""
 
     n: int
     spawn_m: float
-    """Planar distance of the start from the target."""
+    """Mean planar distance of the start from the target, metres."""
     spawn_std_m: float | None
     ne_m: float
     tl_m: float
@@ -30,18 +31,18 @@ class RunFacts:
     detour_m: float
     detour_std_m: float | None
     geodesic_m: float | None
-    """Shortest way along the floor to the success circle, over the episodes that have one."""
+    """Mean geodesic distance to the success circle over the episodes that have one, metres."""
     tiers: dict[str, float]
-    """Share of each tier."""
+    """Tier -> share, 0..1."""
 
     @property
     def steps_per_m(self) -> float | None:
-        """Steps per metre of way."""
+        """Steps per metre of trajectory length."""
         return self.steps / self.tl_m if self.tl_m > 0 else None
 
 
 def facts_of(episodes: Sequence[EpisodeSummary]) -> RunFacts | None:
-    """Returns the facts of a group, or `None` of nothing."""
+    """Returns the facts of a group, or `None` for an empty group."""
     spawn = mean_of([row.spawn_dist_m for row in episodes])
     error = mean_of([row.final_ne_m for row in episodes])
     length = mean_of([row.trajectory_length_m for row in episodes])

@@ -1,4 +1,4 @@
-"""One number of the paper beside ours: the model that the page, `report.json` and `--json` share. Values only."""
+"""Model of the comparison of one number with the paper, for the page, `report.json` and `--json`. Data only."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ __all__ = ["PaperComparison"]
 
 
 class PaperComparison(Model):
-    """One number of the paper and ours."""
+    """Comparison of one number of the dataset with the paper."""
 
     exhibit: str
-    """Name of the figure that it stands beside."""
+    """Name of the figure."""
     what: str
     ours: float | None
-    """`None` where the dataset has nothing to measure."""
+    """Number of the dataset; `None` without data."""
     published: float
     published_high: float | None = None
-    """Upper end, where the paper gives a range."""
+    """Upper bound, if the paper gives a range."""
     unit: str
-    """`m`, `steps`, `share` or empty for a plain number."""
+    """Unit: `m`, `steps`, `share`, or empty for a plain number."""
     digits: int
     source: str
     reason: str = ""
-    """Why they differ, with the number that shows it; empty where they do not differ noticeably."""
+    """Reason of the difference with its numbers; empty if the difference is below the threshold."""
 
     @property
     def difference(self) -> float | None:
-        """Ours less the paper's (its nearer end, 0 within a range)."""
+        """Number of the dataset minus that of the paper (nearer bound of a range; 0 within it)."""
         if self.ours is None:
             return None
         high = self.published if self.published_high is None else self.published_high
@@ -35,7 +35,7 @@ class PaperComparison(Model):
 
     @property
     def ratio(self) -> float | None:
-        """Ours over the paper's, where that is one number other than 0."""
+        """Number of the dataset divided by that of the paper, if that is a single number other than 0."""
         if self.ours is None or self.published_high is not None or self.published == 0:
             return None
         return self.ours / self.published

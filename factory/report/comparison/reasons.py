@@ -1,4 +1,4 @@
-"""Why a number differs from the paper's, in a sentence or two with the numbers that show it. Pure text."""
+"""Explains differences from the paper in one or two sentences with numbers. Pure."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from schemas.language import needs_colour, say_category
 from schemas.terms import ExpertName, Split, Tier
 
 __all__ = [
-    "say_category_share",
-    "say_colours",
-    "say_correlation",
-    "say_error",
-    "say_floor",
-    "say_largest",
-    "say_length",
-    "say_mix",
-    "say_planned",
-    "say_slope",
-    "say_standardised",
-    "say_steps",
-    "say_success",
+    "explain_category_share",
+    "explain_colours",
+    "explain_correlation",
+    "explain_error",
+    "explain_floor",
+    "explain_largest",
+    "explain_length",
+    "explain_mix",
+    "explain_planned",
+    "explain_slope",
+    "explain_standardised",
+    "explain_steps",
+    "explain_success",
 ]
 
 
-def say_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
-    """TL = spawn distance - NE + detour, in the mean exactly; the paper's distance is inferred for straight drives."""
+def explain_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) -> str:
+    """Explains TL: its mean is spawn distance - NE + detour. The spawn distance of the paper is TL + NE."""
     implied = published_tl_m + published_ne_m
     return (
         f"Starts are {facts.spawn_m:.2f} m from the target on average, in the paper {implied:.2f} m (its TL + NE, if "
@@ -39,13 +39,13 @@ def say_length(facts: RunFacts, published_tl_m: float, published_ne_m: float) ->
     )
 
 
-def say_mix(facts: RunFacts) -> str:
-    """The tiers behind a mean."""
+def explain_mix(facts: RunFacts) -> str:
+    """Lists the shares of the tiers."""
     return " Tiers: " + ", ".join(f"{tier} {_percent(share)}" for tier, share in facts.tiers.items()) + "."
 
 
-def say_standardised(statistics: Statistics) -> str:
-    """What the mean TL would be with the paper's shares of the tiers."""
+def explain_standardised(statistics: Statistics) -> str:
+    """Returns the mean TL weighted by the paper's shares of the tiers."""
     means = {row.group: row.tl_mean_m for row in statistics.tiers}
     total = 0.0
     for tier, said in paper.TIERS.items():
@@ -56,8 +56,8 @@ def say_standardised(statistics: Statistics) -> str:
     return f" Weighted by the paper's tiers it is {total:.2f} m."
 
 
-def say_steps(facts: RunFacts, said: Published) -> str:
-    """Steps follow length and speed."""
+def explain_steps(facts: RunFacts, said: Published) -> str:
+    """Explains the number of steps by length and speed."""
     here = facts.steps_per_m
     text = f"{facts.tl_m:.2f} m at {here:.1f} steps a metre here" if here else f"{facts.tl_m:.2f} m here"
     if said.tl_mean_m is None:
@@ -67,8 +67,8 @@ def say_steps(facts: RunFacts, said: Published) -> str:
     return f"{text}, {said.tl_mean_m:.2f} m at {said.steps_mean / said.tl_mean_m:.1f} in the paper."
 
 
-def say_floor(material: ReportInput, scene: str) -> str:
-    """How large and how winding a scene is."""
+def explain_floor(material: ReportInput, scene: str) -> str:
+    """Describes the size of a scene and its ratio of geodesic to straight distance."""
     facts = facts_of(material.of(scene))
     if scene == ALL or facts is None or scene not in material.maps:
         return ""
@@ -79,8 +79,8 @@ def say_floor(material: ReportInput, scene: str) -> str:
     return f"{text}."
 
 
-def say_error(statistics: Statistics) -> str:
-    """Which scene stands apart."""
+def explain_error(statistics: Statistics) -> str:
+    """Names the scene with the largest deviation in NE."""
     rows = [row for row in statistics.navigation_error if row.group != ALL and row.mean is not None]
     published = paper.NAVIGATION_ERROR.ne_mean_m or 0.0
     worst = max(rows, key=lambda row: abs((row.mean or 0.0) - published))
@@ -93,8 +93,8 @@ def say_error(statistics: Statistics) -> str:
     return f"{text}."
 
 
-def say_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
-    """Shares are those of the plan's cells, which of few episodes are not what it asks for."""
+def explain_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
+    """Explains a share by the plan; with few episodes, the cells cannot meet the planned shares exactly."""
     if not statistics.complete:
         state = f"{statistics.episodes} of {statistics.planned} made so far"
     else:
@@ -107,14 +107,14 @@ def say_planned(statistics: Statistics, group: Tier | Split, asked: float, publi
     return f"The plan asks for {_percent(asked)}{cut}, {state}{counted}."
 
 
-def say_largest(statistics: Statistics) -> str:
-    """Which categories are the most frequent."""
+def explain_largest(statistics: Statistics) -> str:
+    """Lists the most frequent categories."""
     names = [f"{say_category(row.group)} {_percent(row.share or 0)}" for row in statistics.categories[:3]]
     return f"Here they are {', '.join(names)}; in the paper monitor 29 %, rack 22 %, crate 11 %."
 
 
-def say_category_share(material: ReportInput, category: str) -> str:
-    """A category's share follows the share of the scenes that have it."""
+def explain_category_share(material: ReportInput, category: str) -> str:
+    """Explains the share of a category by the share of the scenes that contain it."""
     homes = {row.scene for row in material.episodes if row.target_category == category}
     if not homes:
         offered = [scene.name for scene in material.meta.plan.scenes if category in sum(scene.categories, ())]
@@ -128,8 +128,8 @@ def say_category_share(material: ReportInput, category: str) -> str:
     return f"{text}; targets are drawn {drawn}."
 
 
-def say_correlation(facts: RunFacts | None) -> str:
-    """r is a matter of the spread of distances against that of detours."""
+def explain_correlation(facts: RunFacts | None) -> str:
+    """Explains r by the standard deviations of start distances and detours."""
     if facts is None or facts.spawn_std_m is None or facts.detour_std_m is None:
         return ""
     return (
@@ -138,8 +138,8 @@ def say_correlation(facts: RunFacts | None) -> str:
     )
 
 
-def say_slope(statistics: Statistics) -> str:
-    """Which tier bends the line."""
+def explain_slope(statistics: Statistics) -> str:
+    """Lists the slopes by tier."""
     parts = [
         f"{fit.group} {fit.slope:.2f} (N {fit.n})"
         for fit in statistics.correlation
@@ -148,8 +148,8 @@ def say_slope(statistics: Statistics) -> str:
     return f"Slopes by tier: {', '.join(parts)}." if parts else ""
 
 
-def say_colours(material: ReportInput) -> str:
-    """Colours are known here."""
+def explain_colours(material: ReportInput) -> str:
+    """Explains the use of colour templates."""
     coloured = sum(row.colour != "unknown" for row in material.episodes)
     used = len({row.template_id for row in material.episodes if needs_colour(row.template_id)})
     return (
@@ -158,8 +158,8 @@ def say_colours(material: ReportInput) -> str:
     )
 
 
-def say_success(material: ReportInput, row: AttemptRow) -> str:
-    """What failed, and how starts are chosen."""
+def explain_success(material: ReportInput, row: AttemptRow) -> str:
+    """Explains the success rate by the reasons of failures and the choice of starts."""
     lost = Counter(row.reasons)
     reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(lost.items())) or "none failed"
     text = f"{row.success.count} of {row.attempts} attempts succeeded ({reasons})."

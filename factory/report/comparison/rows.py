@@ -1,6 +1,6 @@
-"""This dataset's numbers beside the paper's, with the difference and, where it is one, the reason. Pure.
+"""Compares the numbers of a dataset with the paper, with a reason for each noticeable difference. Pure.
 
-The numbers are those of `factory.stats`; the reasons come from `reasons`.
+Takes numbers from `factory.stats` and reasons from `reasons`.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ __all__ = ["compare"]
 
 
 class _Kind(NamedTuple):
-    """How a number is shown, and up to which difference it needs no reason."""
+    """Format of a number, and threshold of a noticeable difference."""
 
     unit: str
     digits: int
     alike: float = 0.0
-    """Absolute difference."""
+    """Absolute threshold, in the unit of the number."""
     alike_relative: float = 0.0
-    """Difference relative to the published number."""
+    """Threshold relative to the published number."""
 
     def differ(self, ours: float | None, published: float) -> bool:
-        """Returns whether a measured number needs a reason."""
+        """Returns whether the difference is above the threshold."""
         return ours is not None and abs(ours - published) > self.alike + self.alike_relative * abs(published)
 
 
@@ -50,7 +50,7 @@ _KINDS = {
 
 
 def compare(material: ReportInput) -> tuple[PaperComparison, ...]:
-    """Returns every number that the paper prints and that this dataset has; none where it is not compared."""
+    """Returns the comparisons of all numbers that paper and dataset have; empty if comparison is disabled."""
     if not material.episodes or not material.statistics.beside_paper:
         return ()
     groups = (_lengths, _errors, _steps, _tiers, _tier_shares, _splits, _categories, _fit, _templates, _attempts)
@@ -58,7 +58,7 @@ def compare(material: ReportInput) -> tuple[PaperComparison, ...]:
 
 
 def _compare(
-    exhibit: str,
+    figure: str,
     what: str,
     kind: str,
     ours: float | None,
@@ -67,12 +67,12 @@ def _compare(
     explain: Callable[..., str],
     *arguments: Any,
 ) -> Iterator[PaperComparison]:
-    """Yields a number that the paper prints; `explain(*arguments)` gives the reason of a noticeable difference."""
+    """Yields the comparison of one number; `explain(*arguments)` returns the reason of a noticeable difference."""
     if published is None:
         return
     unit, digits, *_ = _KINDS[kind]
     yield PaperComparison(
-        exhibit=exhibit,
+        exhibit=figure,
         what=what,
         ours=ours,
         published=published,
@@ -91,28 +91,28 @@ def _lengths(material: ReportInput) -> Iterator[PaperComparison]:
             yield from _compare("lengths", "TL median, all", "TL", ours, published, said.source, str, same)
 
 
-def _length(material: ReportInput, exhibit: str, row: RolloutRow, facts: RunFacts | None) -> Iterator[PaperComparison]:
+def _length(material: ReportInput, figure: str, row: RolloutRow, facts: RunFacts | None) -> Iterator[PaperComparison]:
     if said := row.paper:
-        what = f"TL mean, {row.group if exhibit == 'splits' else _said(row.group)}"
+        what = f"TL mean, {row.group if figure == 'splits' else _group_label(row.group)}"
         ours, published = row.tl_mean_m, said.tl_mean_m
-        why = (_why_length, material, exhibit, row.group, facts, said)
-        yield from _compare(exhibit, what, "TL", ours, published, said.source, *why)
+        why = (_why_length, material, figure, row.group, facts, said)
+        yield from _compare(figure, what, "TL", ours, published, said.source, *why)
 
 
-def _why_length(material: ReportInput, exhibit: str, group: str, facts: RunFacts | None, said: Published) -> str:
+def _why_length(material: ReportInput, figure: str, group: str, facts: RunFacts | None, said: Published) -> str:
     published_ne = said.ne_mean_m if said.ne_mean_m is not None else paper.OVERALL.ne_mean_m
     if facts is None or said.tl_mean_m is None or published_ne is None:
         return ""
-    text = reasons.say_length(facts, said.tl_mean_m, published_ne)
-    if exhibit in {"lengths", "splits"}:
-        text += reasons.say_mix(facts)
-    if group == ALL and exhibit == "lengths":
-        text += reasons.say_standardised(material.statistics)
+    text = reasons.explain_length(facts, said.tl_mean_m, published_ne)
+    if figure in {"lengths", "splits"}:
+        text += reasons.explain_mix(facts)
+    if group == ALL and figure == "lengths":
+        text += reasons.explain_standardised(material.statistics)
     return text
 
 
 def _errors(material: ReportInput) -> Iterator[PaperComparison]:
-    said, why = paper.NAVIGATION_ERROR, (reasons.say_error, material.statistics)
+    said, why = paper.NAVIGATION_ERROR, (reasons.explain_error, material.statistics)
     row = next(row for row in material.statistics.navigation_error if row.group == ALL)
     yield from _compare("errors", "NE mean", "NE", row.mean, said.ne_mean_m, said.source, *why)
     yield from _compare("errors", "NE standard deviation", "NE spread", row.std, said.ne_std_m, said.source, *why)
@@ -121,7 +121,7 @@ def _errors(material: ReportInput) -> Iterator[PaperComparison]:
 def _steps(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.scenes:
         if said := row.paper:
-            what, ours, published = f"steps median, {_said(row.group)}", row.steps_median, said.steps_median
+            what, ours, published = f"steps median, {_group_label(row.group)}", row.steps_median, said.steps_median
             why = (_why_steps, _facts(material, row.group), said, (material, row.group))
             yield from _compare("steps", what, "steps median", ours, published, said.source, *why)
 
@@ -129,7 +129,7 @@ def _steps(material: ReportInput) -> Iterator[PaperComparison]:
 def _why_steps(facts: RunFacts | None, said: Published, floor: tuple[ReportInput, str] | None = None) -> str:
     if facts is None:
         return ""
-    return reasons.say_steps(facts, said) + (reasons.say_floor(*floor) if floor else "")
+    return reasons.explain_steps(facts, said) + (reasons.explain_floor(*floor) if floor else "")
 
 
 def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
@@ -138,13 +138,13 @@ def _tiers(material: ReportInput) -> Iterator[PaperComparison]:
         if said is None or said.steps_mean is None:
             continue
         facts = facts_of([episode for episode in material.episodes if row.group in (ALL, episode.spawn_tier)])
-        if row.group != ALL:  # that of all tiers is listed beside the histogram
+        if row.group != ALL:  # the row of all tiers belongs to the histogram
             yield from _length(material, "tier_statistics", row, facts)
         what, why = f"steps mean, {row.group}", (_why_steps, facts, said)
         yield from _compare("tier_statistics", what, "steps mean", row.steps_mean, said.steps_mean, said.source, *why)
         if row.group != ALL:
             what, ours = f"NE mean, {row.group}", row.ne_mean_m
-            error = (reasons.say_error, material.statistics)
+            error = (reasons.explain_error, material.statistics)
             yield from _compare("tier_statistics", what, "NE", ours, said.ne_mean_m, said.source, *error)
 
 
@@ -152,7 +152,7 @@ def _tier_shares(material: ReportInput) -> Iterator[PaperComparison]:
     for row in material.statistics.tiers:
         if (said := row.paper) and said.share is not None:
             tier = Tier(row.group)
-            why = (reasons.say_planned, material.statistics, tier, material.meta.plan.tier_share(tier), said.n)
+            why = (reasons.explain_planned, material.statistics, tier, material.meta.plan.tier_share(tier), said.n)
             yield from _compare("tiers", f"share of {tier}", "share", row.share, said.share, said.source, *why)
 
 
@@ -162,7 +162,7 @@ def _splits(material: ReportInput) -> Iterator[PaperComparison]:
         if said is None or said.n is None or paper.OVERALL.n is None or row.group == ALL:
             continue
         split, published = Split(row.group), said.n / paper.OVERALL.n
-        why = (reasons.say_planned, material.statistics, split, material.meta.plan.split_share(split), said.n)
+        why = (reasons.explain_planned, material.statistics, split, material.meta.plan.split_share(split), said.n)
         yield from _compare("splits", f"share of {split}", "share", row.share, published, said.source, *why)
         yield from _length(
             material, "splits", row, facts_of([each for each in material.episodes if each.split == split])
@@ -173,10 +173,10 @@ def _categories(material: ReportInput) -> Iterator[PaperComparison]:
     rows = {row.group: row for row in material.statistics.categories}
     for name, said in paper.CATEGORIES.items():
         what, ours = f"share of {say_category(name)}", rows[name].share if name in rows else 0.0
-        why = (reasons.say_category_share, material, name)
+        why = (reasons.explain_category_share, material, name)
         yield from _compare("categories", what, "share", ours, said.share, said.source, *why)
     what, ours = "share of the three most frequent", material.statistics.three_largest_share
-    why_largest = (reasons.say_largest, material.statistics)
+    why_largest = (reasons.explain_largest, material.statistics)
     yield from _compare("categories", what, "share", ours, paper.THREE_LARGEST_SHARE, "Sec. VIII", *why_largest)
 
 
@@ -185,16 +185,16 @@ def _fit(material: ReportInput) -> Iterator[PaperComparison]:
     if said.r is None or said.slope is None:
         return
     is_within = ours.low is None or ours.high is None or ours.low <= said.r <= ours.high
-    why_r = (str,) if is_within else (reasons.say_correlation, facts_of(material.episodes))
+    why_r = (str,) if is_within else (reasons.explain_correlation, facts_of(material.episodes))
     yield from _compare("fit", "Pearson r", "coefficient", ours.r, said.r, "Fig. 11", *why_r)
     is_off = ours.slope is not None and ours.slope_error is not None and abs(ours.slope - said.slope) > 0.05
-    why_slope = (reasons.say_slope, material.statistics) if is_off else (str,)
+    why_slope = (reasons.explain_slope, material.statistics) if is_off else (str,)
     yield from _compare("fit", "slope, m/m", "coefficient", ours.slope, said.slope, "Fig. 11", *why_slope)
 
 
 def _templates(material: ReportInput) -> Iterator[PaperComparison]:
     with_colour = [row for row in material.statistics.templates if row.group in paper.TEMPLATE_COUNTS]
-    share, why = sum(row.n for row in with_colour) / len(material.episodes), (reasons.say_colours, material)
+    share, why = sum(row.n for row in with_colour) / len(material.episodes), (reasons.explain_colours, material)
     yield from _compare("templates", "share with a colour word", "share of colours", share, 0.0, "Fig. 12", *why)
     used = {row.group for row in material.statistics.templates if row.n and not needs_colour(row.group)}
     yield from _compare("templates", "templates in use without colour", "count", len(used), 13 + 10, "Table III", str)
@@ -208,14 +208,14 @@ def _attempts(material: ReportInput) -> Iterator[PaperComparison]:
         rate = row.success.share
         yield PaperComparison(
             exhibit="attempts",
-            what=f"attempts that succeed, {_said(row.group)}",
+            what=f"attempts that succeed, {_group_label(row.group)}",
             ours=rate,
             published=low,
             published_high=high,
             unit="share",
             digits=1,
             source=row.paper.source,
-            reason="" if rate is None or low <= rate <= high else reasons.say_success(material, row),
+            reason="" if rate is None or low <= rate <= high else reasons.explain_success(material, row),
         )
 
 
@@ -223,5 +223,5 @@ def _facts(material: ReportInput, scene: str) -> RunFacts | None:
     return facts_of([row for row in material.episodes if scene in (ALL, row.scene)])
 
 
-def _said(group: str) -> str:
+def _group_label(group: str) -> str:
     return group.replace("_", " ")

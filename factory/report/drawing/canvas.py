@@ -1,6 +1,6 @@
-"""The only door to matplotlib: paints a panel and returns it as SVG text and PNG bytes. Touches no path.
+"""Draws panels with matplotlib and returns them as SVG and PNG. The only module that imports matplotlib.
 
-The same drawing gives the same bytes: no dates, no random ids, no font but the one matplotlib brings along.
+Deterministic: no dates, no random ids, and only the font that matplotlib contains. Writes no files.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ except ImportError as error:
 __all__ = ["WIDTH_IN", "Axes", "Panel", "count_whole", "draw_panel", "fill_outlines", "mark", "write_legend"]
 
 WIDTH_IN = 4.7
-"""Of every panel: wide enough for a column of the page, narrow enough to be read on a phone."""
+"""Width of every panel, inches; it fits a column of the page and a phone."""
 _PNG_DPI = 200
 _MOST_MARKS = 3000
-"""That an SVG has one by one; more become a picture in it."""
+"""Maximum number of vector markers in an SVG; more are rasterised."""
 _PATH, _DECIMALS = re.compile(r' d="[^"]*"'), re.compile(r"-?\d+\.\d+")
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 _STYLE: dict[Any, Any] = {
@@ -79,55 +79,55 @@ _STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Panel:
-    """One drawing."""
+    """Drawing as SVG and PNG."""
 
     name: str
-    """File name without ending; unique within a report."""
+    """File name without suffix, unique within a report."""
     alt: str
-    """What is to be seen, for those who do not see it."""
+    """Alternative text."""
     svg: str
     png: bytes
 
 
 def draw_panel(name: str, alt: str, paint: Callable[[Axes], None], height_in: float = 3.0) -> Panel:
-    """Returns a panel.
+    """Draws a panel.
 
     Args:
-        name: file name without ending.
-        alt: what is to be seen, in words.
-        paint: draws on the axes it is given.
-        height_in: of the drawing, inches; it is `WIDTH_IN` wide.
+        name: file name without suffix.
+        alt: alternative text.
+        paint: function that draws on the axes.
+        height_in: height of the drawing, inches; its width is `WIDTH_IN`.
     """
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
         FigureCanvasAgg(figure)
         paint(figure.add_subplot())
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # laid out once, for both files
+        figure.set_layout_engine("none")  # compute the layout once for both files
         return Panel(name, alt, _as_svg(figure), _as_png(figure))
 
 
 def write_legend(axes: Axes, columns: int = 3, **more: Any) -> None:
-    """Writes the legend above the drawing, where it hides nothing."""
+    """Draws the legend above the axes."""
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.2, columnspacing=1.2, **more)
 
 
 def mark(axes: Axes, points: ArrayLike, **style: Any) -> None:
-    """Draws markers at (K, 2) points; nothing where there are none."""
+    """Draws markers at points (K, 2)."""
     places = np.asarray(points, np.float64).reshape(-1, 2)
     if len(places):
         axes.scatter(places[:, 0], places[:, 1], rasterized=len(places) > _MOST_MARKS, **style)
 
 
 def count_whole(axis: Axis) -> None:
-    """Has an axis of counts ticked at whole numbers only."""
+    """Restricts the ticks of an axis to integers."""
     axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def fill_outlines(axes: Axes, loops: Sequence[NDArray[np.float64]], fill: str, zorder: float) -> None:
-    """Fills closed loops of (K, 2) points, holes left open, as one path."""
+    """Fills closed loops of points (K, 2) as one path with holes."""
     if loops:
-        # a closed path repeats its first point, which is drawn as the closing stroke
+        # a closed path repeats its first point, as matplotlib requires
         parts = [Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops]
         whole = Outline.make_compound_path(*parts)
         axes.add_artist(PathPatch(whole, facecolor=fill, edgecolor="none", zorder=zorder))
@@ -138,14 +138,14 @@ def _as_svg(figure: Figure) -> str:
     figure.savefig(buffer, format="svg", metadata=_NO_METADATA)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
-    # names of groups repeat from panel to panel, which one page must not have; nothing refers to them
+    # group ids repeat between panels, but ids of a page must be unique; no element refers to them
     text = re.sub(r'<g id="[^"]*"', "<g", text)
     text = _PATH.sub(lambda match: _DECIMALS.sub(_shorten, match.group()), text)
     return text.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, 'Segoe UI', sans-serif")
 
 
 def _shorten(match: re.Match[str]) -> str:
-    """A hundredth of a point is finer than any screen."""
+    """Rounds a coordinate to hundredths of a point, which is below screen resolution."""
     return f"{float(match.group()):.2f}".rstrip("0").rstrip(".")
 
 

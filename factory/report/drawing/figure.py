@@ -1,4 +1,4 @@
-"""What a report consists of: exhibits, each with panels, a caption and tables. Values only."""
+"""Models of the figures of a report: panels, caption and tables. Data only."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Panel
 
-__all__ = ["Drawer", "Exhibit", "Table"]
+__all__ = ["DrawFunction", "Figure", "Table"]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the page; cells are text as it shall be read."""
+    """Table of the page; cells are formatted text."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -21,21 +21,21 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Exhibit:
-    """One figure of the paper, drawn from this dataset."""
+class Figure:
+    """Figure of the paper, drawn from the dataset."""
 
     name: str
-    """Anchor on the page and beginning of its file names."""
+    """Anchor on the page and prefix of the file names."""
     title: str
     source: str
-    """The figure or table of the paper, or why it has none."""
+    """Corresponding figure or table of the paper, or a note that the paper has none."""
     caption: str
-    """What is seen, and from how many episodes or attempts."""
+    """Caption, with the number of episodes or attempts."""
     panels: tuple[Panel, ...] = ()
-    """Empty where there is nothing to show; the caption says so."""
+    """Panels; empty without data, which the caption then states."""
     tables: tuple[Table, ...] = ()
     wide: bool = False
-    """Whether the panels stand beside each other over the whole width."""
+    """Whether the panels use the full width of the page, side by side."""
 
 
-Drawer = Callable[[ReportInput], Exhibit]
+DrawFunction = Callable[[ReportInput], Figure]

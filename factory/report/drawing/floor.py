@@ -1,4 +1,4 @@
-"""Draws a scene's floor from above: the room to drive in and what stands on it, as outlines that can be recoloured."""
+"""Draws the floor map of a scene: free floor and obstacles as outlines, and targets."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from schemas.dataset import EpisodeSummary
 __all__ = ["draw_floor", "draw_targets", "floor_height_in", "title_floor"]
 
 _BESIDE_IN, _ABOVE_IN = 0.45, 0.95
-"""What axis labels take of the width; they, title and legend of the height."""
+"""Width of the axis labels; height of axis labels, title and legend, inches."""
 _LEAST_IN, _MOST_IN = 1.5, 7.0
 
 
 def floor_height_in(floor: FloorMap | None) -> float:
-    """Returns how high a panel must be for the map to fill its width."""
+    """Returns the height of a panel in which the map fills the width, inches."""
     if floor is None:
         return WIDTH_IN
     west, east, south, north = floor.bounds_m
@@ -26,7 +26,7 @@ def floor_height_in(floor: FloorMap | None) -> float:
 
 
 def draw_floor(axes: Axes, floor: FloorMap | None) -> None:
-    """Draws the map, or the bare axes where there is none; x to the right, y up, metres."""
+    """Draws the map, or empty axes without a map; x to the right, y up, metres."""
     axes.set_aspect("equal")
     axes.grid(visible=False)
     axes.set_xlabel("x, m")
@@ -44,7 +44,7 @@ def draw_floor(axes: Axes, floor: FloorMap | None) -> None:
 
 
 def draw_targets(axes: Axes, floor: FloorMap | None, episodes: list[EpisodeSummary]) -> None:
-    """Marks all targets of the scene, and those that episodes name more strongly."""
+    """Marks all targets of the scene, and highlights those of the episodes."""
     if floor is not None:
         edge = {"facecolor": "none", "edgecolor": colour("muted"), "linewidth": 0.6}
         mark(axes, floor.targets_m, s=9, marker="D", zorder=2, **edge)
@@ -55,5 +55,5 @@ def draw_targets(axes: Axes, floor: FloorMap | None, episodes: list[EpisodeSumma
 
 
 def title_floor(axes: Axes, text: str) -> None:
-    """Writes a title that leaves room for one line of legend."""
+    """Draws a title with space for one line of legend below it."""
     axes.set_title(text, pad=20)

@@ -1,4 +1,4 @@
-"""The mark of a published value, the same in every figure."""
+"""Draws the marker of published values, which is equal in all figures."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ __all__ = ["mark_paper"]
 
 
 def mark_paper(axes: Axes, points: ArrayLike, label: str = "paper") -> None:
-    """Draws a hollow diamond at each of (K, 2) points."""
+    """Draws a hollow diamond at each point (K, 2)."""
     edge = {"facecolor": colour("card"), "edgecolor": colour("paper"), "linewidth": 1.6}
     mark(axes, points, marker="D", s=40, zorder=4, label=label, **edge)

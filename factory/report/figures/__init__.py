@@ -1,1 +1,1 @@
-"""The figures of the paper, one file each."""
+"""Figures of the paper, one module each, and their registry. Each `draw` function is pure."""

@@ -1,4 +1,4 @@
-"""The 7 x 7 action grid (paper Fig. 1) with the steps that chose each of its points."""
+"""Figure of the 7 x 7 action grid (paper Fig. 1) with the share of steps per grid point."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from factory.html.palette import colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, number, percent
 from schemas.tokens import GRID_POINTS, V_GRID_MPS, W_GRID_RPS
 
@@ -16,25 +16,25 @@ __all__ = ["draw"]
 _PALEST, _FULLEST = 0.10, 0.80
 _STRAIGHT = GRID_POINTS // 2
 _MOST = 8
-"""Rows of the table."""
+"""Maximum number of rows of the table."""
 
 
-def draw(material: ReportInput) -> Exhibit:
+def draw(material: ReportInput) -> Figure:
     """Returns the heat map and the most frequent tokens."""
     drives = material.drives
-    title, source = "Action space, and what of it is used", "Fig. 1; the paper shows the grid alone"
+    title, source = "Action space and its use", "Fig. 1; the paper shows the grid alone"
     if not drives.steps:
-        return Exhibit("action_space", title, source, "No steps to show: no episode could be read.")
+        return Figure("action_space", title, source, "No steps to show: no episode could be read.")
     used = int((drives.tokens > 0).sum())
     read = f"{len(drives.tracks)} of {count(len(material.episodes), 'episode')}"
     caption = (
         f"Each square is one of the {GRID_POINTS}×{GRID_POINTS} = {GRID_POINTS**2} tokens of speed v and yaw rate ω; "
         f"its tone (logarithmic) and number give the share of {drives.steps:,} recorded steps of {read} whose action "
-        f"lies nearest. {used} of {GRID_POINTS**2} occur. Positive ω turns left."
+        f"is nearest to it. {used} of {GRID_POINTS**2} occur. Positive ω turns left."
     )
     alt = f"Grid of {GRID_POINTS} speeds by {GRID_POINTS} yaw rates, {used} squares toned by use"
     panel = draw_panel("action_space", alt, lambda axes: _paint(axes, drives.tokens), height_in=3.9)
-    return Exhibit("action_space", title, source, caption, (panel,), (_table(drives.tokens),))
+    return Figure("action_space", title, source, caption, (panel,), (_table(drives.tokens),))
 
 
 def _paint(axes: Axes, tokens: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> None:
@@ -45,7 +45,7 @@ def _paint(axes: Axes, tokens: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) 
             shown = bool(tokens[v, w])
             fill = colour("scene1") if shown else colour("floor")
             axes.bar(w, 0.92, 0.92, v - 0.46, color=fill, alpha=float(tone) if shown else 1.0)
-            text = _said(float(tokens[v, w] / total)) if shown else "·"
+            text = _percentage(float(tokens[v, w] / total)) if shown else "·"
             axes.text(w, v, text, ha="center", va="center", fontsize=7.5, color=colour("ink" if shown else "muted"))
     axes.text(_STRAIGHT, -0.62, "stop", ha="center", va="top", fontsize=8, weight="bold")
     axes.text(_STRAIGHT, GRID_POINTS - 0.46, "full speed ahead", ha="center", va="bottom", fontsize=8, weight="bold")
@@ -60,7 +60,7 @@ def _paint(axes: Axes, tokens: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) 
     axes.set_ylabel("speed v, m/s")
 
 
-def _said(share: float) -> str:
+def _percentage(share: float) -> str:
     if share < 0.0005:
         return "<0.1"
     return f"{100 * share:.1f}"

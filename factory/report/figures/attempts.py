@@ -1,4 +1,4 @@
-"""Attempts by scene, what became of them and why (paper Sec. V-A; it has no figure of them)."""
+"""Figure of attempts by scene with outcomes and reasons (paper Sec. V-A, without a figure)."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ import numpy as np
 from factory.html.palette import REASON_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import DASH, count, name, percent, scene_label
 from factory.stats.model import AttemptRow, Share
 
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns the bars of outcomes and the rates of success."""
+def draw(material: ReportInput) -> Figure:
+    """Returns the bar chart of outcomes and the success rates."""
     title, source = "Attempts and success", "Sec. V-A; no figure in the paper"
     rows = material.statistics.attempts
     if rows is None:
-        return Exhibit("attempts", title, source, "Not shown: the record of attempts cannot be read.")
+        return Figure("attempts", title, source, "Not shown: the record of attempts cannot be read.")
     by_scene = [row for row in rows if row.group in material.scenes]
     everything = next(row for row in rows if row.group == "all")
     if not everything.attempts:
-        return Exhibit("attempts", title, source, "No attempts to show.")
+        return Figure("attempts", title, source, "No attempts to show.")
     uncounted = sum(Counter(everything.reasons).values()) - (everything.attempts - everything.success.count)
     beside = material.statistics.beside_paper
-    marks = ", and the range that the paper tells as a pink band" if beside else ""
+    marks = ", and the range of the paper as a pink band" if beside else ""
     caption = (
         f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. Above: attempts "
         "by scene and outcome. Below: the share that succeeded with its 95 % Wilson interval, first attempts of an "
         f"episode as hollow dots{marks}. "
-        f"Crashes and lost leases are no attempts of the world and not counted ({uncounted})."
+        f"Crashes and lost leases are not simulated attempts and are not counted ({uncounted})."
     )
     height = 1.3 + 0.42 * len(by_scene)
     outcomes = draw_panel("attempts", "Attempts by scene and outcome", lambda axes: _outcomes(axes, by_scene), height)
     rates = draw_panel("success_rates", "Success rates by scene", lambda axes: _rates(axes, by_scene), height)
-    return Exhibit("attempts", title, source, caption, (outcomes, rates), (_table([*by_scene, everything], rows),))
+    return Figure("attempts", title, source, caption, (outcomes, rates), (_table([*by_scene, everything], rows),))
 
 
 def _outcomes(axes: Axes, rows: list[AttemptRow]) -> None:

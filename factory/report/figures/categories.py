@@ -1,4 +1,4 @@
-"""Object categories (paper Fig. 6), stacked by scene."""
+"""Figure of object categories (paper Fig. 6), stacked by scene."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from factory.html.palette import colour, scene_colours
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import DASH, count, name, percent
 
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns bars by category, and the counts by category and scene."""
+def draw(material: ReportInput) -> Figure:
+    """Returns the bar chart by category, and the counts by category and scene."""
     title, source = "Object categories", "Fig. 6"
     if not material.episodes:
-        return Exhibit("categories", title, source, "No episodes to show.")
+        return Figure("categories", title, source, "No episodes to show.")
     rows = material.statistics.categories
     held_out = sum(row.n for row in rows if row.kind == "held out")
     beside = " Diamonds are the three shares that the paper prints." if material.statistics.beside_paper else ""
@@ -31,7 +31,7 @@ def draw(material: ReportInput) -> Exhibit:
     panel = draw_panel(
         "categories", "Bars of the categories by scene", lambda axes: _paint(axes, material), 1.2 + 0.27 * len(rows)
     )
-    return Exhibit("categories", title, source, caption, (panel,), (_table(material),))
+    return Figure("categories", title, source, caption, (panel,), (_table(material),))
 
 
 def _counts(material: ReportInput) -> Counter[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Navigation errors (paper Fig. 8): cumulative, by scene, with the success radius."""
+"""Figure of navigation errors (paper Fig. 8): cumulative distribution by scene, with the success radius."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from factory.html.palette import DASHES, colour, scene_colours
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, name, number, percent
 from factory.stats import paper
 
@@ -16,11 +16,11 @@ __all__ = ["draw"]
 _MARGIN_M = 0.004
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns the curves and the quantiles."""
+def draw(material: ReportInput) -> Figure:
+    """Returns the cumulative distributions and the quantiles."""
     title, source = "Navigation error", "Fig. 8, Table VI"
     if not material.episodes:
-        return Exhibit("errors", title, source, "No episodes to show.")
+        return Figure("errors", title, source, "No episodes to show.")
     everything = material.statistics.navigation_error[-1]
     within = everything.within_radius
     said = f" The pink line is the paper's mean, {number(paper.NAVIGATION_ERROR.ne_mean_m, 3)} m."
@@ -30,7 +30,7 @@ def draw(material: ReportInput) -> Exhibit:
         f"{within.of} end within.{said if material.statistics.beside_paper else ''}"
     )
     panel = draw_panel("ne_cdf", "Cumulative navigation error by scene", lambda axes: _paint(axes, material), 3.3)
-    return Exhibit("errors", title, source, caption, (panel,), (_table(material),))
+    return Figure("errors", title, source, caption, (panel,), (_table(material),))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:

@@ -1,4 +1,4 @@
-"""Spawn distance against trajectory length (paper Fig. 11) with the fitted line."""
+"""Figure of spawn distance against trajectory length (paper Fig. 11) with the fitted line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from factory.html.palette import TIER_COLOURS, TIER_MARKERS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, mark, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import DASH, count, name, number
 from factory.stats.model import Fit
 from schemas.terms import Tier
@@ -17,15 +17,15 @@ __all__ = ["draw"]
 _PRINTED_P = 0.001
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns the scatter and the fits of all groups."""
+def draw(material: ReportInput) -> Figure:
+    """Returns the scatter plot and the fits of all groups."""
     title, source = "Spawn distance and trajectory length", "Fig. 11"
     if not material.episodes:
-        return Exhibit("fit", title, source, "No episodes to show.")
+        return Figure("fit", title, source, "No episodes to show.")
     fit = material.statistics.correlation[0]
     caption = (
-        f"Each mark is one of {count(fit.n, 'episode')}. The dotted line is the straight way to the success circle "
-        f"(slope 1, {material.statistics.success_radius_m:g} m less than the distance). {_said(fit)}"
+        f"Each mark is one of {count(fit.n, 'episode')}. The dotted line is the straight path to the success circle "
+        f"(slope 1, {material.statistics.success_radius_m:g} m less than the distance). {_describe_fit(fit)}"
     )
     panel = draw_panel(
         "spawn_distance_vs_tl",
@@ -33,10 +33,10 @@ def draw(material: ReportInput) -> Exhibit:
         lambda axes: _paint(axes, material, fit),
         3.8,
     )
-    return Exhibit("fit", title, source, caption, (panel,), (_table(material),))
+    return Figure("fit", title, source, caption, (panel,), (_table(material),))
 
 
-def _said(fit: Fit) -> str:
+def _describe_fit(fit: Fit) -> str:
     if fit.r is None or fit.slope is None or fit.low is None or fit.high is None:
         return f"No line is fitted: {fit.remark}."
     return (
@@ -55,7 +55,7 @@ def _paint(axes: Axes, material: ReportInput, fit: Fit) -> None:
     farthest = max(row.spawn_dist_m for row in material.episodes)
     radius = material.statistics.success_radius_m
     ends = np.array([radius, 1.03 * farthest])
-    axes.plot(ends, ends - radius, color=colour("muted"), linewidth=1.1, linestyle=(0, (1.2, 2)), label="straight way")
+    axes.plot(ends, ends - radius, color=colour("muted"), linewidth=1.1, linestyle=(0, (1.2, 2)), label="straight path")
     if fit.slope is not None and fit.intercept_m is not None:
         axes.plot(
             ends,

@@ -1,4 +1,4 @@
-"""Trajectory lengths (paper Fig. 7)."""
+"""Figure of trajectory lengths (paper Fig. 7)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from factory.html.palette import colour, scene_colours
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit
+from factory.report.drawing.figure import Figure
 from factory.report.drawing.text import count, name, number
 from factory.stats import paper
 
@@ -16,11 +16,11 @@ __all__ = ["draw"]
 _BIN_M = 0.5
 
 
-def draw(material: ReportInput) -> Exhibit:
+def draw(material: ReportInput) -> Figure:
     """Returns the histogram."""
     title, source = "Trajectory length", "Fig. 7, Table V"
     if not material.episodes:
-        return Exhibit("lengths", title, source, "No episodes to show.")
+        return Figure("lengths", title, source, "No episodes to show.")
     everything = material.statistics.scenes[-1]
     said = f"{number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes"
     beside = f"; the dashed line is the paper's mean, {said}" if material.statistics.beside_paper else ""
@@ -31,7 +31,7 @@ def draw(material: ReportInput) -> Exhibit:
     panel = draw_panel(
         "tl_histogram", "Histogram of trajectory lengths by scene", lambda axes: _paint(axes, material), 3.2
     )
-    return Exhibit("lengths", title, source, caption, (panel,))
+    return Figure("lengths", title, source, caption, (panel,))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:

@@ -1,8 +1,8 @@
-"""All figures of a report, in the order of the page."""
+"""Registry of the figures of a report, in the order of the page. A new figure needs one module and one line here."""
 
 from __future__ import annotations
 
-from factory.report.drawing.figure import Drawer
+from factory.report.drawing.figure import DrawFunction
 from factory.report.figures import (
     action_space,
     attempts,
@@ -20,9 +20,9 @@ from factory.report.figures import (
     tracks,
 )
 
-__all__ = ["DRAWERS"]
+__all__ = ["DRAW_FUNCTIONS"]
 
-DRAWERS: tuple[Drawer, ...] = (
+DRAW_FUNCTIONS: tuple[DrawFunction, ...] = (
     samples.draw,
     action_space.draw,
     tiers.draw,

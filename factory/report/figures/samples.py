@@ -1,4 +1,4 @@
-"""Sample frames with their instructions (paper Fig. 3): the target is outlined, which the recording is not."""
+"""Figure of sample frames with their instructions (paper Fig. 3). The outline of the target is added."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from factory.report.data import FrameSample, ReportInput
 from factory.report.drawing.canvas import WIDTH_IN, Axes, draw_panel
-from factory.report.drawing.figure import Exhibit
+from factory.report.drawing.figure import Figure
 from factory.report.drawing.text import count, name
 
 __all__ = ["draw", "outlined"]
@@ -18,31 +18,31 @@ _OUTLINE_RGB = (255, 196, 0)
 _OUTLINE_PX = 2
 _COLUMNS = 2
 _SHRINK = 2
-"""The panel shows every second pixel; the page has its own pictures."""
+"""Downsampling factor of the panel; the page has separate images."""
 _TILE_PX, _GAP_PX, _TEXT_PX = 320, 14, 74
 _LETTERS = 36
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns one panel of all samples."""
+def draw(material: ReportInput) -> Figure:
+    """Returns one panel with all samples."""
     samples = material.drives.samples
-    title, source = "What the robot sees", "Fig. 3"
+    title, source = "Sample frames", "Fig. 3"
     if not samples:
-        return Exhibit("samples", title, source, "No frames to show: no episode could be read.", wide=True)
+        return Figure("samples", title, source, "No frames to show: no episode could be read.", wide=True)
     scenes = len({sample.row.scene for sample in samples})
     caption = (
         f"Front RGB frames, 640 × 640 pixels as recorded, of {count(len(samples), 'episode')} in "
-        f"{count(scenes, 'scene')}, chosen by rule: scenes and categories take turns. The yellow outline shows the "
-        "target's pixels in the recorded ids; the frames themselves have none."
+        f"{count(scenes, 'scene')}; the selection alternates between scenes and categories. The yellow outline shows "
+        "the target's pixels in the recorded ids; it is not part of the frames."
     )
     rows = -(-len(samples) // _COLUMNS)
     height = WIDTH_IN * rows * (_TILE_PX + _TEXT_PX) / (_COLUMNS * (_TILE_PX + _GAP_PX))
     panel = draw_panel("samples", "Sample frames with instructions", lambda axes: _paint(axes, samples), height)
-    return Exhibit("samples", title, source, caption, (panel,), wide=True)
+    return Figure("samples", title, source, caption, (panel,), wide=True)
 
 
 def outlined(sample: FrameSample) -> NDArray[np.uint8]:
-    """Returns the frame with its target's outline: (640, 640, 3) sRGB."""
+    """Returns the frame with the outline of the target: (640, 640, 3) sRGB."""
     mask = sample.target
     inner = mask.copy()
     for _ in range(_OUTLINE_PX):

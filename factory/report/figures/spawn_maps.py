@@ -1,11 +1,11 @@
-"""Where episodes start (paper Fig. 4): surveyed points, starts by tier and targets over the map of each scene."""
+"""Figure of start positions (paper Fig. 4): spawn points, starts by tier and targets on the map of each scene."""
 
 from __future__ import annotations
 
 from factory.html.palette import TIER_COLOURS, TIER_MARKERS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, Panel, draw_panel, mark, write_legend
-from factory.report.drawing.figure import Exhibit
+from factory.report.drawing.figure import Figure
 from factory.report.drawing.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.drawing.text import count, file_part, name
 from schemas.terms import Tier
@@ -13,19 +13,19 @@ from schemas.terms import Tier
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns a panel for each scene."""
+def draw(material: ReportInput) -> Figure:
+    """Returns one panel per scene."""
     surveyed = ", ".join(f"{name(scene)} {len(floor.surveyed_m)}" for scene, floor in material.maps.items())
     beside = "; the paper has 40 a scene" if material.statistics.beside_paper else ""
     caption = (
-        f"Starts of {count(len(material.episodes), 'episode')} by tier, over the map of each scene: pale floor can be "
-        "reached, grey is too low to hide anything, dark grey hides what stands behind it. Small crosses are the "
-        f"surveyed spawn points that far starts are drawn from ({surveyed or 'no map could be read'}{beside}); "
+        f"Starts of {count(len(material.episodes), 'episode')} by tier on the map of each scene: pale floor is "
+        "reachable, grey obstacles do not occlude, dark grey obstacles do. Small crosses are the "
+        f"surveyed spawn points from which far starts are drawn ({surveyed or 'no map could be read'}{beside}); "
         "hollow diamonds are all targets, filled ones those that an instruction names."
     )
-    return Exhibit(
+    return Figure(
         "spawn_maps",
-        "Where episodes start",
+        "Start positions",
         "Fig. 4",
         caption,
         tuple(_panel(material, s) for s in material.scenes),

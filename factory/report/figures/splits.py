@@ -1,4 +1,4 @@
-"""Splits by scene (paper Fig. 5)."""
+"""Figure of splits by scene (paper Fig. 5)."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import numpy as np
 from factory.html.palette import SPLIT_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, name, number, percent, scene_label
 from schemas.terms import Split
 
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns stacked bars, the rollouts of each split and what instances it shares with training."""
+def draw(material: ReportInput) -> Figure:
+    """Returns the stacked bar chart, the rollouts of each split and its overlap of instances with training."""
     title, source = "Splits", "Fig. 5, Table VI"
     if not material.episodes:
-        return Exhibit("splits", title, source, "No episodes to show.")
+        return Figure("splits", title, source, "No episodes to show.")
     caption = (
         f"{count(len(material.episodes), 'episode')} by scene and split, in per cent of the scene; numbers are "
-        "episodes. In blue and green what training resembles, in yellow new phrases, in red held-out categories."
+        "episodes. Blue and green: in distribution; yellow: new phrases; red: held-out categories."
     )
     panel = draw_panel(
         "splits",
@@ -29,7 +29,7 @@ def draw(material: ReportInput) -> Exhibit:
         lambda axes: _paint(axes, material),
         1.4 + 0.45 * len(material.scenes),
     )
-    return Exhibit("splits", title, source, caption, (panel,), (_rollouts(material), _overlap(material)))
+    return Figure("splits", title, source, caption, (panel,), (_rollouts(material), _overlap(material)))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:

@@ -1,4 +1,4 @@
-"""Episode lengths in steps by scene (paper Fig. 9)."""
+"""Figure of episode lengths in steps by scene (paper Fig. 9)."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from factory.html.palette import colour, scene_colours
 from factory.report.comparison.facts import facts_of
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import count, name, number, scene_label
 
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns the boxes."""
+def draw(material: ReportInput) -> Figure:
+    """Returns the box plots."""
     title, source = "Steps by scene", "Fig. 9"
     if not material.episodes:
-        return Exhibit("steps", title, source, "No episodes to show.")
+        return Figure("steps", title, source, "No episodes to show.")
     beside = " Diamonds are the paper's medians." if material.statistics.beside_paper else ""
     caption = (
         f"Steps of {count(len(material.episodes), 'episode')} at {material.meta.plan.task.control_hz} Hz. Box: "
@@ -32,7 +32,7 @@ def draw(material: ReportInput) -> Exhibit:
         lambda axes: _paint(axes, material),
         1.3 + 0.5 * len(material.scenes),
     )
-    return Exhibit("steps", title, source, caption, (panel,), (_geometry(material),))
+    return Figure("steps", title, source, caption, (panel,), (_geometry(material),))
 
 
 def _paint(axes: Axes, material: ReportInput) -> None:
@@ -76,7 +76,7 @@ def _paint(axes: Axes, material: ReportInput) -> None:
 
 
 def _geometry(material: ReportInput) -> Table:
-    """What lies behind the steps of a scene."""
+    """Returns the table of distances and speeds that determine the steps of a scene."""
     rows = []
     for scene in material.scenes:
         facts, floor = facts_of(material.of(scene)), material.maps.get(scene)
@@ -101,4 +101,4 @@ def _geometry(material: ReportInput) -> Table:
         "steps/m",
         "floor, m²",
     )
-    return Table(columns, tuple(rows), "The geometry behind it, means")
+    return Table(columns, tuple(rows), "Means of the geometry")

@@ -1,11 +1,11 @@
-"""Instruction templates (paper Fig. 12)."""
+"""Figure of instruction templates (paper Fig. 12)."""
 
 from __future__ import annotations
 
 from factory.html.palette import colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, Panel, count_whole, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.text import count, percent
 from factory.stats.model import CountRow
 from schemas.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_colour
@@ -13,17 +13,17 @@ from schemas.language import OOD_TEMPLATES, TEMPLATES, TRAIN_TEMPLATES, needs_co
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns one panel for the training pool, one for the paraphrases."""
+def draw(material: ReportInput) -> Figure:
+    """Returns one panel for the training templates and one for the paraphrases."""
     title, source = "Instruction templates", "Fig. 12, Table III"
     if not material.episodes:
-        return Exhibit("templates", title, source, "No episodes to show.")
+        return Figure("templates", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.templates}
     coloured = sum(row.n for row in rows.values() if row.group in TEMPLATES and needs_colour(row.group))
-    beside = "; in the paper these have none" if material.statistics.beside_paper else ""
+    beside = "; in the paper these have no episodes" if material.statistics.beside_paper else ""
     caption = (
-        f"Templates behind the instructions of {count(len(material.episodes), 'episode')}. T1 to T18 are for training "
-        f"and its tests, O1 to O12 for test_paraphrase_ood alone. Yellow bars have a slot for a colour "
+        f"Templates of the instructions of {count(len(material.episodes), 'episode')}. T1 to T18 are used in training "
+        f"and its tests, O1 to O12 in test_paraphrase_ood only. Yellow bars have a slot for a colour "
         f"({count(coloured, 'episode')}){beside}."
     )
     pools = (
@@ -31,7 +31,7 @@ def draw(material: ReportInput) -> Exhibit:
         ("templates_paraphrase", "paraphrases", "O", list(OOD_TEMPLATES)),
     )
     panels = tuple(_panel(rows, *pool) for pool in pools)
-    return Exhibit("templates", title, source, caption, panels, (_table(rows),))
+    return Figure("templates", title, source, caption, panels, (_table(rows),))
 
 
 def _panel(rows: dict[str, CountRow], name: str, words: str, letter: str, pool: list[str]) -> Panel:

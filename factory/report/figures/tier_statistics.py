@@ -1,4 +1,4 @@
-"""Mean length and steps by tier (paper Fig. 10 and Table VII)."""
+"""Figure of mean length and steps by tier (paper Fig. 10 and Table VII)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit, Table
+from factory.report.drawing.figure import Figure, Table
 from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import count, name, number
 from factory.stats import paper
@@ -17,11 +17,11 @@ from schemas.terms import Tier
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
+def draw(material: ReportInput) -> Figure:
     """Returns two bar charts."""
-    title, source = "Tiers in length and steps", "Fig. 10, Table VII"
+    title, source = "Length and steps by tier", "Fig. 10, Table VII"
     if not material.episodes:
-        return Exhibit("tier_statistics", title, source, "No episodes to show.")
+        return Figure("tier_statistics", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.tiers}
     counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
     said = f"; diamonds are the paper's means over {', '.join(f'{paper.TIERS[tier].n} {tier}' for tier in Tier)}"
@@ -39,7 +39,7 @@ def draw(material: ReportInput) -> Exhibit:
     steps = draw_panel(
         "tier_steps", "Mean steps by tier", lambda axes: _bars(axes, rows, "steps_mean", "mean steps", 0), 2.3
     )
-    return Exhibit("tier_statistics", title, source, caption, (lengths, steps), (_table(material),))
+    return Figure("tier_statistics", title, source, caption, (lengths, steps), (_table(material),))
 
 
 def _ratios(rows: dict[str, RolloutRow], beside: bool) -> str:

@@ -1,4 +1,4 @@
-"""Spawn tiers (paper Fig. 2): their shares, and the distances that episodes start at."""
+"""Figure of spawn tiers (paper Fig. 2): shares and start distances."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, count_whole, draw_panel, mark, write_legend
-from factory.report.drawing.figure import Exhibit
+from factory.report.drawing.figure import Figure
 from factory.report.drawing.paper_mark import mark_paper
 from factory.report.drawing.text import count
 from schemas.terms import TIER_RANGE_M, Tier
@@ -17,15 +17,15 @@ __all__ = ["draw"]
 _BIN_M = 0.5
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns the shares and the histogram of distances."""
+def draw(material: ReportInput) -> Figure:
+    """Returns the shares and the histogram of start distances."""
     total = len(material.episodes)
     title, source = "Spawn tiers", "Fig. 2"
     if not total:
-        return Exhibit("tiers", title, source, "No episodes to show.")
+        return Figure("tiers", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.tiers}
     counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
-    beside = " and what the paper ended with" if material.statistics.beside_paper else ""
+    beside = " and the shares in the paper" if material.statistics.beside_paper else ""
     caption = (
         f"Above: share of each tier among {count(total, 'episode')} ({counts}), with what the plan asks for{beside}. "
         "Below: planar distance of the start from the target's centroid; the dotted lines are "
@@ -35,7 +35,7 @@ def draw(material: ReportInput) -> Exhibit:
     distances = draw_panel(
         "spawn_distances", "Histogram of start distances by tier", lambda axes: _distances(axes, material), 2.8
     )
-    return Exhibit("tiers", title, source, caption, (shares, distances))
+    return Figure("tiers", title, source, caption, (shares, distances))
 
 
 def _shares(axes: Axes, material: ReportInput) -> None:

@@ -1,11 +1,11 @@
-"""The ways driven, by tier, over the map of each scene; the paper has no such figure."""
+"""Figure of driven trajectories by tier on the map of each scene; the paper has no such figure."""
 
 from __future__ import annotations
 
 from factory.html.palette import TIER_COLOURS, colour
 from factory.report.data import ReportInput
 from factory.report.drawing.canvas import Axes, Panel, draw_panel, write_legend
-from factory.report.drawing.figure import Exhibit
+from factory.report.drawing.figure import Figure
 from factory.report.drawing.floor import draw_floor, draw_targets, floor_height_in, title_floor
 from factory.report.drawing.text import count, file_part, name
 from schemas.terms import Tier
@@ -13,19 +13,19 @@ from schemas.terms import Tier
 __all__ = ["draw"]
 
 
-def draw(material: ReportInput) -> Exhibit:
-    """Returns a panel for each scene."""
+def draw(material: ReportInput) -> Figure:
+    """Returns one panel per scene."""
     tracks = material.drives.tracks
-    title, source = "Ways driven", "not in the paper"
+    title, source = "Driven trajectories", "not in the paper"
     if not tracks:
-        return Exhibit("tracks", title, source, "No tracks to show: no episode could be read.")
+        return Figure("tracks", title, source, "No tracks to show: no episode could be read.")
     read = f"{len(tracks)} of {count(len(material.episodes), 'episode')}"
     caption = (
-        f"Tracks of base_link in {read} over the maps, from the dot at the start to within "
-        f"{material.statistics.success_radius_m:g} m of a target (filled diamond). A straight-driving expert leaves "
-        "straight lines; bends show a planner or a start that faces away."
+        f"Tracks of base_link in {read} on the maps, from the dot at the start to within "
+        f"{material.statistics.success_radius_m:g} m of a target (filled diamond). The tracks of an expert without a "
+        "planner are straight; a planner or a start that faces away adds turns."
     )
-    return Exhibit(
+    return Figure(
         "tracks", title, source, caption, tuple(_panel(material, scene) for scene in material.scenes), wide=True
     )
 

@@ -1,4 +1,4 @@
-"""The report's page: what `report.html` of `factory.html` shows, as text and drawings. Pure; writes no markup."""
+"""Builds the values of the template `report.html` of `factory.html`: texts, tables and drawings. Pure."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from factory.html.palette import with_variables
 from factory.report.comparison.model import PaperComparison
 from factory.report.data import FrameSample, ReportInput
 from factory.report.drawing.canvas import Panel
-from factory.report.drawing.figure import Exhibit
+from factory.report.drawing.figure import Figure
 from factory.report.drawing.text import DASH, count, name, number, percent
 from factory.report.figures.samples import outlined
-from factory.report.page.tables import ComparisonCells, TableCells, spell_comparison, spell_table
+from factory.report.page.tables import ComparisonCells, TableCells, format_comparison, format_table
 from factory.stats import paper
 
 __all__ = ["write_page"]
@@ -33,7 +33,7 @@ _ABOUT_PAPER = (
 
 @dataclass(frozen=True)
 class _Picture:
-    """A sample frame."""
+    """Sample frame of the page."""
 
     instruction: str
     facts: str
@@ -43,30 +43,30 @@ class _Picture:
 
 @dataclass(frozen=True)
 class _Section:
-    """An exhibit on the page."""
+    """Section of the page with one figure."""
 
     name: str
     title: str
     source: str
     caption: str
     drawings: Sequence[str]
-    """SVG, put on the page as it is."""
+    """SVG elements, inserted without escaping."""
     samples: Sequence[_Picture]
     comparisons: Sequence[ComparisonCells]
     tables: Sequence[TableCells]
     is_wide: bool
 
 
-def write_page(material: ReportInput, exhibits: Sequence[Exhibit], comparisons: Sequence[PaperComparison]) -> str:
-    """Returns the document.
+def write_page(material: ReportInput, figures: Sequence[Figure], comparisons: Sequence[PaperComparison]) -> str:
+    """Returns the HTML document.
 
     Args:
-        material: what the dataset holds.
-        exhibits: in the order of the page.
-        comparisons: with the paper.
+        material: input of the report.
+        figures: figures in the order of the page.
+        comparisons: comparisons with the paper.
     """
     meta = material.meta
-    anchors = ((exhibit.name, exhibit.title) for exhibit in exhibits)
+    anchors = ((figure.name, figure.title) for figure in figures)
     return render(
         "report.html",
         title=f"{meta.run}: dataset report",
@@ -78,7 +78,7 @@ def write_page(material: ReportInput, exhibits: Sequence[Exhibit], comparisons: 
         remarks=material.statistics.remarks,
         tiles=_tiles(material),
         verdict=_verdict(material, comparisons),
-        sections=[_section(exhibit, material, comparisons) for exhibit in exhibits],
+        sections=[_section(figure, material, comparisons) for figure in figures],
         method=_method(material),
     )
 
@@ -93,7 +93,7 @@ def _badges(material: ReportInput) -> Iterator[str]:
 
 
 def _tiles(material: ReportInput) -> Sequence[tuple[str, str, str]]:
-    """Measure, value here, and the paper's value where it is compared."""
+    """Returns measure, value of the dataset and, if compared, value of the paper."""
     everything, fit = material.statistics.scenes[-1], material.statistics.correlation[0]
     said, beside = paper.OVERALL, material.statistics.beside_paper
     tiles = (
@@ -129,24 +129,24 @@ def _with_unit(value: float | None, digits: int, unit: str) -> str:
     return DASH if value is None else f"{number(value, digits)} {unit}"
 
 
-def _section(exhibit: Exhibit, material: ReportInput, comparisons: Sequence[PaperComparison]) -> _Section:
-    beside = [spell_comparison(row) for row in comparisons if row.exhibit == exhibit.name]
-    shows_samples = exhibit.name == "samples"
+def _section(figure: Figure, material: ReportInput, comparisons: Sequence[PaperComparison]) -> _Section:
+    beside = [format_comparison(row) for row in comparisons if row.exhibit == figure.name]
+    shows_samples = figure.name == "samples"
     return _Section(
-        name=exhibit.name,
-        title=exhibit.title,
-        source=exhibit.source if material.statistics.beside_paper else "",
-        caption=exhibit.caption,
-        drawings=[] if shows_samples else [_inline(panel) for panel in exhibit.panels],
+        name=figure.name,
+        title=figure.title,
+        source=figure.source if material.statistics.beside_paper else "",
+        caption=figure.caption,
+        drawings=[] if shows_samples else [_inline(panel) for panel in figure.panels],
         samples=list(_pictures(material.drives.samples)) if shows_samples else [],
         comparisons=beside,
-        tables=[spell_table(table) for table in exhibit.tables],
-        is_wide=exhibit.wide or not (beside or exhibit.tables),
+        tables=[format_table(table) for table in figure.tables],
+        is_wide=figure.wide or not (beside or figure.tables),
     )
 
 
 def _inline(panel: Panel) -> str:
-    """The drawing, whose texts matplotlib has escaped, in the colours of the page."""
+    """Returns the SVG of a panel with the colours of the page; matplotlib has escaped its texts."""
     label = f'<svg role="img" aria-label="{escape(panel.alt)}" class="panel" '
     return with_variables(panel.svg.replace("<svg ", label, 1))
 

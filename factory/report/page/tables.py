@@ -1,4 +1,4 @@
-"""Tables of the page as text: numbers beside the paper's, and tables of exhibits. Pure; escapes nothing."""
+"""Formats the tables of the page: comparisons with the paper, and tables of figures. Pure. Does not escape text."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from factory.report.comparison.model import PaperComparison
 from factory.report.drawing.figure import Table
 from factory.report.drawing.text import DASH, number, percent
 
-__all__ = ["ComparisonCells", "TableCells", "spell_comparison", "spell_table"]
+__all__ = ["ComparisonCells", "TableCells", "format_comparison", "format_table"]
 
 _TIMES = 2.0
-"""Ratio from which on per cent are hard to read."""
+"""Ratio above which a difference is given as a factor instead of per cent."""
 _ROWS_SHOWN = 8
-"""Longer tables are folded."""
+"""Maximum number of rows of a table that is initially open."""
 Cells = Sequence[tuple[str, bool]]
-"""Text of each cell, and whether its column holds numbers, which are aligned right."""
+"""Text of each cell, and whether its column is numeric and right-aligned."""
 
 
 @dataclass(frozen=True)
 class ComparisonCells:
-    """One number beside the paper's, as text."""
+    """Cells of a comparison."""
 
     what: str
     ours: str
@@ -33,7 +33,7 @@ class ComparisonCells:
 
 @dataclass(frozen=True)
 class TableCells:
-    """A table of an exhibit, cell by cell."""
+    """Cells of a table of a figure."""
 
     title: str
     head: Cells
@@ -41,26 +41,26 @@ class TableCells:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is short enough to be shown unfolded."""
+        """Whether the table is initially open."""
         return len(self.rows) <= _ROWS_SHOWN
 
 
-def spell_comparison(row: PaperComparison) -> ComparisonCells:
-    """Returns the cells of a comparison."""
-    published = _spell(row, row.published)
+def format_comparison(row: PaperComparison) -> ComparisonCells:
+    """Formats a comparison."""
+    published = _format_value(row, row.published)
     if row.published_high is not None:
         published = f"{number(100 * row.published, 0)}–{number(100 * row.published_high, 0)} %"
-    return ComparisonCells(row.what, _spell(row, row.ours), published, row.source, _difference(row), row.reason)
+    return ComparisonCells(row.what, _format_value(row, row.ours), published, row.source, _difference(row), row.reason)
 
 
-def spell_table(table: Table) -> TableCells:
-    """Returns the cells of a table; columns of numbers are marked."""
+def format_table(table: Table) -> TableCells:
+    """Formats a table and marks numeric columns."""
     right = [_is_numeric([row[place] for row in table.rows]) for place in range(len(table.columns))]
     head, *rows = (list(zip(row, right, strict=True)) for row in (table.columns, *table.rows))
     return TableCells(table.title, head, rows)
 
 
-def _spell(row: PaperComparison, value: float | None) -> str:
+def _format_value(row: PaperComparison, value: float | None) -> str:
     if row.unit == "share":
         return percent(value, row.digits)
     unit = f" {row.unit}" if row.unit == "m" and value is not None else ""

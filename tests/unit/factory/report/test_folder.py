@@ -44,7 +44,7 @@ def test_a_folder_of_something_else_is_refused_unless_forced(tmp_path: Path) -> 
 
 def test_a_foreign_report_json_does_not_make_a_folder_ours(tmp_path: Path) -> None:
     (tmp_path / MARKER_FILE).write_text('{"title": "quarterly"}')
-    with pytest.raises(UsageError, match="holds no report"):
+    with pytest.raises(UsageError, match="not a report"):
         require_usable(tmp_path, force=False)
 
 
@@ -56,7 +56,7 @@ def test_a_file_is_refused(tmp_path: Path) -> None:
 
 def test_a_folder_within_a_dataset_is_refused(tmp_path: Path) -> None:
     (tmp_path / "dataset_meta.json").write_text("{}")
-    with pytest.raises(UsageError, match="lies in a dataset"):
+    with pytest.raises(UsageError, match="inside a dataset"):
         require_usable(tmp_path / "report", force=True)
 
 

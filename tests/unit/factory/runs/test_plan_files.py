@@ -25,7 +25,7 @@ def test_all_missing_files_are_named_with_their_keys_and_remedies(tmp_path: Path
         require_files(plan_in(tmp_path))
     usd, rules, targets = caught.value.findings
     assert usd.startswith(f"scenes[1] lab: usd: no USD file at {tmp_path}/w.usda")
-    assert rules.startswith(f"scenes[1] lab: rules: no category rules at {tmp_path}/r.yaml")
+    assert rules.startswith(f"scenes[1] lab: rules: cannot read category rules {tmp_path}/r.yaml")
     assert f"`factory scene targets lab -o {tmp_path}/t.yaml`" in targets
     assert targets.endswith(f"before that `factory scene import {tmp_path}/w.usda --name lab`")
 
@@ -33,7 +33,7 @@ def test_all_missing_files_are_named_with_their_keys_and_remedies(tmp_path: Path
 def test_a_list_of_targets_with_a_mistake_is_named_without_the_way_to_a_new_one(tmp_path: Path) -> None:
     for name in ("w.usda", "r.yaml", "t.yaml"):
         (tmp_path / name).write_text("[]")
-    with pytest.raises(InvalidPlan, match=r"scenes\[1\] lab: targets: .*is no targets file") as caught:
+    with pytest.raises(InvalidPlan, match=r"scenes\[1\] lab: targets: .*is not a valid targets file") as caught:
         require_files(plan_in(tmp_path))
     assert len(caught.value.findings) == 1
     assert "before that" not in str(caught.value)
