@@ -1,15 +1,17 @@
 # The whole interface of a checkout: make setup | run | test | check | bench | chaos | chaos-long |
-# ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit. Everything is in .venv.
+# ledger-accidents | scenes-check | test-formats | test-install | test-lerobot | test-train | fuzz | audit | docs | quickstart.
+# Everything is in .venv.
 VENV   := .venv
 PYTHON ?= python3.11
 JUDGE  := .venv-judge
 TRAIN  := .venv-train
 AUDIT  := .venv-audit
 JOBS   ?= 2
+DOCS   := .venv-docs
 READY  := $(VENV)/.ready
 
 .PHONY: setup run test check bench chaos chaos-long ledger-accidents scenes-check test-formats test-install test-lerobot
-.PHONY: test-train fuzz audit clean
+.PHONY: test-train fuzz audit docs quickstart clean
 
 setup: $(READY)
 	@echo "ready; next: make run (a demo dataset in ./dataset), or $(VENV)/bin/factory --help"
@@ -140,5 +142,21 @@ $(AUDIT)/.ready:
 	$(AUDIT)/bin/python -m pip install --quiet "pip-audit==2.10.1"
 	touch $(AUDIT)/.ready
 
+# the documents and the API reference as a site in build/site, which needs no network to be read; fails on a broken link
+docs: $(DOCS)/.ready
+	$(DOCS)/bin/python -m mkdocs build --strict --site-dir build/site
+
+# runs docs/quickstart.ipynb from an empty folder and stores its outputs: two episodes are simulated
+quickstart: $(DOCS)/.ready
+	$(DOCS)/bin/python docs/site/quickstart.py docs/quickstart.ipynb
+
+$(DOCS)/.ready: requirements.txt
+	$(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements.txt
+	$(DOCS)/bin/python -m pip install --quiet mkdocs==1.6.1 mkdocs-material==9.8.1 "mkdocstrings[python]==1.0.8" \
+	    nbconvert==7.17.2 nbclient==0.11.0 ipykernel==7.4.0
+	$(DOCS)/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	touch $(DOCS)/.ready
+
 clean:
-	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) $(AUDIT) build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(JUDGE) $(JUDGE)-v2.1 $(JUDGE)-habitat $(JUDGE)-readers $(TRAIN) $(AUDIT) $(DOCS) build .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -10,7 +10,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import Repeated
 
 __all__ = ["Chore", "Housekeeper"]
 

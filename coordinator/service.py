@@ -20,11 +20,11 @@ from coordinator.clock import ClockWatch, seconds_since_boot
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.evaluation import Errands
 from coordinator.housekeeper import Housekeeper
+from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.hosts import troubled
-from coordinator.ledger.opening import ledger_url_of, open_run
-from coordinator.ledger.reading.guard import require_ledger
+from coordinator.ledger.opening import ledger_url_of, note_sandbox, open_run
 from coordinator.ledger.reading.look import Connection, damage_translated
 from coordinator.ledger.reading.progress import count_frames, read_progress
 from coordinator.ledger.writer import Writer
@@ -43,7 +43,7 @@ from coordinator.tables.checkpoint import is_checkpoint_owed, write_checkpoint
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.transfer.book import LedgerBook
 from coordinator.transfer.puller import Judge, Nearby, Pullers, nothing_nearby
-from coordinator.validation.validator import Validator
+from coordinator.validation.validator import Validator, sandbox_of
 from schemas.dataset_meta import GateOutcome
 from schemas.errors import WorldError
 from schemas.plan import Plan
@@ -58,6 +58,9 @@ _WAIT_S = 0.5
 _THUMBNAILS_S = 2.0
 """Time for thumbnails at the end of a run that is not finished."""
 _BARRED_S = 5.0
+_SANDBOX_S = 1.0
+_LEASE_LIMIT_S = 1.0
+"""Pause between two looks for leases that are too old."""
 _FAREWELL_S = 3.0
 """How long a finished run is announced at least: a worker may just be reconnecting."""
 _AGAIN = "start again: the ledger is rebuilt from the episodes"
@@ -123,6 +126,7 @@ class Coordinator(Closing):
         self._has_room = True
         self._barred: frozenset[str] = frozenset()
         self._has_written = False
+        self._noted_sandbox: tuple[str, ...] = ()
         self._meters = Meters()
         self._terms = Terms(
             plan=plan,
@@ -135,18 +139,20 @@ class Coordinator(Closing):
             errands=errands,
         )
         url = ledger_url_of(root, ledger_url)
-        checker = checker or Validator(settings.pullers)
+        self._checker = checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
             stack.callback(checker.close)
             self._archive = stack.enter_context(open_archive(root, store))
-            require_ledger(self._archive, url)
             renew_ledger(self._archive, url, catalog)
             self._open_ledger(stack, url, checker)
             self._writer = stack.enter_context(Writer(self._engine))
+            stack.callback(self._note_sandbox)
             stack.callback(self._write_split_tables)
             stack.callback(self._write_tables)
             self._pullers = stack.enter_context(self._open_pullers(checker, nearby))
             stack.callback(checker.close)  # before the pullers end, so that they need not wait for a long check
+            limit_s = settings.lease_limit_s
+            self._lease_limit = LeaseLimit(self._reading, self._writer.call, self._terms, clock, limit_s)
             self._look_for_room()
             front = stack.enter_context(self._open_front())
             files = errands.files if errands is not None else {}
@@ -282,6 +288,7 @@ class Coordinator(Closing):
             self._archive.free_bytes,
             self._settings.reserve_bytes,
             lambda: self._router.is_open,
+            lambda: sandbox_of(self._checker),
         )
 
     def _read_figures(self) -> tuple[Progress, int]:
@@ -293,8 +300,10 @@ class Coordinator(Closing):
         return Housekeeper(
             {
                 "expire": (settings.sweep_s, self._expire),
+                "limit_leases": (_LEASE_LIMIT_S, self._limit_leases),
                 "look_for_room": (1.0, self._look_for_room),
                 "admit": (settings.admission_s, self._admit),
+                "note_sandbox": (_SANDBOX_S, self._note_sandbox),
                 "warn_of_barred": (_BARRED_S, self._warn_of_barred),
             }
         )
@@ -305,6 +314,19 @@ class Coordinator(Closing):
         if expired:
             self._meters.add(Meter.EXPIRED, expired)
             log.warning("leases_expired", jobs=expired, remedy="they are given to other workers")
+
+    def _limit_leases(self) -> None:
+        self._mind_clock()
+        if not self._has_room:
+            self._lease_limit.restart()  # no worker is to blame that its bundle waits
+        self._meters.add(Meter.EXPIRED, self._lease_limit.enforce())
+
+    def _note_sandbox(self) -> None:
+        """Records for `factory status` what confines the validating processes, once the first one has been started."""
+        layers = sandbox_of(self._checker)
+        if layers != self._noted_sandbox:
+            self._writer.submit(lambda connection: note_sandbox(connection, layers))
+            self._noted_sandbox = layers
 
     def _warn_of_barred(self) -> None:
         with self._reader.connect() as connection:
@@ -323,6 +345,7 @@ class Coordinator(Closing):
             ttl_s = self._settings.lease_ttl_s
             held = self._writer.call(lambda connection: claims.grant_grace(connection, self._clock(), ttl_s))
             self._watch.accept()
+            self._lease_limit.restart()
             log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases begin anew")
 
     def _admit(self) -> None:

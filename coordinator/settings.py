@@ -17,6 +17,9 @@ class CoordinatorSettings(Model):
 
     lease_ttl_s: Positive = 15.0
     """How long a job stays with a silent worker."""
+    lease_limit_s: Positive = 7200.0
+    """Longest time from claim to archived episode. The job of a worker that beats and brings nothing then goes to
+    others. A bundle of 50 MB takes 7 minutes at `min_bytes_per_s`."""
     retry_after_s: Positive = 1.0
     """How long a worker waits when nothing is due."""
     sweep_s: Positive = 0.25

@@ -1,4 +1,4 @@
-"""The bundle: one attempt's frames, arrays and metadata in one file of stored members (DESIGN 5).
+"""The bundle: one attempt's frames, arrays and metadata in one file of stored members (docs/design/data.md#bundle).
 
 Writes and reads open binary files with deterministic bytes and bounded decoding; never touches a path.
 """

@@ -15,7 +15,7 @@ __all__ = ["CameraConfig", "ExpertConfig", "PlannerConfig", "RobotConfig", "Spaw
 
 
 class TaskConfig(Model):
-    """When an episode ends and how it ends (paper Sec. II-A; DESIGN 3.4)."""
+    """When an episode ends and how it ends (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""
 
     control_hz: Annotated[int, Field(ge=1, le=240)] = 60
     """Steps, frames and actions per second."""
@@ -40,7 +40,7 @@ class TaskConfig(Model):
 
 
 class RobotConfig(Model):
-    """A robot with the measures of the Nova Carter (notes/scenes.md section 3; DESIGN 3.5, 3.6)."""
+    """A robot with the measures of the Nova Carter (docs/design/robot.md)."""
 
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
@@ -62,7 +62,7 @@ class RobotConfig(Model):
 
 
 class CameraConfig(Model):
-    """The right eye of the front stereo camera as a pinhole (DESIGN 3.7); pose in the base_link frame."""
+    """The right eye of the front stereo camera as a pinhole; pose in base_link (docs/design/robot.md#camera)."""
 
     name: Line = "front_hawk/right"
     x_m: Finite = 0.1003
@@ -76,7 +76,7 @@ class CameraConfig(Model):
 
 
 class SpawnConfig(Model):
-    """Where an episode may start (paper Sec. III-D; DESIGN 3.12)."""
+    """Where an episode may start (paper Sec. III-D; docs/design/starts.md)."""
 
     heading_noise_rad: NonNegative = 0.4363323129985824
     """Largest deviation from facing the target in the near and mid tiers; 25 degrees."""
@@ -96,7 +96,7 @@ class SpawnConfig(Model):
 
 
 class ExpertConfig(Model):
-    """Gains of the proportional controller (paper Eq. 2-5; DESIGN 3.1, 3.4)."""
+    """Gains of the proportional controller (paper Eq. 2-5; docs/design/experts.md#proportional-expert)."""
 
     yaw_gain: Positive = 1.4
     """k_w: rad/s per unit of normalised column error, and per radian of heading error."""
@@ -109,7 +109,7 @@ class ExpertConfig(Model):
 
 
 class PlannerConfig(Model):
-    """Settings of the planner expert (DESIGN 3.20); the other experts ignore them."""
+    """Settings of the planner expert (docs/design/experts.md#planner); the other experts ignore them."""
 
     margin_m: NonNegative = 0.08
     """Free space around the footprint along the path, metres."""

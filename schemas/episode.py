@@ -42,7 +42,7 @@ class Rollout(Model):
     final_ne_m: NonNegative
     """NE: planar distance from the last pose to the target's centroid."""
     final_ne_3d_m: NonNegative
-    """The same with the height of the centroid (DESIGN 3.2)."""
+    """The same with the height of the centroid (docs/design/task.md#distances)."""
     min_ne_m: NonNegative
     """Smallest planar distance over the episode; oracle progress is made from it."""
     collision_count: Count

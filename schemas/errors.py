@@ -1,6 +1,6 @@
 """The error family all packages share: one root, few children, each named for what the caller does next.
 
-Never formats for a terminal and never decides an exit code; the CLI maps these classes to codes (STYLE 19).
+Never formats for a terminal and never decides an exit code; the CLI maps these classes to codes.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ _Word = Annotated[str, StringConstraints(max_length=200)]
 
 
 class Fingerprint(Model):
-    """Versions and machine traits that can shape the last bit of a frame (DESIGN 3.14)."""
+    """Versions and machine traits that can shape the last bit of a frame (docs/design/reproducibility.md#machines)."""
 
     software: Annotated[dict[_Word, _Word], Field(max_length=64)]
     """Package name -> version of all that touches the bytes, our own included."""

@@ -62,5 +62,8 @@ class Job(Model):
         return episode_id(self.index)
 
     def rng(self) -> np.random.Generator:
-        """Returns the attempt's generator, seeded by (root seed, index, attempt) (DESIGN 3.14)."""
+        """Returns the attempt's generator, seeded by (root seed, index, attempt).
+
+        Design: docs/design/reproducibility.md#seeds.
+        """
         return np.random.default_rng(np.random.SeedSequence((self.root_seed, self.index, self.attempt)))

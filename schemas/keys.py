@@ -1,4 +1,4 @@
-"""Key expressions of the protocol: who answers where (DESIGN 9). Builds strings, opens nothing."""
+"""Key expressions of the protocol: who answers where (docs/design/protocol.md#keys). Builds strings, opens nothing."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ __all__ = ["TrackMeasure", "measure_track", "yaw_of"]
 
 
 class TrackMeasure(NamedTuple):
-    """Measures of one track, planar unless said otherwise (paper Sec. V; DESIGN 3.2)."""
+    """Measures of one track, planar unless said otherwise (paper Sec. V; docs/design/task.md#distances)."""
 
     spawn_pose: tuple[float, float, float]
     """x, y in metres and yaw in radians of the first pose."""

@@ -109,7 +109,7 @@ class ScenePlan(Model):
 
 
 class Budget(Model):
-    """How long to insist on an episode (DESIGN 3.11, 6)."""
+    """How long to insist on an episode (docs/design/jobs.md#draws-and-budgets)."""
 
     attempts_per_draw: Annotated[int, Field(ge=1, le=1000)] = 6
     """World failures after which a target is given up and the cell is drawn anew."""

@@ -61,7 +61,7 @@ class Instance(Model):
 
 
 class Target(Model):
-    """An object that can be named in an instruction and reached (DESIGN 3.3)."""
+    """An object that can be named in an instruction and reached (docs/design/scenes.md#targets)."""
 
     target_id: Name
     """Stable name within the scene, e.g. `chair_007`."""

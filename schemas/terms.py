@@ -49,7 +49,7 @@ class Split(StrEnum):
 class ExpertName(StrEnum):
     """Which controller drives; every expert writes the same kind of episode."""
 
-    PROPORTIONAL = "proportional"  # the published behaviour (DESIGN 3.1)
+    PROPORTIONAL = "proportional"  # the published behaviour (docs/design/experts.md#proportional-expert)
     DEPTH = "depth"  # speed from mask depth instead of centroid distance
     PAPER_LITERAL = "paper_literal"  # the equations exactly as printed; only ever times out
     PLANNER = "planner"  # forward-only path planning and pure pursuit

@@ -1,4 +1,7 @@
-"""The 7 x 7 action grid: continuous actions to tokens and back (paper Sec. II-B; DESIGN 3.8). Pure."""
+"""The 7 x 7 action grid: continuous actions to tokens and back. Pure.
+
+Source: paper Sec. II-B; docs/design/task.md#actions-and-tokens.
+"""
 
 from __future__ import annotations
 

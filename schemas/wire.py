@@ -1,6 +1,6 @@
 """Messages between workers and the coordinator: every verb is idempotent and carries the lease it speaks for.
 
-An empty reply and a time-out both mean *unknown*: the caller repeats the same message (DESIGN 9).
+An empty reply and a time-out both mean *unknown*: the caller repeats the same message (docs/design/protocol.md#verbs).
 """
 
 from __future__ import annotations
@@ -321,6 +321,8 @@ class Progress(Model):
     """Seconds to the end at that rate; `None` when unknown, 0 when finished."""
     finished: bool
     """Whether no job can change any more without a `retry`."""
+    sandbox: Annotated[tuple[Line, ...], Field(max_length=_MAX_GROUPS)] = ()
+    """What confined the coordinator's validating processes last, e.g. `seccomp`; empty before the first bundle."""
 
     @property
     def missing(self) -> int:

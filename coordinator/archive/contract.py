@@ -1,4 +1,6 @@
-"""The archive: what the one writer of a dataset promises, wherever the dataset lies (DESIGN 5). Keeps nothing itself.
+"""The archive: what the one writer of a dataset promises, wherever the dataset is stored. Keeps nothing itself.
+
+Design: docs/design/data.md#archive.
 
 `open_archive` opens one; `tests/contract/test_archives.py` holds every kind of archive to this page.
 """

@@ -1,4 +1,4 @@
-"""The archive as a directory: every step is durable before the next one begins (DESIGN 5, notes/zenoh.md C2).
+"""The archive as a directory: every step is durable before the next one begins (docs/design/data.md#archive).
 
 Never overwrites an episode, never derives a path from a name it was given, never reads what a bundle holds.
 """

@@ -16,7 +16,7 @@ from coordinator.protocol.node import ZenohNode
 from schemas.base import Model
 from schemas.errors import TransientError, WorldError
 from schemas.keys import Verb, verb_key
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import Repeated
 from schemas.wire import Refusal
 
 __all__ = ["CoreLink"]

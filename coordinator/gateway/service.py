@@ -28,7 +28,7 @@ from coordinator.protocol.zenoh_config import router_config
 from coordinator.settings import CoordinatorSettings
 from coordinator.status.vitals import Snapshot
 from coordinator.transfer.puller import Checker, Pullers
-from coordinator.validation.validator import Validator
+from coordinator.validation.validator import Validator, sandbox_of
 from schemas.errors import TransientError
 from schemas.keys import Chunk, Verb
 from schemas.support.closing import Closing
@@ -78,7 +78,7 @@ class Gateway(Closing):
         self._connect = tuple(connect)
         self._closing = stop = stop or threading.Event()
         self._meters = Meters()
-        checker = checker or Validator(settings.pullers)
+        self._checker = checker = checker or Validator(settings.pullers)
         with ExitStack() as stack:
             stack.callback(checker.close)
             self._archive = stack.enter_context(DirectoryArchive(root))
@@ -122,6 +122,7 @@ class Gateway(Closing):
             free_bytes=self._archive.free_bytes(),
             reserve_bytes=self._settings.reserve_bytes,
             backlog=self._pullers.waiting,
+            sandbox=sandbox_of(self._checker),
         )
 
     def close(self) -> None:

@@ -15,7 +15,7 @@ import structlog
 
 from coordinator.archive.directory import DirectoryArchive
 from coordinator.gateway.core_link import CoreLink
-from coordinator.protocol.relay import MAX_FILES, Archived, Inventory, InventoryReply, Stray
+from coordinator.protocol.relay import MAX_FILES, MAX_LOST, Archived, Inventory, InventoryReply, Stray
 from coordinator.transfer.puller import Checker
 from schemas.bundle import BundleReader
 from schemas.errors import InvalidBundle
@@ -64,7 +64,8 @@ def take_stock(
         archive.quarantine(path, "no episode by its name")
     present = archive.present()
     for told in _inventories({index: path.stat().st_size for index, path in present.items()}, is_new=is_new):
-        reply = core.insist(Verb.INVENTORY, told, InventoryReply, stop)
+        while len((reply := core.insist(Verb.INVENTORY, told, InventoryReply, stop)).lost) == MAX_LOST:
+            stock.lost += reply.lost
         stock.kept += len(told.files) - len(reply.strays)
         stock.lost += reply.lost
         for stray in reply.strays:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Row, bindparam, case, select, update
+from sqlalchemy import Row, bindparam, case, or_, select, update
 from sqlalchemy.engine import Connection
 
 from coordinator.ledger.moves import (
@@ -22,7 +22,7 @@ from coordinator.ledger.moves import (
 )
 from coordinator.ledger.prepared import PreparedStatement
 from coordinator.ledger.states import OPEN_STATES, Event, JobState
-from coordinator.ledger.tables import jobs
+from coordinator.ledger.tables import events, jobs
 from schemas.keys import host_of
 from schemas.wire import Beat, Lease
 
@@ -35,6 +35,7 @@ __all__ = [
     "extend",
     "grant_grace",
     "has_open_jobs",
+    "held_too_long",
     "lease_of",
     "shorten",
 ]
@@ -63,6 +64,17 @@ _BEAT = (
     .values(lease_until=bindparam("until"), step=bindparam("at_step"), sid=bindparam("by"))
 )
 OVERDUE = select(jobs).where(jobs.c.lease_until < bindparam("now")).order_by(jobs.c.lease_until).limit(_SWEEP_ROWS)
+_CLAIMED_BEFORE = (
+    select(jobs)
+    .join(events, (events.c.job_id == jobs.c.id) & (events.c.fence == jobs.c.fence))
+    .where(
+        is_in(*HELD_STATES),
+        events.c.event == Event.CLAIMED,
+        or_(events.c.at < bindparam("before"), events.c.at > bindparam("now")),
+    )
+    .order_by(jobs.c.id)
+    .limit(_SWEEP_ROWS)
+)
 _HOLDER = PreparedStatement(BY_TOKEN)
 _LONGER = case((jobs.c.lease_until < bindparam("until"), bindparam("until")), else_=jobs.c.lease_until)
 _EXTEND = PreparedStatement(update(jobs).where(*UNDER_LEASE, is_in(*HELD_STATES)).values(lease_until=_LONGER))
@@ -196,6 +208,15 @@ def expire(connection: Connection, now: datetime) -> int:
             record_attempt(connection, row, _EXPIRED, now, settles=False, steps=row.step)
             expired += 1
     return expired
+
+
+def held_too_long(connection: Connection, now: datetime, limit_s: float) -> Sequence[JobRow]:
+    """Returns jobs that were claimed longer ago than the limit and are still held; some hundred at most.
+
+    A claim in the future was made before the clock was set back; the caller knows that this is longer ago.
+    """
+    at = now.timestamp()
+    return connection.execute(_CLAIMED_BEFORE, {"before": at - limit_s, "now": at}).all()
 
 
 def has_open_jobs(connection: Connection) -> bool:

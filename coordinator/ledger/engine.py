@@ -14,18 +14,30 @@ import time
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Engine, create_engine, event, make_url
+from sqlalchemy import Engine, create_engine, event, make_url, text
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
 from schemas.errors import UsageError, WorldError
 
-__all__ = ["checkpoint_log", "is_server", "open_reader", "open_writer", "shown_url", "sqlite_files", "sqlite_url"]
+__all__ = [
+    "checkpoint_log",
+    "has_writer",
+    "is_server",
+    "open_reader",
+    "open_writer",
+    "shown_url",
+    "sqlite_files",
+    "sqlite_url",
+]
 
 _EXAMPLES = "give e.g. sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
 """Of the advisory lock: one writer a database."""
+_LOCK_HELD = text("""
+    SELECT 1 FROM pg_locks WHERE locktype = 'advisory' AND granted AND objsubid = 1 AND classid = :high AND objid = :low
+        AND database = (SELECT oid FROM pg_database WHERE datname = current_database())""")
 _OTHERS = 0o007
 _LOCK_WAIT_S, _LOCK_PAUSE_S = 3.0, 0.2
 """A server notices late that a killed coordinator is gone."""
@@ -138,6 +150,13 @@ def _create(url: str, **options: Any) -> Engine:
 def shown_url(url: str) -> str:
     """Returns a URL without its password."""
     return make_url(url).render_as_string(hide_password=True)
+
+
+def has_writer(connection: Connection) -> bool | None:
+    """Returns whether a coordinator writes to the database now; `None` where the database does not tell."""
+    if connection.dialect.name != "postgresql":
+        return None
+    return connection.execute(_LOCK_HELD, {"high": _LOCK >> 32, "low": _LOCK & 0xFFFFFFFF}).first() is not None
 
 
 def _reach(engine: Engine) -> None:

@@ -5,7 +5,7 @@ Ledgers of format 1 know no gateways and have no such table until they are opene
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from sqlalchemy import delete, func, insert, inspect, select
 from sqlalchemy.engine import Connection
@@ -14,6 +14,7 @@ from coordinator.ledger.tables import episodes, keepers
 
 __all__ = ["all_keepers", "bring_home", "count_by_gateway", "is_kept", "kept_by", "note_keeper"]
 
+_ROWS = 1000
 _KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == episodes.c.idx)
 
 
@@ -33,10 +34,12 @@ def is_kept(connection: Connection, index: int, gateway: str, sha256: str) -> bo
     return connection.execute(_KEPT.where(*same)).first() is not None
 
 
-def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Mapping[int, int]:
-    """Returns the bytes of each episode that a gateway keeps, between two numbers, both included."""
-    rows = connection.execute(_KEPT.where(keepers.c.gateway == gateway, episodes.c.idx.between(first, last)))
-    return {row.idx: row.size for row in rows}
+def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Iterator[tuple[int, int]]:
+    """Yields number and bytes of each episode that a gateway keeps, between two numbers, both included; ascending."""
+    query = _KEPT.where(keepers.c.gateway == gateway, keepers.c.idx.between(first, last)).order_by(keepers.c.idx)
+    with connection.execute(query.execution_options(yield_per=_ROWS)) as rows:
+        for row in rows:
+            yield row.idx, row.size
 
 
 def all_keepers(connection: Connection) -> Mapping[int, str]:

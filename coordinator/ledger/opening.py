@@ -34,6 +34,7 @@ __all__ = [
     "holds_run",
     "insert_planned",
     "ledger_url_of",
+    "note_sandbox",
     "open_run",
     "planned_digest",
     "planned_of",
@@ -43,6 +44,7 @@ __all__ = [
 
 _INSERT_ROWS = 5000
 _SCENES = TypeAdapter(dict[str, Sha256])
+_SANDBOX = "sandbox"
 _BEGUN_WITH = ("plan_digest", "scenes", "created_at")
 _IDENTITY = ("idx", "scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction")
 
@@ -58,6 +60,8 @@ class LedgerInfo:
     """Scene name -> SHA-256 of the compiled package the run began with."""
     lease_ttl_s: float
     created_at: datetime
+    sandbox: tuple[str, ...] = ()
+    """What confined the processes that validated bundles last; empty where none has been started."""
 
 
 def ledger_url_of(root: Path, url: str | None = None) -> str:
@@ -150,7 +154,13 @@ def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
         scenes=_SCENES.validate_json(facts["scenes"]),
         lease_ttl_s=float(facts["lease_ttl_s"]),
         created_at=datetime.fromisoformat(facts["created_at"]),
+        sandbox=tuple(facts.get(_SANDBOX, "").split()),
     )
+
+
+def note_sandbox(connection: Connection, layers: Sequence[str]) -> None:
+    """Records what confines the processes that validate bundles."""
+    _write_info(connection, {_SANDBOX: " ".join(layers)})
 
 
 def planned_digest(connection: Connection) -> str:

@@ -18,10 +18,9 @@ from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DatabaseError, OperationalError, SQLAlchemyError
 
 from coordinator.ledger.engine import checkpoint_log
-from coordinator.log_limit import LogLimit, describe_error
 from schemas.errors import TransientError, WorldError
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import LogLimit, Repeated, describe_error
 
 __all__ = ["GROUP", "Writer"]
 
@@ -195,11 +194,9 @@ def _run_guarded(connection: Connection, request: _Request[Any]) -> Any:
     return result
 
 
-def _say(event: str, error: SQLAlchemyError | WorldError, **fields: object) -> None:
+def _say(event: str, error: SQLAlchemyError | WorldError, **fields: Any) -> None:
     """Logs what the database said, without the parameters of the statement: tokens are among them."""
-    left_out = _LIMIT.admit(event)
-    if left_out is not None:
-        log.error(event, error=describe_error(getattr(error, "orig", None) or error), left_out=left_out, **fields)
+    _LIMIT.write(log.error, event, error=describe_error(getattr(error, "orig", None) or error), **fields)
 
 
 def _transient(error: SQLAlchemyError | WorldError) -> TransientError:

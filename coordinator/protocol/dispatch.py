@@ -6,6 +6,7 @@ Keeps orders until their gateway fetches them, and nothing durable: what is forg
 from __future__ import annotations
 
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 
@@ -16,6 +17,10 @@ __all__ = ["Dispatch"]
 
 _OF_ONE_HOST = 4
 """Orders of one host that a gateway is given at a time."""
+_MOST_GATEWAYS = 1000
+"""Gateways that are known at a time; the one that was silent longest is forgotten."""
+_SILENT_S = 10.0
+"""Silence after which another gateway may name the same router; a gateway asks four times a second."""
 
 
 class Dispatch:
@@ -23,15 +28,19 @@ class Dispatch:
 
     Args:
         pull_here: takes a bundle whose worker is connected to no gateway that has been heard of.
+        clock: monotonic seconds.
     """
 
-    def __init__(self, pull_here: Callable[[Pull], None]) -> None:
+    def __init__(self, pull_here: Callable[[Pull], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._pull_here = pull_here
+        self._clock = clock
         self._guard = threading.Lock()
         self._gateways: dict[str, str] = {}
         """Zenoh's id of a router -> name of the gateway."""
         self._orders: dict[str, dict[int, Pull]] = {}
         """Gateway -> episode -> what to pull."""
+        self._heard: dict[str, float] = {}
+        """Gateway -> when it asked last; the one that was silent longest first."""
 
     def offer(self, pull: Pull) -> None:
         """Gives a bundle to whoever is to pull it; who was to pull it before, is so no longer."""
@@ -50,16 +59,32 @@ class Dispatch:
 
         Args:
             gateway: its name.
-            router: zenoh's id of its session; from now on what is announced via that is the gateway's.
+            router: zenoh's id of its session; from now on what is announced via that is the gateway's, unless it is
+                the router of another gateway that is there.
             most: orders it can take.
             busy: hosts of which it has enough.
         """
         with self._guard:
-            if self._gateways.get(router) != gateway:
-                former = {known: name for known, name in self._gateways.items() if name != gateway}
-                self._gateways = former | {router: gateway}
+            self._note(gateway, router)
             orders = self._orders.setdefault(gateway, {})
             return tuple(orders.pop(index) for index in _choose(orders, most, busy))
+
+    def _note(self, gateway: str, router: str) -> None:
+        """Records that a gateway is there, and its router if no other gateway that is there has named it."""
+        now = self._clock()
+        self._heard.pop(gateway, None)
+        self._heard[gateway] = now
+        owner = self._gateways.get(router)
+        if owner is None or (owner != gateway and now - self._heard[owner] > _SILENT_S):
+            former = {known: name for known, name in self._gateways.items() if name != gateway}
+            self._gateways = former | {router: gateway}
+        if len(self._heard) > _MOST_GATEWAYS:
+            self._forget(next(iter(self._heard)))
+
+    def _forget(self, gateway: str) -> None:
+        del self._heard[gateway]
+        self._orders.pop(gateway, None)
+        self._gateways = {known: name for known, name in self._gateways.items() if name != gateway}
 
 
 def _choose(orders: Mapping[int, Pull], most: int, busy: Collection[str]) -> list[int]:

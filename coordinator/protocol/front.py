@@ -16,19 +16,18 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from coordinator.ledger import claims
 from coordinator.ledger.writer import Writer
-from coordinator.log_limit import LogLimit, describe_error
 from coordinator.meters import Meter, Meters
 from coordinator.protocol.dispatch import Dispatch
 from coordinator.protocol.load import Load
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Terms, parse, serve
-from coordinator.protocol.relay import Archived, Duty, Inventory, Join, JoinReply
+from coordinator.protocol.relay import Archived, Duty, InventoryReply, Join, JoinReply
 from coordinator.protocol.relay_desk import RELAY_MESSAGES, orders_for, serve_gateway
 from coordinator.protocol.router import Inquiry
 from schemas.errors import TransientError
 from schemas.keys import Verb
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
-from schemas.wire import AdminAction, AdminRequest, ClaimReply, Progress, Refusal
+from schemas.support.log_limit import LogLimit, Repeated, describe_error
+from schemas.wire import Ack, AdminAction, AdminRequest, ClaimReply, Progress, Refusal
 
 __all__ = ["Front"]
 
@@ -144,7 +143,7 @@ class Front(Closing):
             self._note_operator(request.message)
         if isinstance(request.message, Join) and isinstance(answer.reply, JoinReply):
             self._dispatch.take(request.host, request.message.router, 0)
-        if isinstance(request.message, Archived | Inventory):
+        if _changes_tables(request, answer):
             self._on_archived()
         if isinstance(answer.reply, ClaimReply) and answer.reply.job is not None:
             self._meters.add(Meter.CLAIMS)
@@ -157,9 +156,7 @@ class Front(Closing):
         inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
 
     def _log(self, write: Callable[..., None], event: str, inquiry: Inquiry, **fields: object) -> None:
-        left_out = self._limit.admit(f"{event} {inquiry.host}")
-        if left_out is not None:
-            write(event, host=inquiry.host, verb=inquiry.verb, left_out=left_out, **fields)
+        self._limit.write(write, event, inquiry.host, host=inquiry.host, verb=inquiry.verb, **fields)
 
     def _note_operator(self, request: AdminRequest) -> None:
         log.info("operator", action=request.action, episodes=len(request.indices) or "all")
@@ -182,3 +179,10 @@ class Front(Closing):
         else:
             self._unread.succeed()
             inquiry.answer(future.result())
+
+
+def _changes_tables(request: ParsedRequest, answer: ProtocolAnswer) -> bool:
+    """Returns whether a gateway has brought or lost an episode."""
+    if isinstance(request.message, Archived):
+        return answer.reply == Ack(accepted=True)
+    return isinstance(answer.reply, InventoryReply) and bool(answer.reply.lost)

@@ -12,12 +12,12 @@ from pydantic import FailFast, Field
 from schemas.base import Bytes, Line, Model, Ordinal, Sha256, Text
 from schemas.dataset import EpisodeSummary
 from schemas.job import Job
-from schemas.plan import MAX_EPISODES
 from schemas.scene import Target
 from schemas.wire import Detail, Hosts, Lease, RouterId, SessionId, Version
 
 __all__ = [
     "MAX_FILES",
+    "MAX_LOST",
     "MAX_ORDERS",
     "Archived",
     "Duty",
@@ -32,7 +32,7 @@ __all__ = [
     "Stray",
 ]
 
-MAX_FILES, MAX_ORDERS = 1000, 64
+MAX_FILES, MAX_LOST, MAX_ORDERS = 1000, 1000, 64
 
 
 class Join(Model):
@@ -125,5 +125,6 @@ class InventoryReply(Model):
     """What the ledger says to an inventory."""
 
     strays: Annotated[tuple[Stray, ...], Field(max_length=2 * MAX_FILES)] = ()
-    lost: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_EPISODES)] = ()
-    """Episodes the ledger owned there whose file is gone or of another size; they are made anew."""
+    lost: Annotated[tuple[Ordinal, ...], Field(max_length=MAX_LOST)] = ()
+    """Episodes the ledger owned there whose file is gone or of another size; they are made anew. With `MAX_LOST` of
+    them the answer is not complete and lists no strays: the gateway tells the same again."""

@@ -10,15 +10,19 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any
 
+from sqlalchemy import bindparam, select
 from sqlalchemy.engine import Connection
 
 from coordinator.expansion.draw import to_job
 from coordinator.ledger import claims, keepers, outcomes
+from coordinator.ledger.moves import JobRow
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.repair import current_job, record_whole
 from coordinator.ledger.states import OPEN_STATES, JobState
+from coordinator.ledger.tables import jobs
 from coordinator.protocol.protocol import ParsedRequest, ProtocolAnswer, Pull, Terms, fail_attempt
 from coordinator.protocol.relay import (
+    MAX_LOST,
     Archived,
     Duty,
     Hold,
@@ -32,7 +36,7 @@ from coordinator.protocol.relay import (
     Stray,
 )
 from schemas.base import Model
-from schemas.dataset import EpisodeSummary
+from schemas.dataset import EpisodeSummary, file_name_of
 from schemas.keys import Verb
 from schemas.terms import FailReason
 from schemas.wire import Ack, Fail, Refusal, cut_detail
@@ -40,6 +44,15 @@ from schemas.wire import Ack, Fail, Refusal, cut_detail
 __all__ = ["RELAY_MESSAGES", "orders_for", "serve_gateway"]
 
 Handler = Callable[[Connection, Any, str, Terms, datetime], Model]
+_OF_THE_JOB = (
+    *("split", "scene", "instruction", "target_id", "template_id", "colour", "expert"),
+    *("scene_sha256", "plan_digest", "run"),
+)
+"""What an episode's row repeats of its job under the same name."""
+_MOST_AHEAD = 10_000
+"""Attempts that a file may be ahead of a rebuilt ledger."""
+_DRAW = select(jobs).where(jobs.c.idx == bindparam("index"), jobs.c.draw == bindparam("of_draw"))
+_CURRENT = select(jobs).where(jobs.c.idx.in_(bindparam("indices", expanding=True)), jobs.c.superseded.is_(False))
 
 
 def serve_gateway(connection: Connection, request: ParsedRequest, terms: Terms, now: datetime) -> ProtocolAnswer:
@@ -74,6 +87,12 @@ def _hold(connection: Connection, hold: Hold, gateway: str, terms: Terms, now: d
 
 def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms, now: datetime) -> Model:
     summary = told.summary
+    row = connection.execute(_DRAW, {"index": summary.index, "of_draw": summary.draw}).first()
+    if row is None:
+        return Ack(accepted=False)
+    wrong = _contradictions(row, summary, terms)
+    if wrong:
+        return Refusal(error=f"gateway {gateway}: {summary.episode_id} is not of this run: {', '.join(wrong)} differ")
     if keepers.is_kept(connection, summary.index, gateway, summary.file_sha256):
         return Ack(accepted=True)  # said before, and the answer was lost
     if told.lease is not None:
@@ -83,6 +102,19 @@ def _archived(connection: Connection, told: Archived, gateway: str, terms: Terms
     if accepted:
         keepers.note_keeper(connection, summary.index, gateway)
     return Ack(accepted=accepted)
+
+
+def _contradictions(row: JobRow, summary: EpisodeSummary, terms: Terms) -> list[str]:
+    """Returns the fields in which a told episode is not what its job asks for."""
+    job = to_job(terms.plan, terms.catalog, planned_of(row), summary.attempt)
+    wanted = {
+        "episode_id": job.episode_id,
+        "file_name": file_name_of(job.episode_id),
+        "target_category": job.category,
+        "spawn_tier": job.tier,
+    } | {name: getattr(job, name) for name in _OF_THE_JOB}
+    wrong = [name for name, value in wanted.items() if getattr(summary, name) != value]
+    return wrong if summary.attempt <= row.attempt + _MOST_AHEAD else [*wrong, "attempt"]
 
 
 def _adopt(connection: Connection, summary: EpisodeSummary, terms: Terms, now: datetime) -> bool:
@@ -110,29 +142,33 @@ def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, 
 
 
 def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
-    owned = keepers.kept_by(connection, gateway, told.first, told.last)
-    if told.is_new and owned:
+    if told.is_new and (kept := keepers.count_by_gateway(connection).get(gateway)):
         return Refusal(
-            error=f"the ledger says that {len(owned)} episodes lie at gateway {gateway}, and its directory is new: "
+            error=f"the ledger says that {kept} episodes lie at gateway {gateway}, and its directory is new: "
             "give the --out it had, or another --name; what is gone for good is made again after "
             "`factory gather CORE_DIR --requeue-missing`"
         )
-    files = dict(told.files)
-    wrong = {
-        index: f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is gone"
-        for index, size in owned.items()
-        if files.get(index) != size
-    }
+    files = {index: size for index, size in told.files if told.first <= index <= told.last}
+    owned, wrong = set(), {}
+    for index, size in keepers.kept_by(connection, gateway, told.first, told.last):
+        owned.add(index)
+        if files.get(index) != size:
+            wrong[index] = f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is gone"
+        if len(wrong) == MAX_LOST:
+            break
     for index, why in wrong.items():
         outcomes.lose(connection, index, now, f"at gateway {gateway}: {why}")
-    strays = tuple(_strays(connection, files.keys() - owned.keys(), terms))
+    if len(wrong) == MAX_LOST:
+        return InventoryReply(lost=tuple(wrong))
+    strays = tuple(_strays(connection, files.keys() - owned, terms))
     strays += tuple(Stray(index=index, why=why) for index, why in wrong.items() if index in files)
-    return InventoryReply(strays=strays, lost=tuple(sorted(wrong)))
+    return InventoryReply(strays=strays, lost=tuple(wrong))
 
 
 def _strays(connection: Connection, indices: set[int], terms: Terms) -> Iterator[Stray]:
+    rows = {row.idx: row for row in connection.execute(_CURRENT, {"indices": sorted(indices)})} if indices else {}
     for index in sorted(indices):
-        row = current_job(connection, index)
+        row = rows.get(index)
         if row is None:
             yield Stray(index=index, why="the plan has no such episode")
         elif row.state not in OPEN_STATES:

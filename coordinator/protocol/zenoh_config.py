@@ -1,4 +1,6 @@
-"""The settings of zenoh sessions, measured in notes/zenoh.md: router for those who listen, client for operators.
+"""The settings of zenoh sessions: router for those who listen, client for operators.
+
+Reasons: docs/design/protocol.md#zenoh-settings.
 
 Builds configurations; opens nothing. Bulk travels in chunks, so that no message needs to be large.
 """

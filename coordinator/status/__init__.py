@@ -1,6 +1,6 @@
 """State of a running coordinator: health, metrics and HTTP pages."""
 
-from coordinator.status.address import parse_address
+from coordinator.status.address import HttpAddress, parse_address
 from coordinator.status.server import StatusServer
 
-__all__ = ["StatusServer", "parse_address"]
+__all__ = ["HttpAddress", "StatusServer", "parse_address"]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from coordinator.meters import Meter
 from coordinator.status.vitals import Snapshot
+from coordinator.validation.sandbox import RLIMITS, SECCOMP
 from schemas.support.extras import missing_package
 from schemas.wire import Progress
 
@@ -105,6 +106,10 @@ class Exposition:
         )
         yield self._gauge("minivla_disk_free_bytes", "Free on the archive's disk.", snapshot.free_bytes)
         yield self._gauge("minivla_disk_reserve_bytes", "Below this nothing is given out.", snapshot.reserve_bytes)
+        if snapshot.sandbox:
+            active = {layer: int(layer in snapshot.sandbox) for layer in (RLIMITS, SECCOMP)}
+            text = "1 where the layer confines the processes that validate bundles."
+            yield self._gauges("minivla_validator_sandbox", text, "layer", active)
         yield self._gauge("minivla_ledger_backlog", "Requests that wait for the ledger.", snapshot.backlog)
 
     def _gauge(self, name: str, text: str, value: float) -> Metric:

@@ -34,6 +34,8 @@ class Snapshot:
     reserve_bytes: int
     backlog: int
     """Requests that wait for the ledger's writer."""
+    sandbox: tuple[str, ...]
+    """What confines the processes that validate bundles; empty before the first bundle."""
 
 
 class Watched(Protocol):
@@ -59,6 +61,7 @@ class Vitals:
         free_bytes: asks the archive's disk.
         reserve_bytes: that the archive keeps free.
         is_listening: whether its zenoh session is open.
+        sandbox: tells what confines the processes that validate bundles.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class Vitals:
         free_bytes: Callable[[], int],
         reserve_bytes: int,
         is_listening: Callable[[], bool],
+        sandbox: Callable[[], tuple[str, ...]],
     ) -> None:
         self._writer = writer
         self._meters = meters
@@ -76,6 +80,7 @@ class Vitals:
         self._free_bytes = free_bytes
         self._reserve_bytes = reserve_bytes
         self._is_listening = is_listening
+        self._sandbox = sandbox
         self._reading = threading.Lock()
         self._last: Snapshot | None = None
         self._taken = 0.0
@@ -113,6 +118,7 @@ class Vitals:
                     free_bytes=self._free_bytes(),
                     reserve_bytes=self._reserve_bytes,
                     backlog=self._writer.backlog,
+                    sandbox=self._sandbox(),
                 )
                 self._taken = time.monotonic()
             return self._last

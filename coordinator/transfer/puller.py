@@ -26,7 +26,7 @@ from schemas.job import Job, episode_id
 from schemas.keys import Chunk, host_of
 from schemas.scene import Target
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import Lease
 
 __all__ = ["Book", "Checker", "Judge", "Nearby", "Pullers", "nothing_nearby"]
@@ -39,6 +39,9 @@ _FAILURES = 5
 """Failed transfers after which a bundle may be refused as not served."""
 _QUEUED = 2
 """Bundles of one host that may wait for each puller of a gateway, the one under way included."""
+
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
+"""Between two log lines about refused bundles of one host."""
 
 log = structlog.get_logger(__name__)
 
@@ -147,6 +150,7 @@ class Pullers(Closing):
         self._meters = meters or Meters()
         self._queue: FairQueue[_Transfer] = FairQueue()
         self._failing = Repeated(log, "pull_failed")
+        self._limit = LogLimit(_FIRST_PAUSE_S, _LONGEST_PAUSE_S)
         self._busy: dict[int, int] = {}
         """Episode -> bytes of its bundle that are still to come."""
         self._failed: dict[int, _Failures] = {}
@@ -328,7 +332,8 @@ class Pullers(Closing):
     def _refuse(self, pull: Pull, detail: str) -> None:
         self._forget_failures(pull)
         self._meters.add(Meter.REFUSED)
-        log.warning("bundle_refused", episode=episode_id(pull.job.index), worker=pull.sid, detail=detail)
+        episode, host = episode_id(pull.job.index), host_of(pull.sid)
+        self._limit.write(log.warning, "bundle_refused", host, episode=episode, worker=pull.sid, detail=detail)
         self._book.refuse(pull, detail)
 
     def _forget_failures(self, pull: Pull) -> None:

@@ -1,4 +1,6 @@
-"""Validation in sandboxed child processes, so that a hostile bundle costs bounded memory and time (DESIGN 9).
+"""Validation in sandboxed child processes, so that a hostile bundle costs bounded memory and time.
+
+Design: docs/design/protocol.md#security.
 
 A child (`coordinator.validation.validator_child`) gets each bundle as an open file and answers with a line of JSON. One
 that dies, hangs or says too much is replaced.
@@ -16,7 +18,8 @@ import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -31,14 +34,26 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
+from schemas.support.log_limit import LogLimit
 
-__all__ = ["HEADER", "MAX_FINDINGS", "MAX_FINDING_CHARS", "ValidationTask", "Validator", "ValidatorLimits", "Verdict"]
+__all__ = [
+    "HEADER",
+    "MAX_FINDINGS",
+    "MAX_FINDING_CHARS",
+    "ValidationTask",
+    "Validator",
+    "ValidatorLimits",
+    "Verdict",
+    "sandbox_of",
+]
 
 log = structlog.get_logger(__name__)
 
 MAX_FINDINGS, MAX_FINDING_CHARS = 100, 500
 """Of one verdict; a child that ran a hostile bundle is believed no further."""
 _TRIES = 2
+_LONGEST_PAUSE_S = 60.0
+"""Between two log lines about children that died."""
 _STARTUP_S = 60.0
 _MOST_ANSWER_CHARS = 4 << 20
 _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP})
@@ -74,13 +89,21 @@ class Verdict(Model):
 class Validator(Closing):
     """A pool of validating children; `check` may be called from many threads and waits for a free child.
 
+    Args:
+        children: how many.
+        limits: of each.
+        clock: monotonic seconds, by which log lines are limited.
+
     Raises:
         TransientError: a child cannot be started.
     """
 
-    def __init__(self, children: int = 1, limits: ValidatorLimits | None = None) -> None:
+    def __init__(
+        self, children: int = 1, limits: ValidatorLimits | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._limits = limits or ValidatorLimits()
-        self._is_told = False
+        self._layers: tuple[str, ...] = ()
+        self._limit = LogLimit(1.0, _LONGEST_PAUSE_S, clock)
         self._free: queue.SimpleQueue[_Child] = queue.SimpleQueue()
         self._all = [_Child(self._limits) for _ in range(children)]
         for child in self._all:
@@ -107,16 +130,21 @@ class Validator(Closing):
                 verdict = self._ask(child, task, path)
                 if verdict is not None:
                     return _summary_or_raise(verdict)
-                log.warning("validator_died", file=str(path), how=child.last_words)
+                self._limit.write(log.warning, "validator_died", file=str(path), how=child.last_words)
         raise InvalidBundle("validation crashed", [f"{path.name}: {_TRIES} children died of it ({child.last_words})"])
 
     def _ask(self, child: _Child, task: ValidationTask, path: Path) -> Verdict | None:
         with _opened(path) as bundle:
             verdict = child.ask(task, bundle)
-        if child.layers and not self._is_told:
-            self._is_told = True
+        if child.layers and not self._layers:
+            self._layers = child.layers
             _tell_sandbox(child.layers)
         return verdict
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """What confines its processes, e.g. `rlimits` and `seccomp`; empty before the first bundle."""
+        return self._layers
 
     @contextlib.contextmanager
     def _child(self) -> Iterator[_Child]:
@@ -249,6 +277,11 @@ def _opened(path: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def sandbox_of(judge: object) -> tuple[str, ...]:
+    """Returns what confines the processes of a judge; empty before the first bundle, or without processes."""
+    return judge.layers if isinstance(judge, Validator) else ()
 
 
 def _tell_sandbox(layers: Sequence[str]) -> None:

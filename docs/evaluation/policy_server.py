@@ -36,5 +36,5 @@ def handle(connection):
 
 if __name__ == "__main__":
     with serve(handle, "127.0.0.1", int(sys.argv[1]), compression=None, max_size=None) as server:
-        print(f"serving ws://127.0.0.1:{server.socket.getsockname()[1]}", flush=True)  # noqa: T201
+        print(f"serving ws://127.0.0.1:{server.socket.getsockname()[1]}", flush=True)
         server.serve_forever()

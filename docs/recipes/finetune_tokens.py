@@ -149,7 +149,7 @@ def train(model, dataset, steps, batch, rate, seed):
         optimizer.step()
         losses.append(float(loss.detach()))
         if step % 10 == 0:
-            print(f"step {step}: loss {losses[-1]:.3f}", flush=True)  # noqa: T201
+            print(f"step {step}: loss {losses[-1]:.3f}", flush=True)
     return losses
 
 
@@ -198,7 +198,7 @@ def main():
     losses = train(model, frames, chosen.steps, chosen.batch, chosen.rate, chosen.seed)
     Path(chosen.out).mkdir(parents=True, exist_ok=True)
     model.save(chosen.out)
-    print(f"loss {losses[0]:.3f} at first, {np.mean(losses[-10:]):.3f} at last; written to {chosen.out}")  # noqa: T201
+    print(f"loss {losses[0]:.3f} at first, {np.mean(losses[-10:]):.3f} at last; written to {chosen.out}")
 
 
 if __name__ == "__main__":

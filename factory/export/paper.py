@@ -26,7 +26,8 @@ from schemas.terms import Split
 __all__ = ["PUBLISHED_SPLITS", "PaperExporter", "PaperOptions", "published_split"]
 
 PUBLISHED_SPLITS = {str(Split.TEST_PARAPHRASE_OOD): "test_ood_lang"}
-"""The paper's name of a split -> the name in the published repository, where they differ (DESIGN 3.18)."""
+"""The paper's name of a split -> the name in the published repository, where they differ;
+docs/design/task.md#splits-and-instructions."""
 _OF_THE_BUNDLE = frozenset({"file_sha256", "file_bytes", "file_name"})
 _CARD = """
 - `episodes/ep_000001/rgb_front/000000.png`: 640 x 640, 8 bit; `depth_front/000000.npy`: float32 metres along the

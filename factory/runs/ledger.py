@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from coordinator.archive.staging import is_held
+from coordinator.ledger.engine import has_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of, read_info
 from coordinator.ledger.reading.look import Connection, look_into
 from coordinator.ledger.reading.progress import read_progress
@@ -77,11 +78,13 @@ def _described_plan(place: Place) -> Plan | None:
 def progress_of(site: Site, url: str | None = None) -> Progress:
     """Returns where the run of a directory stands; no worker is alive where no coordinator runs.
 
-    A ledger in another database may belong to a coordinator on another host; its workers are judged by their beats.
+    A PostgreSQL server tells whether a coordinator writes to the ledger, wherever that runs. An SQLite ledger in
+    another place does not tell; its workers are judged by their beats.
     """
     with read_ledger(site, url) as connection:
         progress = read_progress(connection, datetime.now(UTC))
-    if url is not None or is_held(site.home) is not False:
+        has_coordinator = is_held(site.home) if url is None else has_writer(connection)
+    if has_coordinator is not False:
         return progress
     gone = tuple(worker.model_copy(update={"alive": False}) for worker in progress.workers)
     return progress.model_copy(update={"workers": gone})

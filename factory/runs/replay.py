@@ -1,4 +1,7 @@
-"""Regenerate an archived episode from its job and compare: identical, or how far apart (DESIGN 3.14)."""
+"""Regenerate an archived episode from its job and compare: identical, or how far apart.
+
+Design: docs/design/reproducibility.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A coordinator of the smallest run, to be killed: `ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES]]`."""
+"""A coordinator of the smallest run, to be killed.
+
+`ROOT EPISODES ENDPOINT LEASE_S [CHECKPOINT_S [CRASHES [STORE]]]`
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from pathlib import Path
 
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from schemas.storage.object_path import ObjectPath
 from tests.builders.ledger import room_catalog, room_plan
 from workers.client.stopping import stop_on_signals
 
@@ -17,6 +21,7 @@ def main() -> None:
     root, episodes, endpoint, lease_s = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4])
     checkpoint_s = float(sys.argv[5]) if len(sys.argv) > 5 else 30.0
     crashes = int(sys.argv[6]) if len(sys.argv) > 6 else 20
+    store = ObjectPath.at(sys.argv[7]) if len(sys.argv) > 7 else None
     root.mkdir(parents=True, exist_ok=True)
     settings = CoordinatorSettings(
         lease_ttl_s=lease_s,
@@ -29,7 +34,7 @@ def main() -> None:
     plan = room_plan(episodes, crashes=crashes)
     with (
         stop_on_signals() as (stop, _),
-        Coordinator(root / "out", plan, room_catalog(root), (endpoint,), settings=settings),
+        Coordinator(root / "out", plan, room_catalog(root), (endpoint,), settings=settings, store=store),
     ):
         while not stop.wait(0.2):
             pass

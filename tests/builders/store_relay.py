@@ -1,22 +1,35 @@
-"""A relay in front of an S3 server that fails on demand: refuses, cuts uploads, loses answers, drops conditions."""
+"""A relay in front of an S3 server that fails on demand: refuses, cuts uploads, loses answers, drops conditions.
+
+Tells a test the moments of each request, so that the test can end the sender at any of them.
+"""
 
 from __future__ import annotations
 
 import http.client
 import socket
 import threading
+from collections.abc import Callable
+from enum import StrEnum
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-__all__ = ["StoreRelay"]
+__all__ = ["Moment", "StoreRelay"]
 
 _CUT_AFTER_BYTES = 64 << 10
 _DENIED = (
     b'<?xml version="1.0"?><Error><Code>AccessDenied</Code><Message>no</Message>'
     b"<AWSAccessKeyId>tester</AWSAccessKeyId><StringToSign>AWS4-HMAC-SHA256 private</StringToSign></Error>"
 )
+
+
+class Moment(StrEnum):
+    """How far a request has come."""
+
+    BEGUN = "begun"  # half of its body is here, nothing is passed on
+    PASSED_ON = "passed_on"  # the server has carried it out, the sender has no answer
+    ANSWERED = "answered"  # the sender has the answer
 
 
 class StoreRelay:
@@ -33,6 +46,9 @@ class StoreRelay:
         """Uploads whose answer is thrown away after they were carried out."""
         self.ignores_conditions = False
         """Passes writes on without their conditions."""
+        self.watch: Callable[[Moment, str, str], bool] = lambda _moment, _command, _path: False
+        """Told each moment of each request, with its method and path, in the thread that relays it; returns whether the
+        sender is gone, so that nothing more of the request is relayed."""
         relay = self
 
         class Handler(_Handler):
@@ -68,7 +84,10 @@ class _Handler(BaseHTTPRequestHandler):
             faults.cuts += 1
             self._hang_up()
             return
-        body = self.rfile.read(length)
+        body = self.rfile.read(length // 2)
+        if self._is_over(Moment.BEGUN):
+            return
+        body += self.rfile.read(length - length // 2)
         if faults.is_denying:
             self._answer(403, {"Content-Type": "application/xml"}, _DENIED)
             return
@@ -82,11 +101,20 @@ class _Handler(BaseHTTPRequestHandler):
         answer = upstream.getresponse()
         data = answer.read()
         upstream.close()
+        if self._is_over(Moment.PASSED_ON):
+            return
         if self.command == "PUT" and faults.answers_to_lose > 0:
             faults.answers_to_lose -= 1
             self._hang_up()
             return
         self._answer(answer.status, dict(answer.getheaders()), data)
+        self._is_over(Moment.ANSWERED)
+
+    def _is_over(self, moment: Moment) -> bool:
+        """Tells a moment; returns whether the sender is gone."""
+        is_gone = self.faults.watch(moment, self.command, self.path)
+        self.close_connection = self.close_connection or is_gone
+        return is_gone
 
     def _answer(self, status: int, headers: dict[str, str], data: bytes) -> None:
         self.send_response_only(status)

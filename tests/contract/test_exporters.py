@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from factory.dataset.reader import Dataset
-from factory.export import EXPORTERS, ExportOrder, Progress, estimate_export, find_exporter, run_export
+from factory.export import EXPORTERS, ExportOrder, ExportProgress, estimate_export, find_exporter, run_export
 from factory.export.execution.manifest import MANIFEST_FILE, read_manifest
 from factory.export.output import WORK_FOLDER
 from schemas.errors import UsageError, WorldError
@@ -83,11 +83,11 @@ def test_complete_export_is_not_done_again(dataset: Path, calm: dict[str, Path],
 def test_interrupted_export_goes_on(dataset: Path, calm: dict[str, Path], tmp_path: Path, name: str) -> None:
     stop = threading.Event()
 
-    def stop_after_one(progress: Progress) -> None:
+    def stop_after_one(progress: ExportProgress) -> None:
         if progress.done:
             stop.set()
 
-    def stop_before_the_last_files(progress: Progress) -> None:
+    def stop_before_the_last_files(progress: ExportProgress) -> None:
         if progress.stage == "finishing":
             stop.set()
 

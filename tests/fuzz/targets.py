@@ -80,8 +80,8 @@ def _read_plan(data: bytes, folder: Path) -> None:
 
 
 def _plans(_folder: Path) -> list[bytes]:
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
-    return [readme.partition("```toml\n")[2].partition("```")[0].encode()]
+    page = (Path(__file__).parents[2] / "docs" / "plans.md").read_text()
+    return [page.partition("```toml\n")[2].partition("```")[0].encode()]
 
 
 def _read_container(data: bytes, _folder: Path) -> None:

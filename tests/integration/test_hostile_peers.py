@@ -15,13 +15,17 @@ import structlog
 import zenoh
 
 from coordinator.admin import administer
+from coordinator.ledger.opening import ledger_url_of
+from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.workers import SESSIONS_OF_HOST
 from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
+from schemas.dataset import summary_of
 from schemas.keys import Verb, verb_key
 from schemas.terms import FailReason
 from schemas.wire import Ack, AdminAction, AdminReply, AdminRequest, Beat, BeatReply, Hello, HelloReply, Refusal
+from tests.builders.bundle import parts_for
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.wire_worker import WireWorker, bundle_for, until
 
@@ -32,11 +36,15 @@ REPORT = {"sid": "host.1", "lease": LEASE}
 EPISODES = 4
 
 
-@pytest.fixture
-def hub(tmp_path: Path) -> Iterator[Coordinator]:
+@pytest.fixture(params=["sqlite", "postgresql"])
+def hub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Coordinator]:
+    """A coordinator; on either database each test ends with a sound ledger."""
+    is_server = request.param == "postgresql"
+    url = request.getfixturevalue("postgres_server").new_database() if is_server else None
     catalog = room_catalog(tmp_path)
-    with Coordinator(tmp_path / "out", room_plan(EPISODES), catalog, ANY_PORT, settings=SETTINGS) as running:
+    with Coordinator(tmp_path / "out", room_plan(EPISODES), catalog, ANY_PORT, url, SETTINGS) as running:
         yield running
+    assert ledger_trouble(ledger_url_of(tmp_path / "out", url), catalog) == ""
 
 
 @pytest.fixture
@@ -64,6 +72,8 @@ MESSAGES: dict[str, dict[str, Any]] = {
     "inventory": {"first": 1, "last": 1, "files": []},
     "orders": {"router": "0", "most": 1},
     "refused": REPORT | {"detail": "x"},
+    "join": {"version": version("minivla-factory"), "router": "0"},
+    "archived": {"summary": summary_of(parts_for().meta, "0" * 64, 7).model_dump(mode="json"), "lease": LEASE},
     "admin": {"action": "retry", "indices": []},
 }
 VALUES = [2**31, 2**63, 2**64, -(2**63), 10**300, 1e308, "x" * 5000, "\0", [[]] * 1000, None, {"a": 1}, True]

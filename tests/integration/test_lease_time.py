@@ -63,3 +63,41 @@ def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path
         if goes == "silent":
             assert expired - claimed > lease_ttl_s
         assert hub.progress().jobs["pending"] == 1
+
+
+class SteppedClock:
+    """Time that a test lets pass."""
+
+    def __init__(self) -> None:
+        self.now = datetime(2026, 1, 2, tzinfo=UTC)
+
+    def __call__(self) -> datetime:
+        return self.now
+
+
+@pytest.mark.parametrize("holds", ["beats for ever", "announces and does not deliver"])
+def test_a_live_worker_holds_a_job_no_longer_than_the_limit(tmp_path: Path, holds: str):
+    clock = SteppedClock()
+    settings = CoordinatorSettings(reserve_bytes=0, lease_ttl_s=1e6, lease_limit_s=3600.0)
+    with Coordinator(
+        tmp_path / "out",
+        room_plan(1),
+        room_catalog(tmp_path),
+        ("tcp/127.0.0.1:0",),
+        settings=settings,
+        clock=clock,
+        elapsed=lambda: clock().timestamp(),
+    ) as hub:
+        with WireWorker(hub.endpoints, hub.run) as worker:
+            _, lease = worker.job()
+            if holds == "announces and does not deliver":
+                worker.is_frozen = True
+                assert worker.deliver(lease, b"a bundle")
+            clock.now += timedelta(seconds=3599)
+            assert worker.beat([lease]).lost == ()
+            clock.now += timedelta(seconds=2)
+            until(lambda: worker.beat([lease]).lost == (lease,))
+        (host,) = hub.progress().hosts
+        assert (host.host, host.strikes) == (worker.host, 1)
+        assert "no episode after 3600 s under one lease" in host.reason
+        assert hub.progress().jobs["pending"] == 1

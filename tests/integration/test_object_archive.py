@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import shutil
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 from coordinator.archive.contract import Archive
 from coordinator.archive.objects import ObjectArchive
 from coordinator.archive.opening import open_archive
+from coordinator.ledger.opening import ledger_url_of
+from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.recovery.mend import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -235,13 +238,55 @@ def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRela
     assert (tmp_path / "home/ledger.db").is_file()
 
 
-def test_bucket_is_not_opened_without_its_ledger(store: ObjectPath, tmp_path: Path) -> None:
-    with open_archive(tmp_path / "first", store) as archive:
-        publish(archive, 1, b"episode")
-    said = said_by(lambda: Coordinator(tmp_path / "other", room_plan(2), room_catalog(tmp_path), ANY_PORT, store=store))
-    assert "holds 1 episodes, and its ledger" in said
-    assert f"`factory repair {store}` rebuild" in said
-    assert [path.name for path in (store / "episodes").iterdir()] == ["ep_000001.zip"]
+def lose_home(ledger: Path) -> None:
+    shutil.rmtree(ledger.parent)
+
+
+def delete_ledger(ledger: Path) -> None:
+    ledger.unlink()
+
+
+def flip_bits_of_ledger(ledger: Path) -> None:
+    data = bytearray(ledger.read_bytes())
+    data[len(data) // 3 : len(data) // 2] = bytes(byte ^ 0x55 for byte in data[len(data) // 3 : len(data) // 2])
+    ledger.write_bytes(data)
+
+
+def truncate_ledger(ledger: Path) -> None:
+    ledger.write_bytes(ledger.read_bytes()[: ledger.stat().st_size // 2])
+
+
+@pytest.mark.parametrize("accident", [lose_home, delete_ledger, flip_bits_of_ledger, truncate_ledger])
+def test_a_start_after_losing_the_ledger_keeps_every_whole_episode_of_a_bucket(
+    accident: Callable[[Path], None], store: ObjectPath, tmp_path: Path
+) -> None:
+    run = ArchivedRun(tmp_path / "out", planned=4, done=3, misses=3)
+    copy_to(store, run.root)
+    home = tmp_path / "home"
+    home.mkdir()
+    shutil.copy(run.root / "ledger.db", home / "ledger.db")
+    accident(home / "ledger.db")
+    before = {path.name: path.read_bytes() for path in (store / "episodes").iterdir()}
+    failed = Dataset(store).meta.failed_attempts
+    settings = CoordinatorSettings(reserve_bytes=0)
+    with Coordinator(home, run.plan, run.catalog, ANY_PORT, settings=settings, store=store) as running:
+        counts = running.progress().jobs
+        assert (counts["archived"], counts["pending"]) == (3, 1)
+    assert {path.name: path.read_bytes() for path in (store / "episodes").iterdir()} == before
+    assert list((store / "quarantine").walk()) == []
+    assert ledger_trouble(ledger_url_of(home), run.catalog) == ""
+    assert (len(Dataset(store)), Dataset(store).meta.failed_attempts) == (3, failed)
+
+
+def test_another_plan_on_a_bucket_without_ledger_is_refused_and_moves_nothing(
+    store: ObjectPath, tmp_path: Path
+) -> None:
+    run = ArchivedRun(tmp_path / "out")
+    copy_to(store, run.root)
+    with pytest.raises(UsageError, match="none of run room"):
+        Coordinator(tmp_path / "home", room_plan(7), run.catalog, ANY_PORT, store=store)
+    assert sorted(path.name for path in (store / "episodes").walk()) == [f"ep_{i:06d}.zip" for i in (1, 2, 3)]
+    assert list((store / "quarantine").walk()) == []
 
 
 def test_reader_verification_and_statistics_say_the_same_of_a_bucket(store: ObjectPath, tmp_path: Path) -> None:

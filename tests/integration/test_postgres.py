@@ -17,6 +17,8 @@ from coordinator.recovery.mend import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.validation.validator import Validator
+from factory.dataset.site import site_of
+from factory.runs.ledger import progress_of
 from schemas.errors import UsageError, WorldError
 from tests.builders.ledger import room_catalog, room_plan
 from tests.builders.ports import free_endpoint
@@ -70,6 +72,18 @@ def test_a_reader_cannot_write(finished):
     with reader.connect() as connection, pytest.raises(DatabaseError, match="read-only"):
         connection.execute(text("delete from episodes"))
     reader.dispose()
+
+
+def test_status_shows_no_worker_alive_once_the_coordinator_has_ended(finished):
+    site = site_of(str(finished.root))
+    assert [worker.alive for worker in progress_of(site, finished.url).workers] == [False]
+    with (
+        Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS) as hub,
+        WireWorker(hub.endpoints, hub.run, "live") as worker,
+    ):
+        worker.beat()
+        assert worker.sid in {one.sid for one in progress_of(site, finished.url).workers if one.alive}
+    assert not any(worker.alive for worker in progress_of(site, finished.url).workers)
 
 
 def test_an_emptied_database_is_rebuilt_from_plan_and_archive(finished, postgres_server):

@@ -28,13 +28,13 @@ FAST_COMMAND = WorkerSettings(connect=(), renderer="gl").simulation_command
 PARENT = """
 import sys
 from pathlib import Path
-from workers.process.messages import Order
+from workers.process.messages import SimulationOrder
 from workers.process.simulation import Simulation
 order, told, *command = sys.argv[1:]
 simulation = Simulation(command, 600.0)
 simulation.start()
 print(simulation.hear(60.0).kind)
-simulation.order(Order.model_validate_json(Path(order).read_bytes()))
+simulation.order(SimulationOrder.model_validate_json(Path(order).read_bytes()))
 print(simulation.hear(60.0).kind)
 Path(told).write_text(str(simulation.pid))
 while simulation.hear(60.0):

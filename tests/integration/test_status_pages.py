@@ -16,8 +16,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
-from coordinator.status import HttpAddress, StatusServer, parse_address
-from coordinator.status.address import is_own_name
+from coordinator.status.address import HttpAddress, is_own_name, parse_address
+from coordinator.status.server import StatusServer
+from factory.dataset.site import site_of
+from factory.runs.ledger import progress_of
 from schemas.errors import UsageError, WorldError
 from schemas.terms import FailReason
 from tests.builders.ledger import room_catalog, room_plan
@@ -55,6 +57,22 @@ def figures(page: str) -> dict[tuple[str, str], float]:
         for family in text_string_to_metric_families(page)
         for sample in family.samples
     }
+
+
+def test_status_and_metrics_tell_what_confines_the_validator_after_the_first_bundle(opened, server, tmp_path):
+    assert opened.progress().sandbox == ()
+    assert not any(name == "minivla_validator_sandbox" for name, _ in figures(ask(server, "/metrics")[1]))
+    with WireWorker(opened.endpoints, opened.run) as worker:
+        job, lease = worker.job()
+        assert worker.deliver(lease, bundle_for(job))
+        until(lambda: opened.progress().sandbox != ())
+    layers = opened.progress().sandbox
+    assert layers[0] == "rlimits"
+    until(lambda: ("minivla_validator_sandbox", "rlimits") in figures(ask(server, "/metrics")[1]))
+    found = figures(ask(server, "/metrics")[1])
+    assert found["minivla_validator_sandbox", "rlimits"] == 1
+    assert found["minivla_validator_sandbox", "seccomp"] == int("seccomp" in layers)
+    assert progress_of(site_of(str(tmp_path / "out"))).sandbox == layers
 
 
 def test_a_running_coordinator_is_healthy_and_ready(server):

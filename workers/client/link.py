@@ -1,4 +1,6 @@
-"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool (DESIGN 9).
+"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool.
+
+Design: docs/design/protocol.md.
 
 Never decides what to do about silence: an answer that did not come is `None`, whatever the reason.
 """
@@ -30,7 +32,7 @@ from schemas.keys import (
     verb_key,
 )
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import LogLimit, Repeated
 from schemas.wire import MAX_MESSAGE_BYTES, Hello, HelloReply, Refusal
 
 __all__ = ["Link", "ReadChunk"]
@@ -46,6 +48,7 @@ _ASK_TIMEOUT_S = 2.0
 _CHUNK_FIELDS = ("job", "fence", "off", "n")
 
 log = structlog.get_logger(__name__)
+_LIMIT = LogLimit(1.0, 60.0)
 
 
 class Link(Closing):
@@ -213,7 +216,7 @@ def _parse(payload: zenoh.ZBytes, kind: type[R]) -> R | Refusal | None:
             return model.model_validate_json(data)
         except ValidationError:
             continue
-    log.warning("reply_unintelligible", expected=kind.__name__, size=len(data))
+    _LIMIT.write(log.warning, "reply_unintelligible", expected=kind.__name__, size=len(data))
     return None
 
 
@@ -230,7 +233,7 @@ def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "scouting/multicast/enabled": "false",
         "scouting/gossip/enabled": "false",
-        "transport/shared_memory/enabled": "false",  # loses queries under load (notes/zenoh.md A7)
+        "transport/shared_memory/enabled": "false",  # loses queries under load
         "transport/link/tx/lease": str(_LEASE_MS),
         "transport/link/rx/max_message_size": str(_MAX_PACKET_BYTES),
         "queries_default_timeout": "5000",

@@ -15,7 +15,7 @@ import structlog
 from schemas.errors import FactoryError, LeaseLost, WorldError
 from schemas.job import Job
 from schemas.keys import Chunk, Verb
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import Repeated
 from schemas.terms import FailReason
 from schemas.wire import Ack, Claim, ClaimReply, Done, Fail, Lease
 from workers.client.backoff import Backoff

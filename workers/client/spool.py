@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError
 from schemas.base import Bytes, Model, Sha256
 from schemas.errors import WorldError
 from schemas.support.closing import Closing
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import Repeated
 from schemas.wire import Lease
 
 __all__ = ["Spool", "Spooled", "find_bundle", "folder_of"]

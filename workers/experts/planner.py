@@ -1,4 +1,6 @@
-"""The planner expert: plans a forward-only path on the occupancy grid and follows it by pure pursuit (DESIGN 3.20).
+"""The planner expert: plans a forward-only path on the occupancy grid and follows it by pure pursuit.
+
+Design: docs/design/experts.md#planner.
 
 Knows the map and never looks at the image; near the goal it has the proportional expert's speed law and stop.
 """

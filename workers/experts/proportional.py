@@ -39,7 +39,7 @@ def literal_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
     """Paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) while visible, else k_v * d.
 
     Measured from the camera to the surface, the speed reaches 0 before the base is within the radius of the
-    centroid, so that this law only times out (DESIGN 3.1).
+    centroid, so that this law only times out (docs/design/experts.md#proportional-expert).
     """
     if _is_visible(seen, gains):
         return gains.speed_gain * (seen.sighting.measure_depth() - radius_m)

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 DISC_OFFSETS_M = (-0.46, -0.2335, -0.01)
-"""Centres of the three discs that cover the footprint, x in base_link (notes/scenes.md 5.1)."""
+"""Centres of the three discs that cover the footprint, x in base_link (docs/design/robot.md#footprint-on-the-grid)."""
 DISC_RADIUS_M = 0.29
 BODY_CENTRE_M = -0.2335
 """Centre of the footprint, x in base_link."""

@@ -27,9 +27,9 @@ def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
     """Returns the twist to command next: `wanted`, held to the accelerations the robot can do.
 
     Without the limit the wheels slip by half a metre a second and the robot drifts 25 cm over 6 m
-    (notes/scenes.md 4.2). The limits of speed itself are not applied here. The twist is rounded to float32, the
-    precision it is recorded in, so that what was recorded is what was carried out, and carrying it out again gives
-    the same poses: slewing towards a recorded twist returns it unchanged.
+    (docs/design/robot.md#limits-of-commands). The limits of speed itself are not applied here. The twist is rounded
+    to float32, the precision it is recorded in, so that what was recorded is what was carried out, and carrying it
+    out again gives the same poses: slewing towards a recorded twist returns it unchanged.
 
     Args:
         current: the twist commanded in the period before.

@@ -1,6 +1,6 @@
 """The poses and moves a path is made of: 36 headings, forward arcs and turns on the spot, and which poses are free.
 
-Tables over the occupancy grid; searches nothing. No move goes backwards (DESIGN 3.20).
+Tables over the occupancy grid; searches nothing. No move goes backwards (docs/design/experts.md#planner).
 """
 
 from __future__ import annotations

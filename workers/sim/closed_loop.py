@@ -29,7 +29,7 @@ class ClosedLoop:
     """`decide` on an action, then `advance`, until a decision ends the episode.
 
     Frame t and pose t are taken before action t; the last action is recorded, not carried out, so that every array
-    has the length T and the poses alone prove the end (DESIGN 5).
+    has the length T and the poses alone prove the end (docs/design/data.md#bundle).
 
     Args:
         job: task, robot and camera settings.

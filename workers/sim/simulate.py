@@ -1,6 +1,8 @@
 """The simulation process (`python -m workers.sim.simulate`): takes orders on stdin, reports on what was its stdout.
 
-Holds no lease and talks to no network; it ends with its supervisor, whatever it is doing (DESIGN 9).
+Holds no lease and talks to no network; it ends with its supervisor, whatever it is doing.
+
+Design: docs/design/protocol.md#threads-and-processes.
 """
 
 from __future__ import annotations

@@ -69,7 +69,9 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
 
 
 def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
-    """Places the robot, lets it stand for the warm-up steps, and says whether it stayed (DESIGN 3.12).
+    """Places the robot, lets it stand for the warm-up steps, and returns whether it stayed.
+
+    Design: docs/design/starts.md#in-physics.
 
     The paper's displacement test alone misses overlaps of a few centimetres, hence the penetration test before it.
     """

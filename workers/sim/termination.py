@@ -12,7 +12,7 @@ __all__ = ["Termination"]
 
 
 class Termination:
-    """Watches the frames of one episode in order (paper Sec. II-A; DESIGN 3.4).
+    """Watches the frames of one episode in order (paper Sec. II-A; docs/design/task.md#ends-of-an-episode).
 
     A frame is judged before its action is carried out: success needs `hold_steps` consecutive frames inside the
     radius with a measured speed below the limit, so that the recorded poses alone prove it.

@@ -66,6 +66,7 @@ def read_progress(connection: Connection, now: datetime) -> Progress:
         episodes_per_hour=pace.per_hour,
         eta_s=pace.eta_s,
         finished=left == 0,
+        sandbox=facts.sandbox,
     )
 
 

@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from coordinator.protocol.tls import read_credentials
+from coordinator.validation.sandbox import SECCOMP
 from factory.cli.common.options import connect_option, ledger_option, tls_option
 from factory.cli.common.output import FittedTable, json_option, print_json, say_duration, stdout
 from factory.cli.common.places import SITE
@@ -114,7 +115,16 @@ def draw_progress(progress: Progress) -> Group:
     states = [state for state in _COLUMNS if state in _ALWAYS or progress.jobs.get(state)]
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
     hosts = map(_describe_host, progress.hosts)
-    return Group(Text(head, style="bold"), *away, *tables, _workers(progress), *hosts, Text(foot))
+    sandbox = _describe_sandbox(progress.sandbox)
+    return Group(Text(head, style="bold"), *away, *tables, _workers(progress), *hosts, *sandbox, Text(foot))
+
+
+def _describe_sandbox(layers: tuple[str, ...]) -> list[Text]:
+    """Returns what confined the validating processes, with a remedy where seccomp did not; empty before the first."""
+    if not layers or SECCOMP in layers:
+        return [Text(f"validator sandbox: {', '.join(layers)}")] if layers else []
+    remedy = "install the extra `sandbox` and the system's libseccomp2 to add seccomp"
+    return [Text(f"validator sandbox: {', '.join(layers)} only; {remedy}", style="yellow")]
 
 
 def _describe_host(host: HostStatus) -> Text:

@@ -238,7 +238,7 @@ def describe_question(order: EvalOrder) -> dict[str, Any]:
 
 
 def progresses(start_m: float, final_m: float, least_m: float, task: TaskConfig) -> dict[str, Any]:
-    """Returns the three measures of progress (DESIGN 3.15) from distances to the target's centroid."""
+    """Returns the three measures of progress (docs/design/task.md#measures) from distances to the target's centroid."""
     radius_m = task.success_radius_m
     normalised = measure.progress(start_m - radius_m, max(0.0, least_m - radius_m)) if start_m > radius_m else 1.0
     return {

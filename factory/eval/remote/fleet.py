@@ -36,8 +36,8 @@ from schemas.plan import Plan
 __all__ = ["FleetAccess", "run_fleet"]
 
 _FOLDER = "fleet"
-_SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20)
-"""Results are small."""
+_SETTINGS = CoordinatorSettings(reserve_bytes=64 << 20, lease_limit_s=86_400.0)
+"""Results are small. A policy may take its time limit for each of thousands of actions."""
 _POLL_S = 0.5
 _NAMED = 5
 

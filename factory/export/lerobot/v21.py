@@ -1,6 +1,6 @@
 """Format `lerobot-v2.1`: LeRobotDataset v2.1 with one data file and one video per episode, for GR00T and openpi.
 
-Isaac-GR00T also requires `meta/modality.json` (getting_started/data_preparation.md).
+Isaac-GR00T also requires `meta/modality.json` (its guide "data preparation").
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from workers.geometry.grid import DISC_RADIUS_M
 __all__ = ["MIN_SPAWNS", "survey_spawns"]
 
 MIN_SPAWNS = 40
-"""Recommended minimum number of spawn points of a scene (DESIGN 4)."""
+"""Recommended minimum number of spawn points of a scene (docs/design/scenes.md#surveyed-points)."""
 _USUAL, _MANY, _BIG_AREA_M2 = 64, 96, 250.0
 _HEADINGS, _MIN_FREE_HEADINGS = 16, 12
 _CLOSEST_M = 0.3

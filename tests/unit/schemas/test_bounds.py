@@ -39,7 +39,7 @@ def models_of(module: Any) -> set[type[Model]]:
 RECEIVED = sorted(
     {
         *models_of(schemas.wire),
-        *models_of(coordinator.wire.relay),
+        *models_of(coordinator.protocol.relay),
         EpisodeMeta,
         SceneInfo,
         Verdict,

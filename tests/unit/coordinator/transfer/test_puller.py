@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from coordinator.archive.opening import open_archive
 from coordinator.protocol.protocol import Pull
@@ -22,6 +23,7 @@ from schemas.errors import TransientError
 from schemas.keys import Chunk
 from schemas.wire import Lease
 from tests.builders.bundle import job_for
+from tests.builders.wire_worker import until
 
 BUNDLE = b"0123456789" * 1000
 LEASE = Lease(job_id=1, fence=1, token="0" * 32)
@@ -123,6 +125,24 @@ def test_a_spool_that_cannot_be_looked_into_is_asked_over_the_network(tmp_path: 
     with brought(tmp_path, vanished) as (house, place):
         assert place.read_bytes() == BUNDLE
         assert len(house.fetched) == 3
+
+
+def test_refused_bundles_of_one_host_fill_no_log(tmp_path: Path) -> None:
+    house, count = House(), 60
+    settings = CoordinatorSettings(pullers=1, reserve_bytes=0)
+    target: Any = None
+    with (
+        capture_logs() as lines,
+        open_archive(tmp_path / "data") as archive,
+        Pullers(archive, house, house.fetch, house, settings, house.done.set) as pullers,
+    ):
+        for index in range(1, count + 1):
+            pullers.offer(Pull(LEASE, "host.1", "0" * 64, len(BUNDLE), job_for(index), target))
+        pullers.offer(Pull(LEASE, "other.1", "0" * 64, len(BUNDLE), job_for(count + 1), target))
+        until(lambda: len(house.refused) == count + 1)
+    hosts = [line["worker"] for line in lines if line["event"] == "bundle_refused"]
+    assert 1 <= hosts.count("host.1") < 10
+    assert hosts.count("other.1") == 1
 
 
 class Crowd(House):

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from coordinator.validation.validator import Validator, ValidatorLimits
 from schemas.errors import InvalidBundle, TransientError
@@ -74,6 +75,14 @@ def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> N
             validator.check(bundle, job_for())
         with pytest.raises(InvalidBundle, match="validation crashed"):
             validator.check(bundle, job_for())
+
+
+def test_children_that_die_one_after_another_fill_no_log(bundle: Path) -> None:
+    with Validator(limits=ValidatorLimits(wall_s=0.001), clock=lambda: 0.0) as validator, capture_logs() as lines:
+        for _ in range(2):
+            with pytest.raises(InvalidBundle, match="2 children died of it"):
+                validator.check(bundle, job_for())
+    assert [line["event"] for line in lines].count("validator_died") == 1
 
 
 def test_child_that_cannot_start_is_the_machine_and_not_the_bundle(bundle: Path) -> None:

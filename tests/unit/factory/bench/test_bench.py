@@ -23,8 +23,8 @@ from tests.builders.scene import box_room
 
 def test_a_watch_gives_every_stage_the_time_since_the_stage_before() -> None:
     watch = ProcessWatch()
-    watch.start()
     begun = time.perf_counter()
+    watch.start()
     for stage in ("slow", "quick", "slow"):
         if stage == "slow":
             time.sleep(0.02)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 
 import click
 import pytest
 
+from factory import cli as cli_package
 from factory.cli.main import cli, main
 from factory.cli.verbs import VERBS
 
@@ -259,21 +261,27 @@ def test_help_and_completion_import_no_verb_and_nothing_heavy(body: str) -> None
 
 def test_no_verb_imports_the_parts_of_scipy_before_it_computes_with_them() -> None:
     body = "import importlib\nfrom factory.cli.verbs import VERBS\n"
-    body += "for name in VERBS: importlib.import_module(f'factory.cli.{name}')"
+    body += "for entry in VERBS.values(): importlib.import_module(f'factory.cli.{entry.module}')"
     command = [sys.executable, "-c", IMPORTED.format(body=body)]
     loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stderr.split())
     assert "factory.stats.measures" in loaded
     assert {"scipy.stats", "scipy.ndimage", "scipy.sparse", "scipy.spatial"} & loaded == set()
 
 
-def test_a_module_of_every_verb_is_there_and_none_is_left_out() -> None:
-    folder = Path(cli.callback.__code__.co_filename).parent if cli.callback else Path()
-    found = {
-        path.stem
-        for path in folder.glob("*.py")
-        if "\ncommand = " in path.read_text() or "\ndef command(" in path.read_text()
-    }
-    assert {name for name in found if "_" not in name} == set(VERBS)
+def commands_below(command: click.Command) -> Iterator[click.Command]:
+    yield command
+    if isinstance(command, click.Group):
+        for inner in command.commands.values():
+            yield from commands_below(inner)
+
+
+def test_every_command_of_a_module_belongs_to_a_verb() -> None:
+    found = pkgutil.walk_packages(cli_package.__path__, "factory.cli.")
+    modules = [importlib.import_module(info.name) for info in found if not info.ispkg]
+    verbs = [importlib.import_module(f"factory.cli.{entry.module}").command for entry in VERBS.values()]
+    reached = {id(command) for verb in verbs for command in commands_below(verb)}
+    assert len(verbs) == len(VERBS)
+    assert [module.__name__ for module in modules if id(getattr(module, "command", verbs[0])) not in reached] == []
 
 
 @pytest.mark.parametrize("words", [("eval", "--help"), ("eval", "D", "--help"), ("eval", "run", "--help")])

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from factory.dataset.reader import Dataset
-from factory.export import ExportOrder, Finish, Piece, find_exporter, run_export
+from factory.export import ExportOrder, ExportPiece, Finish, find_exporter, run_export
 from factory.export.lerobot.columns import frame_columns
 from factory.export.lerobot.depth import DepthCode
 from factory.export.lerobot.features import DEPTH, IDS, RGB, LeRobotOptions
@@ -248,7 +248,9 @@ def test_files_are_cut_at_their_limit(varied: Path, tmp_path: Path) -> None:
     dataset = Dataset(varied)
     with Output(out) as output:
         pieces = [
-            Piece(dataset, n, row.episode_id, str(row.summary.split), *places(output, row.episode_id), LeRobotFacts)
+            ExportPiece(
+                dataset, n, row.episode_id, str(row.summary.split), *places(output, row.episode_id), LeRobotFacts
+            )
             for n, row in enumerate(dataset)
             if row.episode_id != "ep_000003"
         ]

@@ -12,8 +12,8 @@ import pytest
 import structlog
 
 import factory
-from coordinator.log_limit import LogLimit, describe_error
 from factory.support.logs import MAX_FIELD_CHARS, configure_logs
+from schemas.support.log_limit import LogLimit, describe_error
 
 SECRET = "5ec2e7" * 5
 ROOT = Path(factory.__file__).parents[1]
@@ -78,14 +78,14 @@ def test_an_error_is_told_in_one_short_line() -> None:
 
 def test_a_kind_of_line_passes_once_in_a_while_and_counts_the_others() -> None:
     now = [0.0]
-    limit = LogLimit(1.0, lambda: now[0])
+    limit = LogLimit(1.0, clock=lambda: now[0])
     assert [limit.admit("a"), limit.admit("a"), limit.admit("b"), limit.admit("a")] == [0, None, 0, None]
     now[0] = 1.5
     assert limit.admit("a") == 2
 
 
 def test_the_table_of_kinds_is_bounded() -> None:
-    limit = LogLimit(1.0, lambda: 0.0)
+    limit = LogLimit(1.0, clock=lambda: 0.0)
     for number in range(5000):
         assert limit.admit(f"host-{number}") == 0
     assert len(limit._kinds) <= 1000

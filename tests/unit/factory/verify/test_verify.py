@@ -17,7 +17,7 @@ from coordinator.archive.opening import open_archive
 from coordinator.tables.split_tables import write_split_tables
 from coordinator.tables.write import write_tables
 from factory.dataset.reader import Dataset
-from factory.verify.dataset import Kind, Report, verify
+from factory.verify.dataset import Kind, VerifyReport, verify
 from schemas.dataset import EpisodeSummary
 from schemas.errors import WorldError
 from tests.builders.bundle import job_for, parts_for
@@ -39,7 +39,7 @@ def data(pristine: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(pristine, tmp_path / "data"))
 
 
-def kinds(report: Report) -> list[tuple[Kind, str]]:
+def kinds(report: VerifyReport) -> list[tuple[Kind, str]]:
     return sorted({(finding.kind, finding.file) for finding in report.findings})
 
 

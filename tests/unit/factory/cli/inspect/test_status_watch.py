@@ -53,6 +53,25 @@ def test_jobs_given_back_are_no_failed_attempts(capsys: pytest.CaptureFixture[st
     assert tried.model_dump()["attempts"] == {"success": 1, "released": 2, "timeout": 3}
 
 
+@pytest.mark.parametrize(
+    ("layers", "said"),
+    [
+        ((), ""),
+        (("rlimits", "seccomp"), "validator sandbox: rlimits, seccomp\n"),
+        (("rlimits",), "validator sandbox: rlimits only; install the extra"),
+    ],
+)
+def test_status_tells_what_confines_the_validator(
+    capsys: pytest.CaptureFixture[str], layers: tuple[str, ...], said: str
+) -> None:
+    told = progress(1).model_copy(update={"sandbox": layers})
+    stdout.print(draw_progress(told))
+    shown = capsys.readouterr().out
+    assert said in shown
+    assert ("validator sandbox" in shown) == bool(layers)
+    assert told.model_dump(mode="json")["sandbox"] == list(layers)
+
+
 def test_the_bar_of_a_run_counts_no_job_that_was_given_back() -> None:
     bar = _RunBar(load_plan("demo"))
     bar.tell(progress(1).model_copy(update={"attempts": {"success": 1, "released": 2}}))

@@ -10,8 +10,8 @@ from factory.eval.process.shared_status import Activity, DriverStatus, SharedSta
 
 WRITER = """
 import sys
-from factory.eval.process.shared_status import Busy, Sheet, State
-Sheet(int(sys.argv[1])).write(State(Busy.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4))
+from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
+SharedStatus(int(sys.argv[1])).write(DriverStatus(Activity.ASKING, 12.5, 7, 3.0, 2.5, 2.25, 0.75, 4))
 """
 
 
@@ -28,11 +28,11 @@ def test_what_another_process_wrote_is_read_here() -> None:
 
 BUSY_WRITER = """
 import sys, time
-from factory.eval.process.shared_status import Busy, Sheet, State
-sheet, end = Sheet(int(sys.argv[1])), time.monotonic() + 2
+from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
+sheet, end = SharedStatus(int(sys.argv[1])), time.monotonic() + 2
 while time.monotonic() < end:
     for number in range(1, 1000):
-        sheet.write(State(Busy.ASKING, *[number] * 7))
+        sheet.write(DriverStatus(Activity.ASKING, *[number] * 7))
 """
 
 

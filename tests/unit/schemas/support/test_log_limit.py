@@ -1,4 +1,4 @@
-"""A failure that is met again and again: once, seldom, and over."""
+"""Repeated events in the log: once, seldom, and over."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import structlog
 from structlog.testing import capture_logs
 
 from schemas.errors import WorldError
-from schemas.support.repeated import Repeated
+from schemas.support.log_limit import LogLimit, Repeated
 
 
 class Clock:
@@ -49,6 +49,20 @@ def test_an_hour_of_failures_gives_a_line_at_once_a_few_later_and_one_at_the_end
     assert len(lines) < 15
     assert lines[-2]["failures"] > 3000
     assert lines[-1] == {"event": "write_failed_recovered", "log_level": "warning", "failures": 3600, "after_s": 3599}
+
+
+def test_lines_of_a_kind_become_rare_while_it_lasts_and_name_what_was_left_out(clock: Clock) -> None:
+    limit, log = LogLimit(1.0, 60.0, clock), structlog.get_logger("test")
+    with capture_logs() as lines:
+        for clock.now in range(3600):
+            limit.write(log.warning, "refused", "bad", host="bad")
+        limit.write(log.warning, "refused", "good", host="good")
+        clock.now = 10_000
+        limit.write(log.warning, "refused", "bad", host="bad")
+    assert len(lines) < 80
+    assert lines[0] == {"event": "refused", "log_level": "warning", "host": "bad"}
+    assert sum(1 + line.get("left_out", 0) for line in lines if line["host"] == "bad") == 3601
+    assert lines[-2] == {"event": "refused", "log_level": "warning", "host": "good"}
 
 
 def test_failures_that_come_and_go_are_bounded_too(clock: Clock) -> None:

@@ -1,0 +1,202 @@
+"""Peers that speak as gateways and mean harm: the core stays up, honest workers go on, no episode is lost."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import select
+
+from coordinator.expansion.draw import to_job
+from coordinator.ledger.keepers import count_by_gateway
+from coordinator.ledger.opening import ledger_url_of, planned_of
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.tables import jobs
+from coordinator.protocol.protocol import ParsedRequest, Terms
+from coordinator.protocol.relay import (
+    MAX_FILES,
+    MAX_LOST,
+    Archived,
+    Hold,
+    Inventory,
+    InventoryReply,
+    Join,
+    JoinReply,
+    Refused,
+)
+from coordinator.protocol.relay_desk import serve_gateway
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from schemas.base import MAX_COUNT
+from schemas.dataset import EpisodeSummary, summary_of
+from schemas.keys import Verb
+from schemas.wire import Ack, Lease, Refusal
+from tests.builders.bundle import job_for, parts_for
+from tests.builders.ledger import TTL_S, Desk, room_catalog, room_plan
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+
+ANY_PORT = ("tcp/127.0.0.1:0",)
+SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0)
+EPISODES = 6
+STRANGE = Lease(job_id=1, fence=1, token="0" * 32)
+NOBODYS = dict.fromkeys(range(1, MAX_FILES + 1), 7)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    is_server = request.param == "postgresql"
+    server = request.getfixturevalue("postgres_server") if is_server else None
+    return server.new_database() if server is not None else ledger_url_of(tmp_path / "out")
+
+
+@pytest.fixture
+def hub(url: str, tmp_path: Path) -> Iterator[Coordinator]:
+    (tmp_path / "out").mkdir()
+    catalog = room_catalog(tmp_path)
+    with Coordinator(tmp_path / "out", room_plan(EPISODES), catalog, ANY_PORT, url, SETTINGS) as running:
+        yield running
+    assert ledger_trouble(url, catalog) == ""
+
+
+def told_of(summary: EpisodeSummary, lease: Lease | None = None) -> Archived:
+    return Archived(summary=summary, lease=lease)
+
+
+def attack(peer: WireWorker, number: int) -> list[Any]:
+    """Sends one of everything that a gateway can say and that is not true; returns the replies."""
+    foreign = summary_of(parts_for(job_for(1 + number % EPISODES)).meta, "1" * 64, 7)
+    messages = (
+        (Verb.JOIN, Join(version=version("minivla-factory"), router=f"{number:x}"), JoinReply),
+        (Verb.HOLD, Hold(lease=STRANGE, seconds=600.0), Ack),
+        (Verb.REFUSED, Refused(sid="good.1", lease=STRANGE, detail="x" * 2000), Ack),
+        (Verb.ARCHIVED, told_of(foreign.model_copy(update={"run": "other"})), Ack),
+        (Verb.ARCHIVED, told_of(foreign.model_copy(update={"plan_digest": "2" * 64}), STRANGE), Ack),
+        (Verb.INVENTORY, Inventory(first=1, last=MAX_COUNT, files=tuple(NOBODYS.items())), InventoryReply),
+        (Verb.INVENTORY, Inventory(first=1, last=MAX_COUNT, files=()), InventoryReply),
+        (Verb.INVENTORY, b'{"first": 1, "last": 1, "files": [' + b"[1, 1]," * 9000 + b"[1, 1]]}", InventoryReply),
+    )
+    return [peer.ask(verb, message, reply) for verb, message, reply in messages]
+
+
+def test_a_hostile_gateway_takes_nothing_from_honest_workers(hub: Coordinator) -> None:
+    stop, rounds = threading.Event(), []
+
+    def disturb(name: str) -> None:
+        with WireWorker(hub.endpoints, hub.run, name) as peer:
+            while not stop.is_set():
+                rounds.append(attack(peer, len(rounds)))
+
+    peers = [threading.Thread(target=disturb, args=(f"gw-{number}",)) for number in range(2)]
+    for thread in peers:
+        thread.start()
+    try:
+        until(lambda: len(rounds) >= 2, 60)
+        with WireWorker(hub.endpoints, hub.run, "good") as good:
+
+            def is_finished() -> bool:
+                reply = good.claim()
+                if reply.job is not None and reply.lease is not None:
+                    good.deliver(reply.lease, bundle_for(reply.job))
+                good.beat()
+                return hub.is_finished()
+
+            until(is_finished, 120)
+        done = len(rounds)
+        until(lambda: len(rounds) >= done + 4, 60)
+    finally:
+        stop.set()
+        for thread in peers:
+            thread.join()
+    progress = hub.progress()
+    assert (progress.jobs["archived"], progress.by_gateway, progress.hosts) == (EPISODES, {}, ())
+    accepted = [reply for replies in rounds for reply in replies if reply == Ack(accepted=True)]
+    assert accepted == []
+    assert all(reply.lost == () for replies in rounds for reply in replies if isinstance(reply, InventoryReply))
+
+
+class Core:
+    """What the core answers to a gateway, on a ledger in memory."""
+
+    def __init__(self, episodes: int) -> None:
+        self.desk = Desk(room_plan(episodes))
+        self.terms = Terms(self.desk.plan, self.desk.catalog, "1", TTL_S, 0.1)
+
+    def ask(self, message: Any, gateway: str = "gw") -> Any:
+        with self.desk.open() as connection:
+            return serve_gateway(connection, ParsedRequest(gateway, message), self.terms, self.desk.now).reply
+
+    def summaries(self) -> dict[int, EpisodeSummary]:
+        """Returns the row that each episode of the plan would have."""
+        with self.desk.open() as connection:
+            rows = connection.execute(select(jobs)).all()
+        meta = parts_for().meta
+        found = {}
+        for row in rows:
+            job = to_job(self.desk.plan, self.desk.catalog, planned_of(row), 1)
+            meta = meta.model_copy(update={"job": job, "episode_id": job.episode_id})
+            found[row.idx] = summary_of(meta, "1" * 64, 7)
+        return found
+
+    def kept(self) -> int:
+        with self.desk.open() as connection:
+            return count_by_gateway(connection).get("gw", 0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *(("run", "other"), ("plan_digest", "2" * 64), ("scene_sha256", "2" * 64), ("attempt", MAX_COUNT)),
+        *(("split", "test_id"), ("target_id", "chair_999"), ("file_name", "../../etc/passwd"), ("instruction", "x")),
+    ],
+)
+def test_an_episode_that_is_not_of_the_run_is_refused_by_its_field(field: str, value: Any) -> None:
+    core = Core(1)
+    true = core.summaries()[1]
+    false = EpisodeSummary.model_validate(true.model_dump() | {field: value})
+    reply = core.ask(told_of(false))
+    assert isinstance(reply, Refusal)
+    assert field in reply.error
+    assert core.desk.rows()[0].state == "pending"
+    assert core.ask(told_of(true)) == Ack(accepted=True)
+
+
+def test_a_draw_that_the_ledger_does_not_have_is_not_wanted() -> None:
+    core = Core(1)
+    later = core.summaries()[1].model_copy(update={"draw": 3})
+    assert core.ask(told_of(later)) == Ack(accepted=False)
+
+
+def test_inventories_are_served_in_bounded_steps_until_all_lost_episodes_are_queued_again() -> None:
+    core = Core(MAX_LOST + 200)
+    for summary in core.summaries().values():
+        assert core.ask(told_of(summary)) == Ack(accepted=True)
+    first, last = 1, MAX_LOST + 100
+    sizes = dict.fromkeys(range(last + 1, MAX_LOST + 201), 7)
+    told = Inventory(first=first, last=MAX_COUNT, files=tuple(sizes.items()))
+    reply = core.ask(told)
+    assert (len(reply.lost), reply.strays) == (MAX_LOST, ())
+    reply = core.ask(told)
+    assert reply.lost == tuple(range(MAX_LOST + 1, last + 1))
+    assert reply.strays == ()
+    assert core.kept() == len(sizes)
+
+
+def test_a_file_outside_the_bounds_of_its_inventory_is_not_judged() -> None:
+    core = Core(3)
+    for summary in core.summaries().values():
+        core.ask(told_of(summary))
+    reply = core.ask(Inventory(first=1, last=1, files=((1, 7), (2, 8), (3, 9))))
+    assert (reply.strays, reply.lost) == ((), ())
+    assert core.kept() == 3
+
+
+def test_another_gateway_cannot_give_up_what_this_one_keeps() -> None:
+    core = Core(2)
+    for summary in core.summaries().values():
+        core.ask(told_of(summary))
+    assert core.ask(Inventory(first=1, last=MAX_COUNT, files=()), "other").lost == ()
+    assert core.kept() == 2

@@ -1,0 +1,174 @@
+"""A coordinator killed between an object's put and the ledger's commit, at every step of the way, and started again."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from sqlalchemy import func, select
+
+from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.ledger.reading.look import look_into
+from coordinator.ledger.states import Event
+from coordinator.ledger.tables import events
+from coordinator.protocol.address_file import read_address
+from coordinator.service import Coordinator
+from coordinator.settings import CoordinatorSettings
+from coordinator.tables.split_faults import find_faults
+from factory.dataset.reader import Dataset
+from schemas.storage.object_path import ObjectPath
+from schemas.storage.place import Place, children
+from tests.builders.fake_coordinator import free_endpoint
+from tests.builders.ledger import room_catalog, room_plan
+from tests.builders.object_server import ObjectServer
+from tests.builders.store_relay import Moment, StoreRelay
+from tests.builders.wire_worker import WireWorker, bundle_for, until
+
+EPISODES = 2
+RUN = room_plan(EPISODES, crashes=20)
+"""As `room_coordinator` has it."""
+LEASE_S = 60.0
+SETTINGS = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=3.0)
+EPISODE, TABLE, META = ".zip", "metadata.parquet", "dataset_meta.json"
+
+
+@dataclass(frozen=True)
+class Step:
+    """Where the coordinator is killed: a moment of the first request of a method for a key, since the episode's put."""
+
+    moment: Moment
+    method: str
+    key: str
+    is_kept: bool
+    """Whether the first episode is in the bucket by then."""
+
+    def __str__(self) -> str:
+        return f"{self.method} {self.key} {self.moment}"
+
+
+STEPS = [
+    Step(Moment.BEGUN, "PUT", EPISODE, is_kept=False),
+    Step(Moment.PASSED_ON, "PUT", EPISODE, is_kept=True),
+    Step(Moment.ANSWERED, "PUT", EPISODE, is_kept=True),
+    Step(Moment.PASSED_ON, "HEAD", EPISODE, is_kept=True),
+    Step(Moment.ANSWERED, "HEAD", EPISODE, is_kept=True),
+    Step(Moment.BEGUN, "PUT", TABLE, is_kept=True),
+    Step(Moment.PASSED_ON, "PUT", TABLE, is_kept=True),
+    Step(Moment.BEGUN, "PUT", META, is_kept=True),
+    Step(Moment.PASSED_ON, "PUT", META, is_kept=True),
+]
+
+
+class Killer:
+    """Kills a process at a step, and waits until it is dead before the request goes on."""
+
+    def __init__(self, step: Step, process: subprocess.Popen[bytes]) -> None:
+        self._step, self._process = step, process
+        self._is_under_way = False
+
+    def __call__(self, moment: Moment, method: str, path: str) -> bool:
+        key = path.partition("?")[0]
+        self._is_under_way = self._is_under_way or (method == "PUT" and key.endswith(EPISODE) and "/episodes/" in key)
+        step = self._step
+        if self._is_under_way and (moment, method) == (step.moment, step.method) and key.endswith(step.key):
+            self._process.kill()
+            self._process.wait()
+        return self._process.poll() is not None
+
+
+@pytest.fixture
+def relay(object_store: ObjectServer) -> Iterator[StoreRelay]:
+    with StoreRelay(object_store.endpoint) as between:
+        yield between
+
+
+@pytest.fixture
+def store(bucket_url: Callable[[], str], relay: StoreRelay, monkeypatch: pytest.MonkeyPatch) -> ObjectPath:
+    """A fresh bucket behind the relay."""
+    url = bucket_url()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", relay.endpoint)
+    return ObjectPath.at(f"{url}/run")
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same run in a directory, where nothing is killed."""
+    folder = tmp_path_factory.mktemp("calm")
+    with (
+        Coordinator(folder / "out", RUN, room_catalog(folder), ("tcp/127.0.0.1:0",), settings=SETTINGS) as running,
+        WireWorker(running.endpoints, running.run) as worker,
+    ):
+        finish(running, worker)
+    return folder / "out"
+
+
+@contextmanager
+def coordinator(root: Path, endpoint: str, store: ObjectPath) -> Iterator[subprocess.Popen[bytes]]:
+    """Runs a coordinator as a process of its own, from when it listens."""
+    words = (root, EPISODES, endpoint, LEASE_S, 0.1, 20, store)
+    command = [sys.executable, "-m", "tests.builders.room_coordinator", *map(str, words)]
+    process = subprocess.Popen(command, cwd=Path(__file__).parents[2], env=os.environ, stderr=subprocess.DEVNULL)
+    try:
+        until(lambda: read_address(root / "out") is not None, 60)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def finish(running: Coordinator, worker: WireWorker) -> None:
+    """Claims, delivers and beats until the run is finished."""
+
+    def is_finished() -> bool:
+        reply = worker.claim()
+        if reply.job is not None and reply.lease is not None:
+            worker.deliver(reply.lease, bundle_for(reply.job))
+        worker.beat()
+        return running.is_finished()
+
+    until(is_finished, 60)
+
+
+def episodes(root: Place) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in children(root / "episodes")}
+
+
+@pytest.mark.parametrize("step", STEPS, ids=str)
+def test_a_coordinator_killed_between_put_and_commit_loses_and_repeats_no_episode(
+    step: Step, store: ObjectPath, relay: StoreRelay, object_store: ObjectServer, calm: Path, tmp_path: Path
+) -> None:
+    endpoint = free_endpoint()
+    with coordinator(tmp_path, endpoint, store) as process, WireWorker((endpoint,), RUN.run) as worker:
+        relay.watch = Killer(step, process)
+        job, lease = worker.job()
+        assert worker.deliver(lease, bundle_for(job))
+        process.wait(60)
+    relay.watch = lambda _moment, _method, _path: False
+    wanted, kept = episodes(calm), episodes(store)
+    assert kept.items() <= wanted.items()
+    assert len(kept) == step.is_kept
+    home = tmp_path / "out"
+    with (
+        Coordinator(home, RUN, room_catalog(tmp_path), (endpoint,), settings=SETTINGS, store=store) as running,
+        WireWorker(running.endpoints, running.run) as worker,
+    ):
+        assert list((home / ".staging").iterdir()) == []
+        assert running.progress().jobs["archived"] == len(kept)
+        finish(running, worker)
+        with look_into(f"sqlite:///{home / 'ledger.db'}") as ledger:
+            ends = events.c.event.in_((Event.ARCHIVED, Event.ADOPTED))
+            counts = select(func.count()).where(ends).group_by(events.c.job_id)
+            assert ledger.execute(counts).scalars().all() == [1] * EPISODES
+    assert episodes(store) == wanted
+    assert Dataset(store).digest == Dataset(calm).digest
+    assert Dataset(store).meta.complete
+    assert list(find_faults(store, deep=True)) == []
+    assert list((store / "quarantine").walk()) == []
+    assert "Uploads" not in object_store.client.list_multipart_uploads(Bucket=store.objects.url.split("/")[2])
+    assert ledger_trouble(f"sqlite:///{home / 'ledger.db'}", room_catalog(tmp_path)) == ""

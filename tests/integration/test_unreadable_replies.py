@@ -1,0 +1,35 @@
+"""A worker beside a peer that answers for the coordinator with bytes that no version of the protocol knows."""
+
+from __future__ import annotations
+
+import zenoh
+from structlog.testing import capture_logs
+
+from schemas.keys import Verb, verb_key
+from schemas.wire import Hello
+from tests.builders.fake_coordinator import RUN, FakeCoordinator
+from workers.client.link import Link
+
+
+class Babbler(FakeCoordinator):
+    """Answers every question with rubbish."""
+
+    def _take(self, query: zenoh.Query) -> None:
+        *_, host, name = str(query.key_expr).split("/")
+        with query:
+            query.reply(verb_key(RUN, host, Verb(name)), b"\x00\xff rubbish")
+
+
+def test_replies_that_cannot_be_read_count_as_none_and_fill_no_log() -> None:
+    babbler = Babbler(())
+    babbler.open()
+    link = Link((babbler.endpoint,), "host")
+    try:
+        assert link.open()
+        with capture_logs() as lines:
+            for _ in range(200):
+                assert link.greet(Hello(sid="host.1", host="host", slots=1, version="1")) == ()
+    finally:
+        link.close()
+        babbler.close()
+    assert 1 <= [line["event"] for line in lines].count("reply_unintelligible") < 20

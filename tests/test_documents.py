@@ -1,0 +1,185 @@
+"""The documents: links, anchors, cited paths and commands are right, and nothing outside of the repository is cited."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+from tests.builders.pages import PAGES, ROOT, anchors_of, factory_lines, links_of, make_lines, parse_line
+
+LIMITS = {"README.md": 1200, "ARCHITECTURE.md": 1500}
+PACKAGES = ("minivla", "schemas", "workers", "coordinator", "factory")
+SOURCES = sorted(
+    path
+    for folder in (*PACKAGES, "tests", "docs", "deploy")
+    for suffix in ("py", "toml", "yaml", "yml", "html", "sh", "css", "service")
+    for path in (ROOT / folder).rglob(f"*.{suffix}")
+)
+CITING = [*PAGES, *SOURCES, ROOT / "Makefile", ROOT / "pyproject.toml", ROOT / ".github"]
+HISTORY = ROOT / "CHANGELOG.md"
+"""Names what was true at its time, paths included."""
+OTHERS = re.compile(r"\b(DESIGN|STYLE) \d|\b(DESIGN|STYLE)\.md|\bnotes/|\bnotes of the project")
+"""How documents outside of the repository used to be cited."""
+PATH = re.compile(rf"(?<![\w./:\-])((?:{'|'.join(PACKAGES)}|tests|docs|deploy)/[\w./\-]+)(#[\w\-]+)?")
+MADE = {"tests/data", "factory/run"}
+"""What looks like a path and is none."""
+
+
+def shown(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def cited_paths(page: Path) -> set[tuple[str, str]]:
+    return {(path.rstrip("./"), anchor) for path, anchor in PATH.findall(page.read_text(encoding="utf-8"))}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=shown)
+def test_every_link_leads_to_a_file_and_an_anchor_of_the_repository(page: Path) -> None:
+    broken = []
+    for link in links_of(page):
+        path, _, anchor = unquote(link).partition("#")
+        target = (page.parent / path).resolve() if path else page
+        if not target.is_relative_to(ROOT) or not target.exists() or (anchor and anchor not in anchors_of(target)):
+            broken.append(link)
+    assert broken == []
+
+
+@pytest.mark.parametrize(("name", "limit"), LIMITS.items())
+def test_a_document_that_is_read_first_is_short(name: str, limit: int) -> None:
+    assert len((ROOT / name).read_text(encoding="utf-8").split()) <= limit
+
+
+def test_no_file_cites_a_document_outside_of_the_repository() -> None:
+    here = {Path(__file__)}
+    found = [
+        f"{shown(path)}: {hit.group()}"
+        for path in CITING
+        if path.is_file() and path not in here
+        for hit in OTHERS.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
+def test_every_markdown_file_that_is_named_is_one_of_the_repository() -> None:
+    names = {page.name for page in PAGES}
+    found = {
+        f"{shown(path)}: {name}"
+        for path in (*PAGES, *SOURCES)
+        if path != HISTORY and not {"tests", "site"} & set(path.relative_to(ROOT).parts)
+        for name in re.findall(r"([\w\-]+\.md)\b", path.read_text(encoding="utf-8"))
+        if name not in names
+    }
+    assert found == set()
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != HISTORY], ids=shown)
+def test_every_path_that_a_document_names_exists(page: Path) -> None:
+    gone = {path for path, _ in cited_paths(page) if not any(exists(path, page)) and path not in MADE}
+    assert gone == set()
+
+
+def exists(path: str, page: Path) -> list[bool]:
+    return [(ROOT / path).exists(), (page.parent / path).exists()]
+
+
+def test_every_document_that_a_source_file_cites_exists_with_its_section() -> None:
+    broken, cited = set(), 0
+    for source in SOURCES:
+        for path, anchor in cited_paths(source):
+            if not path.startswith("docs/") or "." not in Path(path).name:
+                continue
+            cited += 1
+            target = ROOT / path
+            if not target.exists() or (anchor and anchor[1:] not in anchors_of(target)):
+                broken.add(f"{shown(source)}: {path}{anchor}")
+    assert cited > 20
+    assert broken == set()
+
+
+def test_the_guarantees_name_tests_that_exist() -> None:
+    text = (ROOT / "docs" / "design" / "guarantees.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:unit|integration|acceptance|contract|chaos)/[\w/.]+)`", text)
+    assert len(named) > 20
+    assert [name for name in named if not (ROOT / "tests" / name).exists()] == []
+
+
+def test_the_architecture_names_packages_that_exist() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    table = text.partition("| package | purpose |")[2].partition("\n\n")[0]
+    named = re.findall(
+        r"`([a-z_.]+)`", "\n".join(line.split("|")[1] for line in table.splitlines() if line.count("|") > 2)
+    )
+    assert {name.partition(".")[0] for name in named} == set(PACKAGES)
+    assert [name for name in named if not (ROOT / name.replace(".", "/") / "__init__.py").exists()] == []
+
+
+def test_the_api_reference_names_modules_that_exist() -> None:
+    text = (ROOT / "docs" / "site" / "hook.py").read_text(encoding="utf-8")
+    named = re.findall(rf'"((?:{"|".join(PACKAGES)})(?:\.[a-z_]+)*)"', text)
+    files = [ROOT / name.replace(".", "/") for name in named]
+    assert "minivla" in named
+    assert [str(file) for file in files if not (file.is_dir() or file.with_suffix(".py").exists())] == []
+
+
+def test_the_index_of_documents_reaches_every_document() -> None:
+    reached, waiting = set(), [ROOT / "docs" / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        reached.add(page)
+        targets = {(page.parent / link.partition("#")[0]).resolve() for link in links_of(page) if ".md" in link}
+        waiting += sorted(targets - reached - set(waiting))
+    assert set(PAGES) - reached == set()
+
+
+def test_the_quickstart_notebook_was_executed_and_its_commands_are_understood() -> None:
+    path = ROOT / "docs" / "quickstart.ipynb"
+    text = path.read_text(encoding="utf-8")
+    assert len(text) < 300_000
+    assert re.findall(r"/(?:tmp|home|work|root)/", text) == []
+    cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+    commands = [line for cell in cells for line in "".join(cell["source"]).splitlines() if line.startswith("!factory ")]
+    assert len(commands) >= 5
+    for line in commands:
+        parse_line(shlex.split(re.split(r" 2>| \|", line)[0])[1:])
+    for cell in cells:
+        assert cell["execution_count"] is not None
+        assert cell["outputs"], cell["source"]
+        assert [one for one in cell["outputs"] if one["output_type"] == "error"] == []
+
+
+def test_every_decision_is_listed_once_and_has_all_its_sections() -> None:
+    folder = ROOT / "docs" / "decisions"
+    files = sorted(path for path in folder.glob("*.md") if path.name != "README.md")
+    listed = re.findall(r"\[(\d{4})\]\((\S+?)\)", (folder / "README.md").read_text(encoding="utf-8"))
+    assert sorted(name for _, name in listed) == [path.name for path in files]
+    assert [path.name[:4] for path in files] == [f"{number:04d}" for number in range(1, len(files) + 1)]
+    for path in files:
+        text = path.read_text(encoding="utf-8")
+        assert re.findall(r"^## (.*)$", text, re.MULTILINE) == [
+            "Context",
+            "Decision",
+            "Rejected alternatives",
+            "Consequences",
+        ], path.name
+        assert re.search(r"^- Status: (accepted|superseded by)", text, re.MULTILINE), path.name
+
+
+LINES = [
+    pytest.param(words, id=f"{shown(page)}: {' '.join(words)}"[:90]) for page in PAGES for words in factory_lines(page)
+]
+
+
+@pytest.mark.parametrize("words", LINES)
+def test_every_command_line_of_a_document_is_understood(words: list[str]) -> None:
+    parse_line(words)
+
+
+def test_every_make_target_that_a_document_names_exists() -> None:
+    targets = set(re.findall(r"^([a-z][a-z-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    named = {target for page in PAGES if page != HISTORY for target in make_lines(page)}
+    assert {"setup", "test"} <= named <= targets

@@ -1,0 +1,134 @@
+"""Leases that are too old: their jobs return to the queue, and the failures count against the hosts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from datetime import timedelta
+from typing import Any
+
+import pytest
+from sqlalchemy.engine import Connection
+
+from coordinator.lease_limit import LeaseLimit
+from coordinator.ledger import claims
+from coordinator.ledger.reading.audit import find_damage
+from coordinator.ledger.reading.progress import read_progress
+from coordinator.protocol.protocol import Terms
+from schemas.wire import Beat, HostStatus, Lease, LeaseProgress
+from tests.builders.ledger import TTL_S, Desk, room_plan
+
+LIMIT_S = 200.0
+EPISODES = 2
+STATES = {False: "leased", True: "submitted"}
+
+
+class Held:
+    """A ledger whose workers beat for ever, and the limit that its coordinator has."""
+
+    def __init__(self, desk: Desk, limit: LeaseLimit) -> None:
+        self.desk, self.limit = desk, limit
+        self.leases: dict[Lease, str] = {}
+
+    def claim(self, sid: str) -> Lease:
+        lease = self.desk.lease(sid)
+        self.leases[lease] = sid
+        return lease
+
+    def pass_time(self, seconds: float) -> int:
+        """Lets time pass while every worker beats; returns how many leases the limit has ended."""
+        ended, end = 0, self.desk.now + timedelta(seconds=seconds)
+        while self.desk.now < end:
+            self.desk.tick(min(TTL_S / 2, (end - self.desk.now).total_seconds()))
+            self.beat()
+            ended += self.limit.enforce()
+        return ended
+
+    def beat(self) -> list[Lease]:
+        """Beats once for each lease; returns those that are lost."""
+        lost: list[Lease] = []
+        for lease, sid in self.leases.items():
+            with self.desk.open() as connection:
+                told = Beat(sid=sid, live=(LeaseProgress(lease=lease, step=1),))
+                lost += claims.beat(connection, told, self.desk.now, TTL_S).lost
+        return lost
+
+    def hosts(self) -> tuple[HostStatus, ...]:
+        with self.desk.open() as connection:
+            return read_progress(connection, self.desk.now).hosts
+
+    def row(self, lease: Lease) -> Any:
+        return self.desk.row(lease.job_id)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def held(request: pytest.FixtureRequest) -> Iterator[Held]:
+    is_server = request.param == "postgresql"
+    url = request.getfixturevalue("postgres_server").new_database() if is_server else "sqlite://"
+    desk = Desk(room_plan(EPISODES, crashes=2), url)
+
+    def commit(work: Callable[[Connection], Any]) -> Any:
+        with desk.open() as connection:
+            return work(connection)
+
+    terms = Terms(desk.plan, desk.catalog, "1", TTL_S, 0.1)
+    yield Held(desk, LeaseLimit(desk.open, commit, terms, lambda: desk.now, LIMIT_S))
+    desk.engine.dispose()
+
+
+@pytest.mark.parametrize("announced", [False, True], ids=["simulating", "announced"])
+def test_job_of_a_worker_that_beats_and_brings_nothing_goes_to_another_host(held, announced):
+    lease = held.claim("bad.1")
+    if announced:
+        assert held.desk.done(lease)
+    assert held.pass_time(LIMIT_S) == 0
+    assert held.beat() == []
+    assert held.pass_time(TTL_S) == 1
+    assert held.beat() == [lease]
+    row = held.row(lease)
+    assert (row.state, row.attempt, row.crashes, row.sid) == ("pending", 1, 1, None)
+    (host,) = held.hosts()
+    assert (host.host, host.strikes) == ("bad", 1)
+    assert host.reason == f"hang: no episode after 200 s under one lease; the job is {STATES[announced]}"
+    assert not held.desk.done(lease)
+    held.desk.tick(60)
+    assert lease.job_id in {held.desk.lease("good.1").job_id for _ in range(EPISODES)}
+    with held.desk.open() as connection:
+        assert find_damage(connection, held.desk.catalog) == ""
+
+
+def test_only_leases_that_are_too_old_end(held):
+    old = held.claim("a.1")
+    held.pass_time(LIMIT_S / 2)
+    young = held.claim("b.1")
+    assert held.pass_time(LIMIT_S / 2 + TTL_S) == 1
+    assert held.beat() == [old]
+    assert held.row(young).state == "leased"
+
+
+def test_a_job_that_no_host_ends_within_the_limit_is_given_up(held):
+    for host in ("a.1", "b.1"):
+        leases = [held.claim(host) for _ in range(EPISODES)]
+        assert held.pass_time(LIMIT_S + TTL_S) == EPISODES
+        held.leases.clear()
+        held.desk.tick(60)
+    for row in map(held.row, leases):
+        assert row.state == "failed"
+        assert "no episode after 200 s under one lease" in row.reason
+
+
+def test_leases_have_the_whole_limit_after_a_restart_of_the_coordinator(held):
+    lease = held.claim("a.1")
+    held.pass_time(LIMIT_S - TTL_S)
+    held.limit.restart()
+    assert held.pass_time(LIMIT_S - TTL_S) == 0
+    assert held.row(lease).state == "leased"
+    assert held.pass_time(2 * TTL_S) == 1
+
+
+def test_the_limit_holds_when_the_clock_was_set_back(held):
+    lease = held.claim("a.1")
+    held.desk.now -= timedelta(days=1)
+    held.limit.restart()
+    assert held.pass_time(LIMIT_S - TTL_S) == 0
+    assert held.pass_time(2 * TTL_S) == 1
+    assert held.beat() == [lease]
