@@ -1,9 +1,9 @@
 #!/bin/bash
-# Workers of a cluster as a Slurm array; a coordinator runs elsewhere, e.g. on the login node or by systemd.
+# Runs workers as a Slurm array job. The coordinator runs elsewhere, e.g. on the login node or with systemd.
 #   sbatch --array=1-64 deploy/slurm/workers.sh tls/hub.example.org:7447 ~/pki/cluster
 #
-# A task that is preempted or reaches its time limit gives its jobs back and queues itself again; the run is finished
-# when a worker leaves by itself, and then the task ends for good.
+# A task that is preempted or reaches its time limit returns its jobs and requeues itself. When the run is finished, the
+# worker exits and the task ends.
 #SBATCH --job-name=minivla
 #SBATCH --ntasks=1
 #SBATCH --cpus-per-task=4
@@ -18,7 +18,7 @@ endpoint=${1:?usage: sbatch --array=1-N workers.sh ENDPOINT TLS_DIR}
 tls=${2:?usage: sbatch --array=1-N workers.sh ENDPOINT TLS_DIR}
 cores=${SLURM_CPUS_PER_TASK:-1}
 scratch=${SLURM_TMPDIR:-${TMPDIR:-/tmp}}
-# bundles wait on the node's own disk; scenes are kept beside them and fetched once a node
+# bundles and scenes are stored on the local disk of the node; scenes are fetched once per node
 export MINIVLA_CACHE="${scratch}/minivla-${USER:-factory}"
 
 told_to_stop=
@@ -32,9 +32,9 @@ trap stop TERM INT
 
 factory worker --connect "${endpoint}" --tls "${tls}" --cores "${cores}" --connect-timeout 600 &
 worker=$!
-# told before the worker had a name
+# the signal arrived before the worker was started
 if [ -n "${told_to_stop}" ]; then kill -TERM "${worker}" 2>/dev/null; fi
-# a signal interrupts the wait; go on until the worker itself is gone, which may be before the first look
+# a signal interrupts the wait; wait again until the worker has exited
 wait "${worker}"
 status=$?
 while kill -0 "${worker}" 2>/dev/null; do
@@ -43,7 +43,7 @@ while kill -0 "${worker}" 2>/dev/null; do
 done
 
 if [ -n "${told_to_stop}" ] && [ -n "${SLURM_JOB_ID:-}" ]; then
-    echo "told to stop before the run was finished: queueing again"
+    echo "stopped before the run was finished: requeueing"
     scontrol requeue "${SLURM_ARRAY_JOB_ID:-${SLURM_JOB_ID}}${SLURM_ARRAY_TASK_ID:+_${SLURM_ARRAY_TASK_ID}}"
     exit $?
 fi
