@@ -89,7 +89,7 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = format_error(text_of(error.__str__))
-        raise WorldError(f"{path.name} is no readable USD stage ({reason}); check it with usdchecker") from error
+        raise WorldError(f"{path.name} is not a readable USD stage ({reason}); check it with usdchecker") from error
     warnings = (
         format_warning(text_of(partial(getattr, diagnostic, "commentary")))
         for diagnostic in listener.TakeUncoalescedDiagnostics()

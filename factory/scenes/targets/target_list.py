@@ -19,7 +19,7 @@ from schemas.errors import UsageError
 from schemas.scene import SceneInfo
 from schemas.terms import COLOUR_NAMES
 
-__all__ = ["TargetEntry", "TargetList", "list_file_name", "load_target_list", "spell_target_list"]
+__all__ = ["TargetEntry", "TargetList", "list_file_name", "load_target_list", "format_target_list"]
 
 _HEAD = """\
 # The targets of {scene}. Set `enabled: false` to leave one out, change its category, colour or id, delete what is to
@@ -60,7 +60,7 @@ class TargetList(Model):
         for what, values in (("id", [e.id for e in self.targets]), ("prim_path", [e.prim_path for e in self.targets])):
             twice = sorted({value for value in values if values.count(value) > 1})
             if twice:
-                raise ValueError(f"{what} stands twice: {', '.join(twice)}")
+                raise ValueError(f"{what} is listed twice: {', '.join(twice)}")
         if not any(entry.enabled for entry in self.targets):
             raise ValueError("no target is enabled; a scene needs at least one")
         return self
@@ -77,7 +77,7 @@ def list_file_name(scene: str) -> str:
     return f"targets_{scene}.yaml"
 
 
-def spell_target_list(info: SceneInfo) -> str:
+def format_target_list(info: SceneInfo) -> str:
     """Returns the text of the target list of a compiled scene, all targets enabled."""
     rows = [
         {

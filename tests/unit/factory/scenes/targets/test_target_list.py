@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from factory.scenes.compile.compiler import compile_stage
-from factory.scenes.targets.target_list import TargetList, load_target_list, spell_target_list
+from factory.scenes.targets.target_list import TargetList, load_target_list, format_target_list
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene
 from tests.builders.stage import StageText, room_body
@@ -30,7 +30,7 @@ def plain(stage: Path) -> CompiledScene:
 
 def edited(stage: Path, plain: CompiledScene, **changes: dict[str, object]) -> CompiledScene:
     """The room compiled again with the rows of some targets changed; new ids add rows."""
-    data = yaml.safe_load(spell_target_list(plain.info))
+    data = yaml.safe_load(format_target_list(plain.info))
     rows = {row["id"]: row for row in data["targets"]}
     for name, change in changes.items():
         rows[name] = {**rows.get(name, {"id": name}), **change}
@@ -85,7 +85,7 @@ def test_unknown_prims_are_all_named(stage: Path, plain: CompiledScene) -> None:
 
 def test_a_prim_inside_another_is_refused(stage: Path, plain: CompiledScene) -> None:
     row = {"category": "seat", "prim_path": "/World/SM_Chair_01/Seat"}
-    with pytest.raises(UsageError, match="SM_Chair_01/Seat lies inside /World/SM_Chair_01"):
+    with pytest.raises(UsageError, match="SM_Chair_01/Seat is inside /World/SM_Chair_01"):
         edited(stage, plain, seat_001=row)
 
 
@@ -101,7 +101,7 @@ ROW = "{id: a_1, category: chair, prim_path: /World/A}"
             ["category, prim_path", "line 3", "is a line lost"],
         ),
         ("scene: room\ntargets: 7", ["targets"]),
-        (f"scene: room\ntargets: [{ROW}, {ROW}]", ["id stands twice: a_1"]),
+        (f"scene: room\ntargets: [{ROW}, {ROW}]", ["id is listed twice: a_1"]),
         ("scene: room\ntargets: [{id: a_1, category: chair, prim_path: /A, enabled: false}]", ["no target is enabled"]),
         (
             "scene: room\ntargets: [{id: a_1, category: chair, prim_path: /A, colour: teal}]",
@@ -128,7 +128,7 @@ def test_a_missing_file_is_answered_with_the_whole_command_that_writes_one(tmp_p
 
 def test_what_is_written_is_read_back(tmp_path: Path, plain: CompiledScene) -> None:
     path = tmp_path / "targets_room.yaml"
-    path.write_text(spell_target_list(plain.info))
+    path.write_text(format_target_list(plain.info))
     rows = load_target_list(path).targets
     assert [row.id for row in rows] == [target.target_id for target in plain.info.targets]
     assert all(row.enabled for row in rows)
