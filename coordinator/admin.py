@@ -64,7 +64,7 @@ def _from_here(endpoint: str) -> str:
 
 def _administer_offline(url: str, request: AdminRequest, now: datetime) -> AdminReply:
     if request.action is AdminAction.DRAIN:
-        raise UsageError("no coordinator runs on the directory, so there is nobody to drain")
+        raise UsageError("no coordinator is running on the directory, so there is no worker to drain")
     require_sound(url)
     engine = open_writer(url)
     try:

@@ -346,7 +346,7 @@ class Coordinator(Closing):
             held = self._writer.call(lambda connection: claims.grant_grace(connection, self._clock(), ttl_s))
             self._watch.accept()
             self._lease_limit.restart()
-            log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases begin anew")
+            log.warning("clock_was_set", by_s=round(jump_s), leases=held, remedy="none; all leases restart")
 
     def _admit(self) -> None:
         if self._router.admit():
@@ -363,7 +363,7 @@ class Coordinator(Closing):
                 free_bytes=free,
                 reserve_bytes=self._settings.reserve_bytes,
                 directory=str(self._archive.root),
-                remedy="none" if has_room else "free some space; the run goes on by itself",
+                remedy="none" if has_room else "free some space; the run then continues",
             )
 
     def _write_tables(self) -> None:

@@ -134,7 +134,7 @@ class BundleReader(Closing):
         self._in = ContainerReader(file, _LIMITS)
         self.length = self.meta.rollout.num_steps if steps is None else steps
         if self.length > MAX_FRAMES:  # before as many names are made
-            raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle holds at most {MAX_FRAMES}"])
+            raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
         expected = member_names(self.length)
         if self._in.names != expected:
             raise InvalidBundle("bundle refused", _name_findings(self._in.names, expected))
@@ -241,5 +241,5 @@ def _name_findings(found: tuple[str, ...], expected: tuple[str, ...]) -> list[st
     missing = [name for name in expected if name not in set(found)]
     surplus = [name for name in found if name not in set(expected)]
     findings = [f"{len(missing)} members missing, first {missing[0]!r}"] if missing else []
-    findings += [f"{len(surplus)} surplus members, first {surplus[0]!r}"] if surplus else []
+    findings += [f"{len(surplus)} unexpected members, first {surplus[0]!r}"] if surplus else []
     return findings or ["members are not in their fixed order"]

@@ -97,7 +97,7 @@ def read_dataset_meta(root: Place) -> DatasetMeta:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
-        raise WorldError(f"{root} holds no dataset ({META_FILE} is missing): give the --out of a run") from error
+        raise WorldError(f"{root} is not a dataset: {META_FILE} is missing; give the --out of `factory run`") from error
     except (OSError, ValueError) as error:
         raise ArchiveCorrupt(f"{path} cannot be read: {error}") from error
     _refuse_newer(path, text)
@@ -106,7 +106,7 @@ def read_dataset_meta(root: Place) -> DatasetMeta:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise ArchiveCorrupt(f"{path} is damaged at {where!r}: {first['msg']}; a resumed run writes it anew") from error
+        raise ArchiveCorrupt(f"{path} is damaged at {where!r}: {first['msg']}; resume the run to rewrite it") from error
 
 
 def _refuse_newer(path: Place, text: str) -> None:

@@ -56,4 +56,4 @@ class InvalidBundle(_Findings):
 
 
 class InvalidPlan(_Findings, UsageError):
-    """A plan contradicts itself or asks for what its scenes do not have; carries every mistake with its key."""
+    """A plan contradicts itself or requires what its scenes do not have; carries every mistake with its key."""

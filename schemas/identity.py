@@ -74,7 +74,7 @@ def require_host_name(name: str) -> str:
     """
     if not is_host_name(name):
         raise UsageError(
-            f"{name!r} is no name for a host: at most 48 lower-case letters, digits and dashes, e.g. node-07"
+            f"{name!r} is not a valid host name: use at most 48 lower-case letters, digits and dashes, e.g. node-07"
         )
     return name
 
@@ -97,7 +97,7 @@ def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]
             continue
         name, role = (*words, Role.WORKER)[:2]
         if len(words) > 2 or role not in known or not is_host_name(name):
-            raise UsageError(f"line {number} is {line[:80]!r}, wanted: NAME, or NAME and one of: {', '.join(known)}")
+            raise UsageError(f"line {number} is {line[:80]!r}, expected NAME, or NAME and one of: {', '.join(known)}")
         found[name] = Role(role)
     return found
 

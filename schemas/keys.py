@@ -172,5 +172,5 @@ def parse_bundle_chunk(parameters: Mapping[str, str]) -> BundleChunk:
 def _number(parameters: Mapping[str, str], name: str) -> int:
     text = parameters.get(name, "")
     if not (text.isascii() and text.isdigit() and len(text) <= 15):
-        raise ValueError(f"{name}={text[:20]!r} is no number; asked for a selector such as `?off=0;n=1048576`")
+        raise ValueError(f"{name}={text[:20]!r} is not a number; expected a selector such as `?off=0;n=1048576`")
     return int(text)

@@ -86,7 +86,7 @@ class ScenePlan(Model):
     def _is_a_known_scene(cls, name: str, others: ValidationInfo) -> str:
         if others.data.get("usd") is None and name not in BUILTIN_CATEGORIES:
             known = ", ".join(BUILTIN_CATEGORIES)
-            raise ValueError(f"no built-in scene of that name ({known}); for an own scene give `usd = PATH`")
+            raise ValueError(f"not a built-in scene ({known}); for a scene of a USD stage give `usd = PATH`")
         return name
 
     @field_validator("seen", "held_out")
@@ -94,7 +94,9 @@ class ScenePlan(Model):
     def _are_known_categories(cls, categories: tuple[str, ...], others: ValidationInfo) -> tuple[str, ...]:
         unknown = [name for name in categories if name not in CATEGORIES]
         if unknown and others.data.get("usd") is None:
-            raise ValueError(f"unknown categories {', '.join(unknown)}; built-in scenes know {', '.join(CATEGORIES)}")
+            raise ValueError(
+                f"unknown categories {', '.join(unknown)}; categories of built-in scenes: {', '.join(CATEGORIES)}"
+            )
         return categories
 
     @model_validator(mode="after")
@@ -104,7 +106,7 @@ class ScenePlan(Model):
         if both:
             raise ValueError(f"categories both seen and held out: {', '.join(both)}")
         if not seen:
-            raise ValueError("an own scene needs `seen = [...]`, the categories to train on")
+            raise ValueError("a scene with `usd` needs `seen = [...]`, the categories to train on")
         return self
 
 
@@ -162,7 +164,7 @@ class Plan(Model):
         names = [scene.name for scene in self.scenes]
         mistakes += [f"scenes: {name!r} stands twice" for name in sorted({n for n in names if names.count(n) > 1})]
         mistakes += [
-            f"scenes: {scene.name!r} holds out no category, but splits.test_ood_obj is above 0"
+            f"scenes: {scene.name!r} has no held-out category, but splits.test_ood_obj is above 0"
             for scene in self.scenes
             if self.splits_of(scene).get(Split.TEST_OOD_OBJ, 0) > 0 and not scene.categories.held_out
         ]

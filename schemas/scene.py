@@ -248,7 +248,7 @@ def _read_info(reader: ContainerReader) -> SceneInfo:
     except ValidationError as error:
         raise InvalidBundle("scene refused", [f"scene.json: {item['msg']}" for item in error.errors()]) from error
     if info.format != SCENE_FORMAT:
-        remedy = "make it again with `factory scene build` or `factory scene import`"
+        remedy = "create it again with `factory scene build` or `factory scene import`"
         found = f"scene format {info.format}, this software reads {SCENE_FORMAT}; {remedy}"
         raise InvalidBundle("scene refused", [found])
     return info

@@ -61,7 +61,7 @@ class DirectoryArchive(Listing[Path], Closing):
         staged.flush()
         with self._publishing, staged:
             if final.exists():
-                raise ArchiveCorrupt(f"{final} lies there already and is not overwritten: run `factory verify --deep`")
+                raise ArchiveCorrupt(f"{final} already exists and is not overwritten: run `factory verify --deep`")
             try:
                 staged.path.rename(final)
                 sync_directory(final.parent)
@@ -97,7 +97,7 @@ class DirectoryArchive(Listing[Path], Closing):
         final = self.path_of(index)
         with self._publishing, translated("move into", final.parent):
             if final.exists():
-                raise ArchiveCorrupt(f"{final} lies there already and is not overwritten: run `factory verify --deep`")
+                raise ArchiveCorrupt(f"{final} already exists and is not overwritten: run `factory verify --deep`")
             path.rename(final)
             path.with_name(f"{path.name}.reason.txt").unlink(missing_ok=True)
             sync_directory(final.parent)

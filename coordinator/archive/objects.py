@@ -85,11 +85,11 @@ class ObjectArchive(Listing[ObjectPath], Closing):
                 self._put_new(final.key, staged.path)
             except FileExistsError as error:
                 if final.stat().st_size != staged.size or digest_of(final) != staged.sha256:
-                    message = f"{final} is there already and is not overwritten: run `factory verify --deep`"
+                    message = f"{final} already exists and is not overwritten: run `factory verify --deep`"
                     raise ArchiveCorrupt(message) from error
             found = final.stat().st_size
             if found != staged.size:
-                raise ArchiveCorrupt(f"{final} has {found} bytes, {staged.size} were sent: run `factory repair`")
+                raise ArchiveCorrupt(f"{final} has {found} bytes, but {staged.size} were sent: run `factory repair`")
         return final
 
     def path_of(self, index: int) -> ObjectPath:
@@ -124,7 +124,7 @@ class ObjectArchive(Listing[ObjectPath], Closing):
         """See `Archive.restore`."""
         final = self.path_of(index)
         if not isinstance(path, ObjectPath) or final.exists():
-            raise ArchiveCorrupt(f"{final} is there already and is not overwritten: run `factory verify --deep`")
+            raise ArchiveCorrupt(f"{final} already exists and is not overwritten: run `factory verify --deep`")
         self._objects.copy(path.key, final.key)
         self._objects.delete(path.key)
         self._objects.delete(f"{path.key}.reason.txt")
@@ -179,8 +179,8 @@ class ObjectArchive(Listing[ObjectPath], Closing):
             said = self._holder()
             if said.get("home") != self._sign:  # ours is left by a kill: the local lock says that nobody else is it
                 raise WorldError(
-                    f"another coordinator holds {self.root}: that of {said.get('directory')} on host "
-                    f"{said.get('host')}; stop it first, or choose another --out. If it is gone for good: "
+                    f"{self.root} is in use by another coordinator, that of {said.get('directory')} on host "
+                    f"{said.get('host')}; stop it first, or choose another --out. If it will not run again: "
                     f"`factory repair --take-over {self.root}`"
                 ) from error
         try:
@@ -189,8 +189,8 @@ class ObjectArchive(Listing[ObjectPath], Closing):
             return
         self._objects.delete(_LOCK)
         raise WorldError(
-            f"{self.root}: the store overwrites an object although it was told not to (If-None-Match), so that two "
-            "coordinators could spoil each other's work: use a store that knows conditional writes"
+            f"{self.root}: the object store ignores conditional writes (If-None-Match), so that two "
+            "coordinators could overwrite each other's files: use a store that supports conditional writes"
         )
 
     def _holder(self) -> dict[str, str]:

@@ -74,7 +74,7 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
     """
     mistakes = find_impossible(plan, catalog)
     if mistakes:
-        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
 
 
 def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Tier) -> tuple[Target, ...]:
@@ -124,7 +124,7 @@ def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
     ]
     shown = {one.category for one in entry.info.instances} & {name for names in absent for name in names}
     blocked = f"; shown but out of reach: {', '.join(sorted(filter(None, shown)))}" if shown else ""
-    remedy = "take out of seen and held_out what is not there, or change the scene"
+    remedy = "remove the missing categories from seen and held_out, or change the scene"
     if scene.usd is not None:
         remedy += ", its rules or its list of targets"
     return f"{', '.join(missing)}; reachable there: {', '.join(sorted(present)) or 'none at all'}{blocked}; {remedy}"

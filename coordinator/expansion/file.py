@@ -37,7 +37,7 @@ def load_plan(reference: str) -> Plan:
     path = Path(reference)
     trouble = path_trouble(reference)
     if trouble:
-        raise UsageError(f"no plan {reference[:80]!r}: {trouble}")
+        raise UsageError(f"cannot read plan {reference[:80]!r}: {trouble}")
     if not path.is_file():
         raise UsageError(_say_absent(reference, path))
     try:
@@ -78,13 +78,13 @@ def parse_plan(data: dict[str, Any], where: str, base: Path | None = None) -> Pl
     try:
         plan = Plan.model_validate(data)
     except ValidationError as error:
-        raise InvalidPlan(f"{where} is no valid plan", _say_all(error)) from error
+        raise InvalidPlan(f"{where} is not a valid plan", _say_all(error)) from error
     if base is None:
         return plan
     try:
         return plan.model_copy(update={"scenes": tuple(_anchored(scene, base) for scene in plan.scenes)})
     except (ValueError, OSError, RuntimeError) as error:  # a zero byte, or a link that leads to itself
-        raise InvalidPlan(f"{where} is no valid plan", [f"a file of its scenes cannot be found: {error}"]) from error
+        raise InvalidPlan(f"{where} is not a valid plan", [f"a file of its scenes cannot be found: {error}"]) from error
 
 
 def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
@@ -92,7 +92,7 @@ def _anchored(scene: ScenePlan, base: Path) -> ScenePlan:
     troubles = {key: path_trouble(str(base / file)) for key, file in files.items() if file}
     if any(troubles.values()):
         lines = [f"scenes.{key}: {trouble}" for key, trouble in troubles.items() if trouble]
-        raise InvalidPlan(f"scene {scene.name!r} names files that cannot be", lines)
+        raise InvalidPlan(f"scene {scene.name!r} has invalid file names", lines)
     return scene.model_copy(update={key: str((base / file).resolve()) for key, file in files.items() if file})
 
 
@@ -105,7 +105,7 @@ def scene_of(plan: Plan, name: str) -> ScenePlan:
     scenes = {part.name: part for part in plan.scenes}
     if name not in scenes:
         names = f"{', '.join(scenes)}{did_you_mean(name, scenes)}"
-        raise UsageError(f"plan {plan.name!r} has no scene {name!r}; it has {names}")
+        raise UsageError(f"plan {plan.name!r} has no scene {name!r}; its scenes: {names}")
     return scenes[name]
 
 
@@ -126,7 +126,7 @@ def shrink(
     parts = tuple(part for part in plan.scenes if part.name in wanted) or plan.scenes
     if episodes is not None:
         if episodes < 1:
-            raise UsageError(f"--episodes {episodes}: at least 1 is needed")
+            raise UsageError(f"--episodes {episodes}: must be at least 1")
         share = apportion({part.name: float(part.episodes) for part in parts}, episodes)
         parts = tuple(part.model_copy(update={"episodes": share[part.name]}) for part in parts if share[part.name] > 0)
     changes: dict[str, Any] = {"scenes": parts}

@@ -121,8 +121,8 @@ def _say(plan: Plan, scene: ScenePlan, part: ScenePlan | None, entry: SceneEntry
     present = {target.category for target in entry.info.targets}
     if part is None:
         is_there = any(name in present for names in scene.categories for name in names)
-        why = "nothing there can be reached" if is_there else "it has none of the categories asked for"
-        return f"{scene.name}: left out, {lost} episodes; {why}"
+        why = "no target of these categories is reachable" if is_there else "it has none of the requested categories"
+        return f"{scene.name}: removed, {lost} episodes; {why}"
     words = []
     for key, categories in zip(("seen", "held_out"), scene.categories, strict=True):
         gone = [name for name in categories if name not in present]

@@ -62,9 +62,13 @@ class CoreLink:
         found = list(self._node.ask(key, message.model_dump_json(), _TIMEOUT_S))
         if not found:
             self._heal()
-            raise TransientError(f"the core does not answer {verb!r} to gateway {self._name}; it is asked again")
+            raise TransientError(
+                f"the coordinator does not answer request {verb!r} of gateway {self._name}; the request is repeated"
+            )
         if len(found) > 1:
-            raise WorldError(f"{len(found)} cores answer gateway {self._name}: --connect to those of one run only")
+            raise WorldError(
+                f"{len(found)} coordinators answer gateway {self._name}; give --connect endpoints of one run only"
+            )
         self._heard = time.monotonic()
         self._away.succeed()
         return _read(found[0], kind)
@@ -88,7 +92,7 @@ class CoreLink:
         with self._healing:
             if time.monotonic() - max(self._heard, self._opened) < _REOPEN_S:
                 return
-            self._away.fail(f"no answer for {self.silence_s:.0f} s", remedy="the router is opened anew; else none")
+            self._away.fail(f"no answer for {self.silence_s:.0f} s", remedy="none needed; the gateway reconnects")
             try:
                 self._node.reopen()
             except WorldError as error:
@@ -103,5 +107,5 @@ def _read(payload: bytes, kind: type[R]) -> R:
         try:
             refusal = Refusal.model_validate_json(payload)
         except ValidationError:
-            raise WorldError(f"the core speaks another version of the protocol: {error}") from error
-        raise WorldError(f"the core refuses this gateway: {refusal.error}") from error
+            raise WorldError(f"the coordinator uses another version of the protocol: {error}") from error
+        raise WorldError(f"the coordinator refuses this gateway: {refusal.error}") from error

@@ -138,7 +138,7 @@ def _settle(engine: Engine, one: _Wanted, why: str, now: datetime, *, requeue_mi
             bring_home(connection, one.index)
     elif requeue_missing:
         with engine.begin() as connection:
-            lose(connection, one.index, now, f"kept by gateway {one.gateway}: {why}")
+            lose(connection, one.index, now, f"stored at gateway {one.gateway}: {why}")
 
 
 def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
@@ -147,7 +147,7 @@ def _fetch(archive: Archive, one: _Wanted, sources: Sequence[Path]) -> str:
     if home.exists():
         if digest_of(home) == one.sha256:
             return ""  # cut off the last time between file and ledger
-        archive.quarantine(home, f"its SHA-256 is not {one.sha256}, as the ledger says")
+        archive.quarantine(home, f"its SHA-256 is not {one.sha256}, which the ledger has")
     found = []
     for source in sources:
         path = source / EPISODES / home.name
@@ -168,6 +168,6 @@ def _copy(archive: Archive, one: _Wanted, path: Path) -> str:
         except OSError as error:  # of the source: what the archive cannot take is a WorldError
             return f"{path} cannot be read: {error.strerror}"
         if staged.sha256 != one.sha256:
-            return f"{path} has SHA-256 {staged.sha256}, the ledger says {one.sha256}"
+            return f"{path} has SHA-256 {staged.sha256}, but {one.sha256} in the ledger"
         archive.publish(staged, one.index)
     return ""

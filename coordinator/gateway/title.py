@@ -30,11 +30,11 @@ def require_title(root: Path, run: str, gateway: str) -> None:
         found = json.loads((root / TITLE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(
-            f"{root / TITLE} cannot be read: {error}; give the directory of a gateway, or a new one"
+            f"{root / TITLE} cannot be read: {error}; give the --out of a gateway, or a new directory"
         ) from error
     if found != {"run": run, "gateway": gateway}:
         raise UsageError(
-            f"{root} belongs to {found}, asked for gateway {gateway!r} of run {run!r}: choose another --out or --name"
+            f"{root} belongs to {found}, not to gateway {gateway!r} of run {run!r}: choose another --out or --name"
         )
 
 

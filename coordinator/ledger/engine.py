@@ -32,7 +32,7 @@ __all__ = [
     "sqlite_url",
 ]
 
-_EXAMPLES = "give e.g. sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
+_EXAMPLES = "examples: sqlite:///PATH or postgresql+psycopg://USER@HOST/DATABASE"
 _LOCK = 0x6D696E69766C61
 """Of the advisory lock: one writer a database."""
 _LOCK_HELD = text("""
@@ -85,7 +85,7 @@ def open_reader(url: str) -> Engine:
         return engine
     file = _sqlite_file(url)
     if not file.is_file():
-        raise WorldError(f"no ledger at {file}; start a run there with `factory run` or `factory coordinator start`")
+        raise WorldError(f"no ledger at {file}; start a run with `factory run` or `factory coordinator start`")
     return create_engine("sqlite://", creator=lambda: _connect_readonly(file), poolclass=NullPool)
 
 
@@ -132,7 +132,7 @@ def is_server(url: str) -> bool:
     try:
         return make_url(url).get_backend_name() == "postgresql"
     except ArgumentError as error:
-        raise UsageError(f"the ledger's URL cannot be understood: {error}; {_EXAMPLES}") from error
+        raise UsageError(f"the ledger's URL is not valid: {error}; {_EXAMPLES}") from error
 
 
 def _create(url: str, **options: Any) -> Engine:
@@ -140,7 +140,8 @@ def _create(url: str, **options: Any) -> Engine:
         return create_engine(url, **options)
     except ImportError as error:
         raise UsageError(
-            f"cannot open ledger {shown_url(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and write "
+            f"cannot open ledger {shown_url(url)}: {error}; for PostgreSQL: pip install 'psycopg[binary]', and use a "
+            "URL that begins with "
             "postgresql+psycopg://"
         ) from error
     except (ArgumentError, NoSuchModuleError) as error:
@@ -167,7 +168,9 @@ def _reach(engine: Engine) -> None:
         shown = engine.url.render_as_string(hide_password=True)
         engine.dispose()
         reason = " ".join(str(error.orig).split())
-        raise WorldError(f"ledger {shown} cannot be reached: {reason}; is the server up, the database made?") from error
+        raise WorldError(
+            f"ledger {shown} cannot be reached: {reason}; check that the server is running and that the database exists"
+        ) from error
     except WorldError:
         engine.dispose()
         raise
@@ -186,7 +189,7 @@ def _hold_alone(raw: Any, _record: object) -> None:
         if time.monotonic() > deadline:
             raw.close()
             raise WorldError(
-                "another coordinator writes to the ledger's database: stop it first, or give another --ledger"
+                "the ledger's database is in use by another coordinator: stop it first, or give another --ledger"
             )
         time.sleep(_LOCK_PAUSE_S)
 

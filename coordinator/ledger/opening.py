@@ -93,7 +93,7 @@ def open_run(
     Raises:
         UsageError: the database belongs to another plan, or to a newer version of the ledger.
         WorldError: a scene is not the one the run began with.
-        InvalidPlan: the plan asks for what its scenes do not have.
+        InvalidPlan: the plan requires what its scenes do not have.
     """
     with engine.begin() as connection:
         if holds_run(connection):
@@ -128,20 +128,21 @@ def read_info(connection: Connection) -> LedgerInfo:
         WorldError: it cannot be understood.
     """
     if not holds_run(connection):
-        raise UsageError("the database holds no ledger yet: begin a run with `factory run`")
+        raise UsageError("the database contains no ledger: start a run with `factory run`")
     facts = {row.key: row.value for row in connection.execute(select(info))}
     try:
         return _info_of(facts)
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         said = str(error).splitlines()[0]
-        raise WorldError(f"the ledger is damaged: its description cannot be understood ({said})") from error
+        raise WorldError(f"the ledger is damaged: its description cannot be read ({said})") from error
 
 
 def _info_of(facts: Mapping[str, str]) -> LedgerInfo:
     found = int(facts["format"])
     if found > LEDGER_FORMAT:
         raise UsageError(
-            f"the ledger has format {found}, this software reads up to {LEDGER_FORMAT}: use the newer minivla-factory "
+            f"the ledger has format {found}, this software reads formats up to {LEDGER_FORMAT}: use the newer "
+            "minivla-factory "
             "that wrote it"
         )
     plan = Plan.model_validate_json(facts["plan"])
@@ -236,9 +237,9 @@ def require_plan(begun: Plan, plan: Plan) -> None:
     """
     if begun.digest != plan.digest:
         raise UsageError(
-            f"the directory holds run {begun.run} ({begun.episodes} episodes, seed {begun.seed}), asked for "
-            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): leave PLAN and its options out, as in "
-            "`factory run --out DIR`, to continue what is there, or choose another --out"
+            f"the directory contains run {begun.run} ({begun.episodes} episodes, seed {begun.seed}), not the requested "
+            f"{plan.run} ({plan.episodes} episodes, seed {plan.seed}): to continue it, run "
+            "`factory run --out DIR` without PLAN and its options; otherwise choose another --out"
         )
 
 
@@ -248,6 +249,7 @@ def _check_is_ours(found: LedgerInfo, plan: Plan, catalog: Catalog) -> None:
         if name not in catalog or catalog[name].sha256 != sha256:
             now = catalog[name].sha256[:16] if name in catalog else "none"
             raise WorldError(
-                f"scene {name!r} was {sha256[:16]} when run {found.run} began and is {now} now, so new episodes would "
-                "not fit the old ones: restore the former scene, or choose another --out"
+                f"scene {name!r} has SHA-256 {now}, but had {sha256[:16]} when run {found.run} began, so new "
+                "episodes would "
+                "differ from the existing ones: restore the former scene, or choose another --out"
             )

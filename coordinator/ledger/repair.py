@@ -273,5 +273,5 @@ def _made(how: Transition, connection: Connection, row: Row[Any], values: Mappin
 
 def _required(row: Row[Any] | None) -> Row[Any]:
     if row is None:
-        raise AssertionError("a ledger nobody else writes has moved")
+        raise AssertionError("the ledger was changed by another writer")
     return row

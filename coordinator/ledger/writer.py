@@ -200,6 +200,6 @@ def _say(event: str, error: SQLAlchemyError | WorldError, **fields: Any) -> None
 
 
 def _transient(error: SQLAlchemyError | WorldError) -> TransientError:
-    failure = TransientError(f"the ledger did not take it: {error}; look after its disk or server, then ask again")
+    failure = TransientError(f"the write to the ledger failed: {error}; check its disk or server, then try again")
     failure.__cause__ = error
     return failure

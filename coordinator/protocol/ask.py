@@ -78,7 +78,7 @@ def _ask(
     except zenoh.ZError as error:
         raise TransientError(f"no coordinator at {named}: {error}; start one, or check the endpoint") from error
     admitted = f", or it does not admit {name!r} (its hosts.txt)" if tls is not None else ""
-    raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; ask again")
+    raise TransientError(f"the coordinator at {named} did not answer {verb!r}{admitted}; try again")
 
 
 def _read(payload: bytes, answer: type[R], named: str) -> R:
@@ -88,5 +88,5 @@ def _read(payload: bytes, answer: type[R], named: str) -> R:
         try:
             refusal = Refusal.model_validate_json(payload)
         except ValidationError:
-            raise WorldError(f"{named} speaks another version of the protocol: {error}") from error
+            raise WorldError(f"{named} uses another version of the protocol: {error}") from error
         raise WorldError(f"the coordinator at {named} refused: {refusal.error}") from error

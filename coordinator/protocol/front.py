@@ -153,7 +153,7 @@ class Front(Closing):
 
     def _fail(self, inquiry: Inquiry, error: BaseException) -> None:
         self._log(log.error, "request_failed", inquiry, error=describe_error(error))
-        inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed over it; its log says more"))
+        inquiry.answer(Refusal(error=f"{inquiry.verb}: the coordinator failed to process it; see its log"))
 
     def _log(self, write: Callable[..., None], event: str, inquiry: Inquiry, **fields: object) -> None:
         self._limit.write(write, event, inquiry.host, host=inquiry.host, verb=inquiry.verb, **fields)

@@ -154,7 +154,7 @@ def _listen(wanted: Sequence[str], configure: Open) -> tuple[tuple[str, ...], ze
             if endpoints == tuple(wanted) or trial + 1 == _PORT_TRIES:
                 named, reason = ", ".join(endpoints), str(error).split(" at /")[0]  # without zenoh's source paths
                 raise WorldError(
-                    f"cannot listen on {named}: {reason}; is another coordinator running there? Stop it, or give "
+                    f"cannot listen on {named}: {reason}; if another coordinator is running there, stop it, or give "
                     "another endpoint with --listen"
                 ) from error
     raise AssertionError("unreachable")

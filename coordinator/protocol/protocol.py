@@ -129,21 +129,25 @@ def parse(
     """
     known = known or _MESSAGES
     if verb not in known:
-        return Refusal(error=f"no verb {verb[:40]!r}; asked for one of: {', '.join(known)}")
+        return Refusal(error=f"unknown verb {verb[:40]!r}; valid verbs: {', '.join(known)}")
     if not is_host_name(host):
-        return Refusal(error=f"{verb}: {host[:_SHOWN_CHARS]!r} is no name for a host; give one such as node-07")
+        return Refusal(error=f"{verb}: {host[:_SHOWN_CHARS]!r} is not a valid host name; example: node-07")
     most = _MESSAGE_BYTES.get(Verb(verb), _SMALL_MESSAGE_BYTES)
     if len(payload) > most:
         return Refusal(error=f"{verb}: {len(payload)} bytes, more than {most}")
     if most < MAX_MESSAGE_BYTES and payload.count(_NAME_END) > most // _BYTES_A_NAME:
-        return Refusal(error=f"{verb}: more names than such a message can have; do both sides run the same version?")
+        return Refusal(error=f"{verb}: more names than this message allows; check that both sides run the same version")
     try:
         message = known[Verb(verb)].model_validate_json(payload)
     except ValidationError as error:
-        return Refusal(error=f"{verb}: not understood ({_mistakes(error)}); do both sides run the same version?")
+        return Refusal(
+            error=f"{verb}: invalid message ({_mistakes(error)}); check that both sides run the same version"
+        )
     sid = getattr(message, "sid", None)
     if known is _MESSAGES and sid is not None and not sid_belongs_to(sid, host):
-        return Refusal(error=f"{verb}: session {sid!r} is not of host {host!r}; session ids begin with their host")
+        return Refusal(
+            error=f"{verb}: session {sid!r} does not belong to host {host!r}; session ids begin with the host name"
+        )
     return ParsedRequest(host, message)
 
 
@@ -175,7 +179,9 @@ def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: dateti
 
 def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: datetime) -> ProtocolAnswer:
     if hello.host != host:
-        return ProtocolAnswer(Refusal(error=f"hello: says it is host {hello.host!r} under the key of {host!r}"))
+        return ProtocolAnswer(
+            Refusal(error=f"hello: the message names host {hello.host!r}, but its key names {host!r}")
+        )
     if hello.version != terms.version:
         return ProtocolAnswer(
             Refusal(

@@ -77,7 +77,7 @@ def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: d
             "the same version on both"
         )
     if terms.errands is not None:
-        return Refusal(error="what an evaluation brings is small and wanted in one place: connect its workers here")
+        return Refusal(error="gateways do not store the results of evaluations: connect the workers to the coordinator")
     return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)
 
 
@@ -144,8 +144,8 @@ def _refused(connection: Connection, told: Refused, gateway: str, terms: Terms, 
 def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Terms, now: datetime) -> Model:
     if told.is_new and (kept := keepers.count_by_gateway(connection).get(gateway)):
         return Refusal(
-            error=f"the ledger says that {kept} episodes lie at gateway {gateway}, and its directory is new: "
-            "give the --out it had, or another --name; what is gone for good is made again after "
+            error=f"the ledger has {kept} episodes at gateway {gateway}, but the gateway's directory is new: "
+            "give its former --out, or another --name; lost episodes are generated again after "
             "`factory gather CORE_DIR --requeue-missing`"
         )
     files = {index: size for index, size in told.files if told.first <= index <= told.last}
@@ -153,7 +153,9 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
     for index, size in keepers.kept_by(connection, gateway, told.first, told.last):
         owned.add(index)
         if files.get(index) != size:
-            wrong[index] = f"{files[index]} bytes, the ledger says {size}" if index in files else "its file is gone"
+            wrong[index] = (
+                f"{files[index]} bytes, but {size} in the ledger" if index in files else "its file is missing"
+            )
         if len(wrong) == MAX_LOST:
             break
     for index, why in wrong.items():

@@ -53,7 +53,8 @@ class Guard:
             text = self.files.admitted.read_text(encoding="ascii")
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(
-                f"{self.files.admitted} cannot be read ({error}): the --tls of one who listens is a folder made by "
+                f"{self.files.admitted} cannot be read ({error}): a coordinator or gateway needs a --tls folder "
+                "created by "
                 f"`factory keys host DIR NAME --role {Role.GATEWAY if self.of_gateway else Role.COORDINATOR}`"
             ) from error
         try:
@@ -73,9 +74,9 @@ def read_credentials(folder: Path) -> tuple[TlsFiles, str]:
     try:
         missing = [path.name for path in (files.ca, files.certificate, files.key, files.name) if not path.is_file()]
         if missing:
-            raise UsageError(f"{folder} lacks {', '.join(missing)}: give a folder that `factory keys host` has made")
+            raise UsageError(f"{folder} lacks {', '.join(missing)}: give a folder created by `factory keys host`")
         if files.key.stat().st_mode & _WORLD_BITS:
-            raise UsageError(f"{files.key} can be read by everybody: chmod 600 {files.key}")
+            raise UsageError(f"{files.key} is readable by other users: run chmod 600 {files.key}")
         return files, files.name.read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{folder} cannot be read: {error}") from error

@@ -78,7 +78,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
     result.quarantined += [archive.quarantine(path, "no episode by its name") for path in archive.foreign()]
     with engine.begin() as connection:
         for index in sorted(owned.keys() - present.keys() - away.keys()):
-            _requeue(connection, index, now, "its file is gone", result)
+            _requeue(connection, index, now, "its file is missing", result)
         for index in sorted((owned.keys() & present.keys() & away.keys()) - unsure.keys()):
             bring_home(connection, index)  # `factory gather` was cut off between file and ledger
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
@@ -96,7 +96,7 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
 
 def _requeue(connection: Connection, index: int, now: datetime, reason: str, result: Reconciled) -> None:
     if lose(connection, index, now, reason):
-        log.warning("episode_lost", index=index, reason=reason, remedy="it is made anew, with the same content")
+        log.warning("episode_lost", index=index, reason=reason, remedy="it is generated again, with the same content")
         result.requeued.append(index)
 
 
@@ -118,7 +118,7 @@ def _judge_errand(ledger: Connection, index: int, path: Place, terms: Terms, che
     """Judges a result of an evaluation, which does not say which attempt it is of: the one in force."""
     row = current_job(ledger, index)
     if row is None:
-        return "nothing of that number was asked for"
+        return "the plan has no episode of this number"
     try:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
         target = terms.catalog[row.scene].info.target(row.target_id)
@@ -137,8 +137,8 @@ def _require_own_plan(archive: Archive, terms: Terms, verdicts: Mapping[int, _Ve
     strange = [found for found in verdicts.values() if isinstance(found, Foreign)]
     if strange and not owned and all(isinstance(found, str) for found in verdicts.values()):
         raise UsageError(
-            f"{archive.root} holds {len(strange)} episodes, and none of run {terms.plan.run}; the first is "
-            f"{strange[0]}: give the plan that it was begun with, or choose another --out"
+            f"{archive.root} holds {len(strange)} episodes, none of them of run {terms.plan.run}; the first is "
+            f"{strange[0]}: give the plan of the dataset, or choose another --out"
         )
 
 
@@ -162,7 +162,7 @@ def _settle(
             result.adopted.append(index)
             continue
         if index in owned:
-            refusal = f"{unsure[index].stat().st_size} bytes, the ledger says {owned[index]}; {refusal}"
+            refusal = f"{unsure[index].stat().st_size} bytes; in the ledger {owned[index]}; {refusal}"
         result.quarantined.append(archive.quarantine(unsure[index], refusal))
         if index in owned:
             with engine.begin() as connection:

@@ -32,7 +32,7 @@ def renew_ledger(archive: Archive, url: str, catalog: Catalog) -> None:
         return
     if is_server(url) and "lacks the tables" not in trouble:
         raise WorldError(
-            f"the ledger {shown_url(url)} {trouble}: bring the database back from a backup, or give an empty one with "
+            f"the ledger {shown_url(url)} {trouble}: restore the database from a backup, or give an empty one with "
             f"--ledger; `factory repair {archive.root}` then rebuilds it from the episodes"
         )
     set_aside_ledger(archive, url, trouble)

@@ -71,7 +71,7 @@ def survey_archive(
     found = {summary.index for summary in result.adopt} | (owned.keys() - gone)
     result.restore += _restorable(root, judge, found)
     back = {summary.index for _, summary in result.restore}
-    result.requeue += [(index, "its file is gone") for index in sorted(gone - back)]
+    result.requeue += [(index, "its file is missing") for index in sorted(gone - back)]
     result.requeue = [(index, why) for index, why in result.requeue if index not in back]
     return result
 
@@ -98,12 +98,12 @@ def _is_episode(path: Place, folder: Place) -> bool:
 def _difference(path: Place, row: Row[Any]) -> str:
     size = path.stat().st_size
     if size != row.size:
-        return f"{size} bytes, the ledger says {row.size}"
+        return f"{size} bytes; in the ledger {row.size}"
     try:
         found = digest_of(path)
     except OSError as error:
         return f"cannot be read: {error.strerror}"
-    return "" if found == row.sha256 else f"SHA-256 {found}, the ledger says {row.sha256}"
+    return "" if found == row.sha256 else f"SHA-256 {found}; in the ledger {row.sha256}"
 
 
 def _judge(

@@ -33,15 +33,16 @@ def parse_address(text: str, token: str | None) -> HttpAddress:
     """
     host, colon, port = text.rpartition(":")
     if not colon or not port.isdigit() or int(port) > 65535:
-        raise UsageError(f"{text!r} is no HOST:PORT; write 127.0.0.1:9464")
+        raise UsageError(f"{text!r} is not HOST:PORT; example: 127.0.0.1:9464")
     host = host.strip("[]") or "0.0.0.0"  # noqa: S104 - asked for, and only behind a token
     if token is not None and len(token) < _MIN_TOKEN:
         raise UsageError(
-            f"the token has {len(token)} characters, at least {_MIN_TOKEN} are wanted: openssl rand -hex 16"
+            f"the token has {len(token)} characters, at least {_MIN_TOKEN} are required; create one with: openssl "
+            "rand -hex 16"
         )
     if token is None and not _is_loopback(host):
         raise UsageError(
-            f"{text} could be reached from other machines: serve status pages on 127.0.0.1:PORT, or protect them with "
+            f"{text} is reachable from other machines: serve status pages on 127.0.0.1:PORT, or protect them with "
             "--http-token FILE"
         )
     return HttpAddress(host, int(port))

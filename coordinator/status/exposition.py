@@ -105,7 +105,7 @@ class Exposition:
             sum_value=snapshot.sums[Meter.VALIDATION_S],
         )
         yield self._gauge("minivla_disk_free_bytes", "Free on the archive's disk.", snapshot.free_bytes)
-        yield self._gauge("minivla_disk_reserve_bytes", "Below this nothing is given out.", snapshot.reserve_bytes)
+        yield self._gauge("minivla_disk_reserve_bytes", "Below this, no jobs are assigned.", snapshot.reserve_bytes)
         if snapshot.sandbox:
             active = {layer: int(layer in snapshot.sandbox) for layer in (RLIMITS, SECCOMP)}
             text = "1 where the layer confines the processes that validate bundles."

@@ -46,7 +46,7 @@ class Pages:
         if page is None:
             return say(HTTPStatus.NOT_FOUND, _INDEX)
         if path == "/metrics" and not self._is_let_in(authorization):
-            return say(HTTPStatus.UNAUTHORIZED, "a bearer token is wanted")
+            return say(HTTPStatus.UNAUTHORIZED, "a bearer token is required")
         return page()
 
     def _is_let_in(self, authorization: str) -> bool:

@@ -140,7 +140,7 @@ class _Handler(RequestHandler):
             return await asyncio.get_running_loop().run_in_executor(self._threads, self._pages.answer, *asked)
         except Exception:
             log.exception("status_page_failed", path=self.request.path[:80])
-            return say(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; the coordinator's log says more")
+            return say(HTTPStatus.INTERNAL_SERVER_ERROR, "failed; see the coordinator's log")
 
     def compute_etag(self) -> None:
         """Gives none: figures change with every answer."""

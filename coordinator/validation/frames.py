@@ -96,7 +96,7 @@ class _Survey:
         if not (nearest > 0 and ids.min() > 0):
             found += _disagreement(depth, ids)
         if farthest > self._far_m + DEPTH_SLACK_M:
-            found.append(f"depth {farthest:.3f} m lies beyond the camera's {self._far_m:g} m")
+            found.append(f"depth {farthest:.3f} m is beyond the camera's range of {self._far_m:g} m")
         return found
 
     def _strange_ids(self, ids: NDArray[np.uint16]) -> list[str]:

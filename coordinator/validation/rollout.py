@@ -87,7 +87,7 @@ def _success_findings(meta: EpisodeMeta, poses: NDArray[np.float64]) -> list[str
     if meta.rollout.end_reason is not EndReason.SUCCESS:
         return [f"end_reason is {meta.rollout.end_reason}; only successes are archived"]
     if len(poses) <= task.hold_steps:
-        return [f"{len(poses)} frames cannot hold a success of {task.hold_steps} stationary steps"]
+        return [f"{len(poses)} frames are too few for a success, which needs {task.hold_steps} stationary steps"]
     found = []
     hold = poses[-task.hold_steps - 1 :, :2]  # one more, as a speed takes two poses
     farthest = float(np.linalg.norm(hold[1:] - np.asarray(meta.target_centroid_m[:2]), axis=1).max())

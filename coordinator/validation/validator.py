@@ -131,7 +131,9 @@ class Validator(Closing):
                 if verdict is not None:
                     return _summary_or_raise(verdict)
                 self._limit.write(log.warning, "validator_died", file=str(path), how=child.last_words)
-        raise InvalidBundle("validation crashed", [f"{path.name}: {_TRIES} children died of it ({child.last_words})"])
+        raise InvalidBundle(
+            "validation crashed", [f"{path.name}: {_TRIES} validating processes died ({child.last_words})"]
+        )
 
     def _ask(self, child: _Child, task: ValidationTask, path: Path) -> Verdict | None:
         with _opened(path) as bundle:
@@ -192,7 +194,7 @@ class _Child:
         self.layers = tuple(layers)
         if word != "ready":
             self._kill()
-            raise TransientError(f"the validating process does not start ({self.last_words}): is memory left?")
+            raise TransientError(f"the validating process does not start ({self.last_words}): check the free memory")
         return self._process
 
     def _exchange(self, process: subprocess.Popen[str], limit_s: float, order: tuple[bytes, int] | None = None) -> str:
@@ -273,7 +275,7 @@ def _opened(path: Path) -> Iterator[int]:
         raise TransientError(f"{path} cannot be opened: {error.strerror}") from error
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise InvalidBundle("bundle refused", ["cannot be read: it is not a regular file"])
+            raise InvalidBundle("bundle refused", ["cannot be read: not a regular file"])
         yield descriptor
     finally:
         os.close(descriptor)

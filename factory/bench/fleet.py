@@ -107,7 +107,7 @@ class Member:
         """
         reply = json.loads(self.ask_for_work())
         if reply.get("lease") is None:
-            raise TransientError(f"no job was given: {reply}")
+            raise TransientError(f"the coordinator assigned no job: {reply}")
         return Lease.model_validate(reply["lease"])
 
     def announce(self, lease: Lease, digest: str, size: int) -> None:

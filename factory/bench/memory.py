@@ -89,7 +89,7 @@ class _Watched:
         self._simulation.order(order)
         report = self._hear(_ENDS)
         if report.reason is FailReason.CRASH:
-            raise WorldError(f"the simulation could not do {order.job.scene}: {report.detail}")
+            raise WorldError(f"the simulation failed in scene {order.job.scene}: {report.detail}")
         return report
 
     def close(self) -> None:

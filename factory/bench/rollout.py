@@ -95,9 +95,7 @@ def _warm_up(jobs: Sequence[Job], stage: SceneRenderer, file: BinaryIO) -> dict[
             bundle = BundleReader(file)
             return {kind: size / bundle.length / 1000 for kind, size in bundle.member_bytes().items()}
         details.append(outcome.detail)
-    raise WorldError(
-        f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so there is nothing to time: {details[0]}"
-    )
+    raise WorldError(f"none of {len(jobs)} jobs in {jobs[0].scene} succeeded, so nothing can be measured: {details[0]}")
 
 
 def _timed(job: Job, stage: SceneRenderer, watch: ProcessWatch, file: BinaryIO, tell: StepCallback) -> _Run:

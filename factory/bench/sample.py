@@ -61,7 +61,7 @@ def make_sample(
                 rows.append(row)
                 samples.append(BenchSample(job, archive.path_of(job.index)))
         if not rows:
-            raise WorldError(f"none of {plan.episodes} attempts succeeded, so there is nothing to measure")
+            raise WorldError(f"none of {plan.episodes} attempts succeeded, so nothing can be measured")
         scenes = {name: entry.sha256 for name, entry in catalog.items()}
         write_tables(archive, plan, scenes, rows, [], datetime.now(UTC))
     return tuple(samples)

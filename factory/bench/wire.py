@@ -153,8 +153,8 @@ def _hear(pipe: Connection) -> Any:
         if pipe.poll(_PATIENCE_S):
             return pipe.recv()
     except EOFError as error:
-        raise WorldError("a process of the benchmark ended early; its error stands above") from error
-    raise WorldError(f"a process of the benchmark said nothing for {_PATIENCE_S:.0f} s")
+        raise WorldError("a process of the benchmark ended early; see its error above") from error
+    raise WorldError(f"a process of the benchmark did not answer for {_PATIENCE_S:.0f} s")
 
 
 @contextmanager

@@ -26,7 +26,7 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
     short = [f"{part.name} {found[part.name]}" for part in parts if found[part.name] < episodes]
     if short:
         raise UsageError(
-            f"--episodes {episodes}: plan {plan.name!r} has fewer of {', '.join(short)}; choose another PLAN"
+            f"--episodes {episodes}: plan {plan.name!r} has fewer episodes of {', '.join(short)}; choose another PLAN"
         )
     return plan.model_copy(update={"scenes": tuple(part.model_copy(update={"episodes": episodes}) for part in parts)})
 

@@ -1,1 +1,1 @@
-"""The command line: one file a verb, arguments in, exit status out. Results on stdout, logs and bars on stderr."""
+"""The command line: one file per command. Results are printed on stdout, logs and progress bars on stderr."""

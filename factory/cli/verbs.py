@@ -1,4 +1,4 @@
-"""The table of `factory`'s verbs: module, section and one-line summary of each. Data only.
+"""The table of `factory`'s commands: module, section and one-line summary of each. Data only.
 
 A summary is the first paragraph of the command's help; a test compares them.
 """
@@ -12,23 +12,24 @@ __all__ = ["VERBS", "CommandEntry"]
 
 
 class CommandEntry(NamedTuple):
-    """One verb as `factory --help` lists it."""
+    """One command as `factory --help` lists it."""
 
     module: str
     """Module below `factory.cli` whose attribute `command` is the command."""
     section: str
-    """Heading above it."""
+    """Section heading in the help."""
     summary: str
-    """One sentence that fits one line of 80 columns."""
+    """One sentence that fits in one line of 80 columns."""
 
 
-_MAKE, _INSPECT, _USE, _LEARN, _FARM, _OTHER = "Make", "Inspect", "Use", "Train and evaluate", "Farm", "Other"
+_MAKE, _INSPECT, _USE, _LEARN = "Generate", "Inspect", "Export", "Train and evaluate"
+_FARM, _OTHER = "Multiple hosts", "Other"
 
 VERBS = MappingProxyType(
     {
-        "run": CommandEntry("run.run", _MAKE, "Make a dataset from a plan, or continue an interrupted run."),
-        "plan": CommandEntry("run.plan", _MAKE, "Show the episodes of a plan; find the nearest feasible plan."),
-        "scene": CommandEntry("scene.command", _MAKE, "Build, import, inspect and draw scenes."),
+        "run": CommandEntry("run.run", _MAKE, "Generate a dataset from a plan, or continue an interrupted run."),
+        "plan": CommandEntry("run.plan", _MAKE, "Show a plan's episode counts; find the nearest feasible plan."),
+        "scene": CommandEntry("scene.command", _MAKE, "Build, import, inspect and render scenes."),
         "gate": CommandEntry("run.gate", _MAKE, "Measure the success rate of first attempts in one scene."),
         "status": CommandEntry("inspect.status", _INSPECT, "Show the progress of a run and its workers."),
         "jobs": CommandEntry("inspect.jobs", _INSPECT, "List, show, retry and cancel jobs; release barred hosts."),
@@ -36,22 +37,22 @@ VERBS = MappingProxyType(
         "repair": CommandEntry("inspect.repair", _INSPECT, "Repair a damaged dataset, its ledger and its tables."),
         "replay": CommandEntry("inspect.replay", _INSPECT, "Simulate one episode again and compare its content."),
         "stats": CommandEntry("inspect.stats", _INSPECT, "Print the statistics of a dataset."),
-        "report": CommandEntry("inspect.report", _INSPECT, "Draw the figures of a dataset and an HTML page."),
-        "show": CommandEntry("inspect.show", _INSPECT, "Write one episode as a contact sheet or as a film."),
+        "report": CommandEntry("inspect.report", _INSPECT, "Write an HTML report with figures of a dataset."),
+        "show": CommandEntry("inspect.show", _INSPECT, "Write one episode as a contact sheet or a video."),
         "view": CommandEntry("inspect.view", _INSPECT, "Open one episode in the Rerun viewer."),
-        "export": CommandEntry("publish.export", _USE, "Write a dataset in another format."),
+        "export": CommandEntry("publish.export", _USE, "Convert a dataset to another format."),
         "push": CommandEntry("publish.push", _USE, "Upload a dataset or an export to the Hugging Face Hub."),
-        "train": CommandEntry("learn.train", _LEARN, "Train the baseline policies; needs the extra `train`."),
-        "eval": CommandEntry("eval.command", _LEARN, "Evaluate policies in closed loop on episodes of a dataset."),
+        "train": CommandEntry("learn.train", _LEARN, "Train baseline policies. Requires the extra `train`."),
+        "eval": CommandEntry("eval.command", _LEARN, "Evaluate policies in closed loop on the episodes of a dataset."),
         "coordinator": CommandEntry(
-            "farm.coordinator", _FARM, "Run the coordinator of a run with workers on other hosts."
+            "farm.coordinator", _FARM, "Start the coordinator of a run whose workers are on other hosts."
         ),
-        "gateway": CommandEntry("farm.gateway", _FARM, "Run a gateway between workers and a coordinator."),
+        "gateway": CommandEntry("farm.gateway", _FARM, "Start a gateway between workers and a coordinator."),
         "worker": CommandEntry("farm.worker", _FARM, "Simulate jobs of a coordinator on this host."),
-        "gather": CommandEntry("farm.gather", _FARM, "Copy the episodes that gateways keep into one dataset."),
+        "gather": CommandEntry("farm.gather", _FARM, "Copy the episodes stored by gateways into one dataset."),
         "keys": CommandEntry("farm.keys", _FARM, "Create and list the TLS certificates of hosts."),
         "bench": CommandEntry("other.bench", _OTHER, "Measure the performance of this machine."),
         "completion": CommandEntry("other.completion", _OTHER, "Print the completion script of a shell."),
     }
 )
-"""Verb by name, in the order of the help."""
+"""Command by name, in the order of the help."""

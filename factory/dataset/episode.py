@@ -117,7 +117,7 @@ class Episode(Closing):
 
     def _step(self, t: int) -> int:
         if not -len(self) <= t < len(self):
-            raise IndexError(f"{self.episode_id} has steps 0 to {len(self) - 1}, asked for {t}")
+            raise IndexError(f"{self.episode_id} has steps 0 to {len(self) - 1}, not {t}")
         return t % len(self)
 
     def _bundle(self) -> BundleReader:

@@ -45,7 +45,7 @@ class Dataset:
     >>> data[0].instruction, data["ep_000007"].rgb(0).shape  # doctest: +SKIP
 
     Raises:
-        WorldError: the directory holds no dataset, or one of a newer format.
+        WorldError: the directory is not a dataset, or one of a newer format.
         ArchiveCorrupt: its tables are damaged.
     """
 
@@ -76,7 +76,9 @@ class Dataset:
         table = self.metadata
         for name, values in wanted.items():
             if name not in _FILTERS:
-                raise UsageError(f"no filter {name!r}; there are {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}")
+                raise UsageError(
+                    f"unknown filter {name!r}; valid filters: {', '.join(_FILTERS)}{did_you_mean(name, _FILTERS)}"
+                )
             asked, column = _as_strings(values), _FILTERS[name]
             held = self._targets if name == "target" else pc.unique(self.metadata[column]).to_pylist()
             require_known(name, asked.to_pylist(), held, self.meta.plan)
@@ -103,7 +105,7 @@ class Dataset:
         """
         position = self._position(key) if isinstance(key, str) else key
         if not -len(self) <= position < len(self):
-            raise IndexError(f"{self.root} has {len(self)} episodes here, asked for number {position}")
+            raise IndexError(f"{self.root}: index {position} is out of range for {len(self)} episodes")
         (row,) = self.metadata.slice(position % len(self), 1).to_pylist()
         summary = _parse(self.root, row)
         return Episode(self.root / file_name_of(summary.episode_id), summary)
@@ -111,7 +113,7 @@ class Dataset:
     def _position(self, episode_id: str) -> int:
         position = int(pc.index(self.metadata["episode_id"], episode_id).as_py())
         if position < 0:
-            raise KeyError(f"{episode_id} is not among these {len(self)} episodes of {self.root}")
+            raise KeyError(f"{episode_id} is not one of the {len(self)} selected episodes of {self.root}")
         return position
 
     def __repr__(self) -> str:
@@ -129,9 +131,9 @@ def _read_table(path: Place) -> pa.Table:
         table.validate(full=True)  # else text that is no UTF-8 is found when it is used
         return table.select(_COLUMNS)  # columns that a later version added are not ours to know
     except FileNotFoundError as error:
-        raise ArchiveCorrupt(f"{path} is missing: a resumed run writes it anew") from error
+        raise ArchiveCorrupt(f"{path} is missing: resume the run to rewrite it") from error
     except (pa.ArrowException, *PARSER_ERRORS) as error:
-        raise ArchiveCorrupt(f"{path} is damaged ({error}): a resumed run writes it anew") from error
+        raise ArchiveCorrupt(f"{path} is damaged ({error}): resume the run to rewrite it") from error
 
 
 def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:
@@ -139,4 +141,4 @@ def _parse(root: Place, row: dict[str, Any]) -> EpisodeSummary:
         return EpisodeSummary.model_validate(row)
     except ValidationError as error:
         found = f"{error.error_count()} wrong values, first at {error.errors()[0]['loc']}"
-        raise ArchiveCorrupt(f"{root / METADATA_FILE} is damaged ({found}): a resumed run writes it anew") from error
+        raise ArchiveCorrupt(f"{root / METADATA_FILE} is damaged ({found}): resume the run to rewrite it") from error

@@ -70,9 +70,9 @@ class FrameDataset:
 
     def __init__(self, dataset: Dataset, with_ids: bool = False, stride: int = 1, threads: int | None = None) -> None:
         if stride < 1:
-            raise ValueError(f"stride {stride}: at least 1")
+            raise ValueError(f"stride {stride}: must be at least 1")
         if threads is not None and threads < 1:
-            raise ValueError(f"threads {threads}: at least 1")
+            raise ValueError(f"threads {threads}: must be at least 1")
         self._dataset = dataset
         self._with_ids = with_ids
         self._stride = stride
@@ -112,7 +112,7 @@ class FrameDataset:
 
     def _find(self, index: int) -> tuple[Episode, int]:
         if not -len(self) <= index < len(self):
-            raise IndexError(f"{len(self)} frames, asked for number {index}")
+            raise IndexError(f"index {index} is out of range for {len(self)} frames")
         index %= len(self)
         position = int(np.searchsorted(self._ends, index, side="right"))
         first = int(self._ends[position - 1]) if position else 0

@@ -35,7 +35,7 @@ def require_known(name: str, values: Iterable[str], held: Sequence[str], plan: P
     for value in values:
         if value not in words and value not in held and not is_spelt_like_one(value, plan):
             there = list(dict.fromkeys((*words, *held)))
-            raise UsageError(f"no {name} {value!r}; there are {_enumerate(there)}{did_you_mean(value, there)}")
+            raise UsageError(f"unknown {name} {value!r}; valid values: {_enumerate(there)}{did_you_mean(value, there)}")
 
 
 def _enumerate(names: Sequence[str]) -> str:

@@ -62,7 +62,7 @@ The loaders skip trajectories of no more than context_size + len_traj_pred frame
 class GnmOptions(Decimated):
     """Options of format `gnm`."""
 
-    jpeg_quality: int = Field(default=92, ge=1, le=100, description="Quality of JPEG frames.")
+    jpeg_quality: int = Field(default=92, ge=1, le=100, description="JPEG quality, 1 to 100. Default: 92.")
 
 
 class GnmFacts(EpisodeFacts):

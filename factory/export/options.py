@@ -18,7 +18,7 @@ class Decimated(Options):
         default=None,
         ge=1,
         le=240,
-        description="Frames a second; a divisor of the dataset's rate, which is the default.",
+        description="Frame rate, 1/s, a divisor of the dataset's rate. Default: the dataset's rate.",
     )
 
     def check(self, meta: DatasetMeta) -> None:
@@ -35,5 +35,5 @@ def stride_of(fps: int | None, recorded_hz: int) -> int:
     wanted = recorded_hz if fps is None else fps
     if wanted < 1 or recorded_hz % wanted:
         rates = ", ".join(str(rate) for rate in range(1, recorded_hz + 1) if recorded_hz % rate == 0)
-        raise UsageError(f"--fps {wanted}: the dataset has {recorded_hz} frames a second, which can become {rates}")
+        raise UsageError(f"--fps {wanted}: the dataset has {recorded_hz} frames per second; valid values: {rates}")
     return recorded_hz // wanted

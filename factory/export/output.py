@@ -222,7 +222,7 @@ def _lock(root: Path) -> int | None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(descriptor)
-        raise WorldError(f"another export works on {root}: wait for it, or choose another --out") from error
+        raise WorldError(f"another export is writing to {root}: wait until it ends, or choose another --out") from error
     except OSError as error:
         os.close(descriptor)
         raise world_error("lock", root, error) from error

@@ -43,7 +43,8 @@ class PaperOptions(Options):
     """Options of format `paper`."""
 
     split_names: Literal["paper", "published"] = Field(
-        default="paper", description="Split names of the paper, or test_ood_lang as in the published repository."
+        default="paper",
+        description="Split names: of the paper, or published (test_ood_lang, as in its repository). Default: paper.",
     )
 
 

@@ -47,7 +47,7 @@ def check_format(name: str) -> None:
         return
     if name.lower() in _EXTERNAL_FORMATS:
         raise UsageError(f"`factory export` does not write {name.lower()}: {_EXTERNAL_FORMATS[name.lower()]}")
-    raise UsageError(f"unknown format {name!r}; formats: {', '.join(EXPORTERS)}{did_you_mean(name, EXPORTERS)}")
+    raise UsageError(f"unknown format {name!r}; valid formats: {', '.join(EXPORTERS)}{did_you_mean(name, EXPORTERS)}")
 
 
 @cache

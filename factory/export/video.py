@@ -155,7 +155,9 @@ def join_videos(sources: Iterable[Path], target: Path, fps: int) -> int:
                     stream.time_base, head = video.time_base, extra
                     step = Fraction(1, fps) / stream.time_base
                 if extra != head or video.time_base != stream.time_base or step.denominator != 1:
-                    raise ArchiveCorrupt(f"{source} was made with other settings: delete the export and begin anew")
+                    raise ArchiveCorrupt(
+                        f"{source} was encoded with other settings: delete the export and run the same command again"
+                    )
                 for packet in piece.demux(video):
                     if packet.dts is None:
                         continue

@@ -56,7 +56,9 @@ for sample in webdataset.WebDataset("train_id-{000000..000009}.tar", shardshuffl
 class WebdatasetOptions(Decimated):
     """Options of format `webdataset`."""
 
-    shard_mb: int = Field(default=500, ge=1, le=8000, description="Size of a shard in MB, at most one episode more.")
+    shard_mb: int = Field(
+        default=500, ge=1, le=8000, description="Size of a shard, MB; the last episode may exceed it. Default: 500."
+    )
 
 
 class WebdatasetFacts(EpisodeFacts):

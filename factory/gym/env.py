@@ -99,7 +99,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         if data is None:
             raise UsageError(
                 "data is missing: pass the directory of a dataset, gymnasium.make(ID, data='dataset'); "
-                "`factory run demo --out dataset` makes one"
+                "create a dataset with `factory run demo --out dataset`"
             )
         if actions not in {"continuous", "scaled", "tokens"}:
             raise UsageError(f"actions {actions!r}: choose continuous, scaled or tokens")
@@ -174,7 +174,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
     def _require_own_process(self) -> None:
         if self._pid != os.getpid():
             raise UsageError(
-                f"this environment was made by process {self._pid}, which was forked since: make it in the process "
+                f"this environment was created by process {self._pid} before a fork: create it in the process "
                 "that uses it. gymnasium.make_vec(ID, num_envs=4, vectorization_mode='async', data=DIR) does so, as do "
                 "AsyncVectorEnv and SubprocVecEnv with functions that call gymnasium.make"
             )
@@ -207,7 +207,7 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
         if episode is None:
             return self.specs.specs[int(self.np_random.integers(len(self.specs.specs)))]
         if episode not in self._by_id:
-            raise UsageError(f"no episode {episode!r} among these {len(self._by_id)}")
+            raise UsageError(f"episode {episode!r} is not one of the {len(self._by_id)} selected episodes")
         return self._by_id[episode]
 
     def _twist(self, action: NDArray[Any]) -> Twist:

@@ -36,6 +36,6 @@ def specs_for(root: Place, split: str, specs: str | Path | SpecSet | None) -> Sp
     unknown = [name for name in names if name not in set(Split)]
     if unknown:
         raise UsageError(
-            f"no split {', '.join(unknown)}; there are {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
+            f"unknown split {', '.join(unknown)}; valid splits: {', '.join(Split)}{did_you_mean(unknown[0], Split)}"
         )
     return specs_of_dataset(Dataset(root), [Split(name) for name in names])

@@ -113,10 +113,12 @@ def words_for(kind: InstructionKind, words: Sequence[str] | None, root: Place) -
     """
     if kind != "tokens":
         if words is not None:
-            raise UsageError(f"a vocabulary needs instruction='tokens', found instruction={kind!r}")
+            raise UsageError(f"a vocabulary requires instruction='tokens', found instruction={kind!r}")
         return ()
     if words is None:
         return vocabulary((*COLOUR_NAMES, *Dataset(root).metadata["instruction"].to_pylist()))
     if tuple(words[:2]) != vocabulary()[:2]:
-        raise UsageError(f"not a vocabulary: it begins with {tuple(words[:2])}; pass `env.unwrapped.vocabulary`")
+        raise UsageError(
+            f"not a valid vocabulary, because it begins with {tuple(words[:2])}; pass `env.unwrapped.vocabulary`"
+        )
     return tuple(words)

@@ -115,7 +115,7 @@ def expiry_of(certificate: bytes) -> datetime:
     try:
         return x509.load_pem_x509_certificate(certificate).not_valid_after_utc
     except ValueError as error:
-        raise WorldError(f"no certificate in PEM: {error}") from error
+        raise WorldError(f"the certificate is not valid PEM: {error}") from error
 
 
 def _read(authority: Certificate) -> tuple[x509.Certificate, EllipticCurvePrivateKey]:
@@ -127,9 +127,9 @@ def _read(authority: Certificate) -> tuple[x509.Certificate, EllipticCurvePrivat
         certificate = x509.load_pem_x509_certificate(authority.certificate)
         key = load_pem_private_key(authority.key, None)
     except (ValueError, TypeError) as error:
-        raise WorldError(f"the authority cannot be read ({error}): bring its files back from a backup") from error
+        raise WorldError(f"the authority cannot be read ({error}): restore its files from a backup") from error
     if not isinstance(key, EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
-        raise WorldError("the authority's key does not fit its certificate: bring both back from one backup")
+        raise WorldError("the authority's key does not match its certificate: restore both from the same backup")
     return certificate, key
 
 

@@ -38,7 +38,9 @@ def found(folder: Path, name: str, days: int, now: datetime) -> Path:
         UsageError: there is one; replacing it would shut every host out.
     """
     if (folder / _CA_KEY_FILE).exists() or (folder / CA_FILE).exists():
-        raise UsageError(f"{folder} has an authority; a new one would shut every host out: choose another folder")
+        raise UsageError(
+            f"{folder} contains an authority already; a new one would lock out all its hosts: choose another folder"
+        )
     made = found_authority(name, days, now)
     with translated("write", folder):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -101,8 +103,8 @@ def revoke(folder: Path, name: str) -> tuple[Path, ...]:
     _authority(folder)
     admitted = dict(_admitted(folder))
     if admitted.pop(name, None) is None:
-        known = ", ".join(admitted) or "nobody"
-        raise UsageError(f"{name!r} is not admitted; admitted: {known}")
+        known = ", ".join(admitted) or "none"
+        raise UsageError(f"{name!r} is not admitted; admitted hosts: {known}")
     return _tell_listeners(folder, admitted)
 
 
@@ -127,7 +129,7 @@ def _authority(folder: Path) -> Certificate:
         return Certificate((folder / CA_FILE).read_bytes(), (folder / _CA_KEY_FILE).read_bytes())
     except OSError as error:
         raise UsageError(
-            f"no authority in {folder} ({error.strerror}): make one with `factory keys ca {folder}`"
+            f"{folder} does not contain an authority ({error.strerror}): create one with `factory keys ca {folder}`"
         ) from error
 
 

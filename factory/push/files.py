@@ -67,7 +67,7 @@ def require_repository(name: str) -> str:
         UsageError: it is not of the form OWNER/NAME.
     """
     if not _REPOSITORY.fullmatch(name) or ".." in name or "--" in name:
-        raise UsageError(f"{name!r} names no repository; write OWNER/NAME, e.g. my-lab/office-navigation")
+        raise UsageError(f"{name!r} is not a valid repository; write OWNER/NAME, e.g. my-lab/office-navigation")
     return name
 
 
@@ -89,7 +89,7 @@ def plan_push(root: Path, manifest_name: str) -> PushPlan:
     except OSError as error:
         raise WorldError(f"cannot list {root}: {error.strerror}") from error
     if not files:
-        raise WorldError(f"{root} holds no file to upload")
+        raise WorldError(f"{root} contains no files to upload")
     remarks += _incomplete(root / (META_FILE if kind == "dataset" else manifest_name), kind)
     remarks += _crowded(files)
     return PushPlan(root, kind, tuple(files), _lerobot_version(root), tuple(remarks))

@@ -61,8 +61,9 @@ def push(
     require_safe_endpoint(api.endpoint)
     if not token:
         raise WorldError(
-            "no token for the Hugging Face Hub: run `hf auth login`, or set HF_TOKEN to a token with write access "
-            f"(made at {api.endpoint}/settings/tokens)"
+            "the token for the Hugging Face Hub is missing: run `hf auth login`, or set HF_TOKEN to a token with "
+            "write access "
+            f"(create one at {api.endpoint}/settings/tokens)"
         )
     with _translated(hub, repository, api.endpoint):
         url = api.create_repo(repository, repo_type="dataset", private=private or None, exist_ok=True)
@@ -82,7 +83,7 @@ def require_safe_endpoint(endpoint: str) -> None:
     if parts.scheme == "https" and parts.hostname:
         return
     if parts.scheme != "http" or not _is_loopback(parts.hostname or ""):
-        raise UsageError(f"endpoint {endpoint!r} would show your token on the way: give an https:// address")
+        raise UsageError(f"endpoint {endpoint!r} would send your token unencrypted: give an https:// URL")
 
 
 def _is_loopback(host: str) -> bool:
@@ -138,7 +139,7 @@ def _translated(hub: ModuleType, repository: str, endpoint: str) -> Iterator[Non
         status = error.response.status_code if error.response is not None else None
         raise WorldError(_say_status(status, repository, endpoint, error)) from None  # the cause holds the request
     except hub.errors.HFValidationError as error:
-        raise UsageError(f"{repository!r} is refused as a name: {error}") from None
+        raise UsageError(f"{repository!r} is not a valid repository: {error}") from None
     except (hub.errors.HTTPError, OSError, ValueError, RuntimeError) as error:
         raise WorldError(f"the upload to {endpoint} stopped ({type(error).__name__}: {error}); {_AGAIN}") from None
 

@@ -45,12 +45,14 @@ def require_usable(out: Path, force: bool) -> None:
         UsageError: `out` is a file, is in a dataset, or contains other files and `force` is false.
     """
     if out.exists() and not out.is_dir():
-        raise UsageError(f"{out} is a file; -o needs a folder")
+        raise UsageError(f"{out} is a file; give a folder with -o")
     inside = out.resolve()
     if any((folder / META_FILE).exists() for folder in (inside, *inside.parents)):
-        raise UsageError(f"{out} is inside a dataset, which can contain dataset files only; give -o another folder")
+        raise UsageError(f"{out} is inside a dataset, which must not contain other files; choose another -o")
     if not force and out.is_dir() and any(out.iterdir()) and _read_marker(out) is None:
-        raise UsageError(f"{out} is not empty and not a report; give an empty folder, or --force to write into it")
+        raise UsageError(
+            f"{out} is not empty and not a report; choose an empty folder with -o, or write into it with --force"
+        )
 
 
 def write_files(out: Path, files: Mapping[str, bytes], summary: Summary) -> None:
@@ -69,7 +71,7 @@ def write_files(out: Path, files: Mapping[str, bytes], summary: Summary) -> None
                 (out / name).unlink(missing_ok=True)
         _replace(out / MARKER_FILE, (summary.model_dump_json(indent=1) + "\n").encode())
     except OSError as error:
-        remedy = "free space or give another -o"
+        remedy = "free space or choose another -o"
         raise WorldError(f"cannot write the report to {out} ({error.strerror}); {remedy}") from error
 
 

@@ -70,7 +70,7 @@ def _read_drive(root: Place, row: EpisodeSummary, is_sample: bool, drives: Drive
         try:
             tokens, track = episode.tokens, _thin(episode.poses[:, :2])
         except ArchiveCorrupt as error:
-            rows.blame(name, f"left out of tracks, actions and frames: {_format_error(error, root)}")
+            rows.blame(name, f"skipped in trajectories, actions and frames: {_format_error(error, root)}")
             return
         np.add.at(drives.tokens, (tokens[:, 0], tokens[:, 1]), 1)
         drives.tracks[row.episode_id] = track
@@ -82,7 +82,7 @@ def _read_sample(episode: Episode, name: str, drives: Drives, rows: Rows, root: 
     try:
         drives.samples.append(_best_frame(episode))
     except ArchiveCorrupt as error:
-        rows.blame(name, f"left out of the sample frames: {_format_error(error, root)}")
+        rows.blame(name, f"skipped in the sample frames: {_format_error(error, root)}")
 
 
 def _thin(track: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -107,7 +107,7 @@ def _read_maps(root: Place, rows: Rows) -> dict[str, FloorMap]:
             with find_package(root, name, sha256).path.open("rb") as file:
                 found[name] = map_of(decode_scene(file))
         except (ArchiveCorrupt, InvalidBundle, OSError) as error:
-            rows.blame(SCENES, f"the map of {name} is left out: {_format_error(error, root)}")
+            rows.blame(SCENES, f"the map of {name} is missing: {_format_error(error, root)}")
     return found
 
 

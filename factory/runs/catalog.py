@@ -17,7 +17,7 @@ from factory.runs.plan_files import require_files
 from factory.scenes.build import build_scene, find_import, import_scene, load_edits, package_path
 from factory.scenes.limits import StageLimits
 from factory.scenes.rules import RuleBook
-from factory.scenes.targets.target_list import TargetList, list_file_name, format_target_list
+from factory.scenes.targets.target_list import TargetList, format_target_list, list_file_name
 from schemas.dataset_files import SCENES, STAGING
 from schemas.errors import ArchiveCorrupt, InvalidPlan, WorldError
 from schemas.plan import Plan, ScenePlan
@@ -43,7 +43,7 @@ def open_catalog(plan: Plan, root: Place, cache: Path, tell: MessageCallback = l
         if nearest.plan is not None:
             mistakes += [f"nearest possible: {change}" for change in nearest.changes]
             mistakes.append("write that plan with `factory plan nearest PLAN -o FILE.toml`")
-        raise InvalidPlan(f"plan {plan.name!r} asks for what its scenes do not have", mistakes)
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
     return entries
 
 
@@ -85,7 +85,7 @@ def find_package(root: Place, name: str, sha256: str) -> SceneEntry:
         entry = read_entry(package_file(path))
         if entry.sha256 == sha256:
             return entry
-    raise ArchiveCorrupt(f"{root / SCENES} holds no package of {name} with SHA-256 {sha256}; run `factory verify`")
+    raise ArchiveCorrupt(f"{root / SCENES} has no package of scene {name} with SHA-256 {sha256}; run `factory verify`")
 
 
 def write_target_lists(catalog: Catalog, root: Place) -> None:

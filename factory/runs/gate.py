@@ -185,7 +185,7 @@ class _Seat:
         if report.kind in {SimulationReportKind.READY, SimulationReportKind.PROGRESS} or self._job is None:
             return None
         if report.reason is FailReason.RELEASED:  # a full disk says nothing about the scene
-            raise WorldError(f"{report.detail}; free space where temporary files lie, or set TMPDIR")
+            raise WorldError(f"{report.detail}; free space in the folder of temporary files, or set TMPDIR")
         job, self._job = self._job, None
         self._bundle.unlink(missing_ok=True)
         return Trial(job, report.reason, report.detail)

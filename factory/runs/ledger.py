@@ -32,12 +32,16 @@ def read_ledger(site: Site, url: str | None = None) -> AbstractContextManager[Co
     if url is None and not site.home.is_dir():
         begin = f"start a run with `factory run demo --out {site}`"
         if site.store is None:
-            raise UsageError(f"no directory {site}; {begin}")
-        raise UsageError(f"no ledger of {site} here ({site.home}); {begin}, or `factory repair {site}` rebuilds it")
+            raise UsageError(f"directory {site} does not exist; {begin}")
+        raise UsageError(
+            f"the ledger of {site} is missing in {site.home}; {begin}, or rebuild the ledger with `factory repair "
+            f"{site}`"
+        )
     if url is None and not (site.home / LEDGER_FILE).is_file() and (count := len(children(site.place / EPISODES))):
         raise WorldError(
-            f"{site} has {count} episodes and no ledger: `factory repair {site}` rebuilds it from them, and so does "
-            "the command that the run was begun with"
+            f"{site} has {count} episodes but no ledger: rebuild the ledger with `factory repair {site}`, or "
+            "continue the run with "
+            "the command that started it"
         )
     return look_into(ledger_url_of(site.home, url))
 
@@ -52,8 +56,9 @@ def plan_of(site: Site) -> Plan | None:
     noted, described = _noted_plan(site.home), _described_plan(site.place)
     if noted is not None and described is not None and noted.digest != described.digest:
         raise WorldError(
-            f"the ledger in {site.home} is of run {noted.run}, and {META_FILE} of {site} of run {described.run}: put "
-            f"the ledger of {described.run} back, or let `factory repair {site}` rebuild it from the episodes"
+            f"the ledger in {site.home} is of run {noted.run}, and {META_FILE} of {site} of run {described.run}: "
+            "restore "
+            f"the ledger of {described.run}, or rebuild it from the episodes with `factory repair {site}`"
         )
     return noted or described
 

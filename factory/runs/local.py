@@ -120,7 +120,7 @@ def _require_work(run: LocalRun, progress: Progress) -> None:
     host, site = barred[0], run.store or run.root
     raise WorldError(
         f"host {host.host} is barred after {host.strikes} failures, last: {host.reason}; {progress.missing} of "
-        f"{progress.planned} episodes are missing. Put the host right, then `factory jobs release {site} {host.host}` "
+        f"{progress.planned} episodes are missing. Repair the host, then run `factory jobs release {site} {host.host}` "
         f"and `factory run --out {site}`"
     )
 
@@ -153,7 +153,9 @@ class _Crew(Closing):
             self._deaths += 1
             log.warning("worker_died", status=code, deaths=self._deaths)
             if self._deaths > _MOST_DEATHS:
-                raise WorldError(f"workers died {self._deaths} times without an episode, last with status {code}")
+                raise WorldError(
+                    f"workers died {self._deaths} times in a row without an episode, last with exit status {code}"
+                )
             self._members[place] = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:

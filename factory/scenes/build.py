@@ -42,7 +42,7 @@ def package_path(
     """
     if name not in BUILTIN_SCENES:
         known = f"known: {', '.join(BUILTIN_SCENES)}; use `factory scene import` for a USD"
-        raise UsageError(f"no built-in scene is called {name!r}; {known}{did_you_mean(name, BUILTIN_SCENES)}")
+        raise UsageError(f"{name!r} is not a built-in scene; {known}{did_you_mean(name, BUILTIN_SCENES)}")
     book = (rules or load_rules()).model_dump_json()
     made_from = f"{name}\n{seed}\n{AUTHOR_VERSION}\n{COMPILER_VERSION}\n{SCENE_FORMAT}\n{book}"
     if targets is not None:
@@ -118,9 +118,11 @@ def import_scene(
     """
     require_stage(path)
     if not _NAME.fullmatch(name):
-        raise UsageError(f"{name!r} cannot name a scene; use lower-case letters, digits and _, a letter first")
+        raise UsageError(
+            f"{name!r} is not a valid scene name; use lower-case letters, digits and _, starting with a letter"
+        )
     if name in BUILTIN_SCENES:
-        raise UsageError(f"{name!r} is a built-in scene; give yours another name")
+        raise UsageError(f"{name!r} is the name of a built-in scene; choose another --name")
     extraction, made_from = _read_stage(path, rules, targets, limits)
     known = recall_package(cache, name, made_from)
     if known is not None:

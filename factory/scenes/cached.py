@@ -81,4 +81,6 @@ def write_whole(path: Path, data: bytes) -> None:
         finally:
             Path(beside).unlink(missing_ok=True)
     except OSError as error:
-        raise WorldError(f"cannot write {path} ({error.strerror}); free space or choose another cache") from error
+        raise WorldError(
+            f"cannot write {path} ({error.strerror}); free some space, or choose another folder with --out"
+        ) from error

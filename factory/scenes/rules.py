@@ -96,11 +96,12 @@ def load_rules(path: Path = BUILTIN_RULES) -> RuleBook:
     except OSError as error:
         command = f"cp {shlex.quote(str(BUILTIN_RULES))} {shlex.quote(str(path))}"
         raise UsageError(
-            f"cannot read category rules {path} ({say_absence(error)}); omit the option to use the built-in rules, or "
-            f"copy them with `{command}`"
+            f"cannot read category rules from {path} ({say_absence(error)}); use the built-in rules without --rules, "
+            "or start "
+            f"with a copy of them: `{command}`"
         ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UsageError(f"{path} is not valid YAML: {error}") from error
     except ValidationError as error:
         mistakes = [f"  - {'.'.join(map(str, item['loc'])) or 'file'}: {item['msg']}" for item in error.errors()]
-        raise UsageError("\n".join([f"{path} is not a valid table of category rules:", *mistakes])) from error
+        raise UsageError("\n".join([f"{path} is not a valid list of category rules:", *mistakes])) from error

@@ -99,7 +99,7 @@ def find_fault(path: Path) -> str:
     if path.is_dir():
         return f"{path} is a directory; give the stage's root layer, a file in it ({_SUPPORTED})"
     if not path.is_file():
-        return f"no USD file at {path}; give the path of the stage's root layer"
+        return f"no USD file at {path}; give the path of a stage's root layer"
     try:
         with path.open("rb") as file:
             head = file.read(_READ_BYTES)
@@ -149,7 +149,7 @@ def _remedy(path: Path, kind: str) -> str:
     if kind in _CONVERTERS:
         return _CONVERTERS[kind]
     if kind not in {*_BLENDER_READS, "Blender"}:
-        return "export it as USD with the program that made it"
+        return "export it as USD from the program that created it"
     export = f"bpy.ops.wm.usd_export(filepath={path.stem + '.usdc'!r})"
     if kind == "Blender":
         return f"convert it: blender --background {shlex.quote(path.name)} --python-expr {_quoted(export)}"

@@ -31,7 +31,7 @@ class _Loader(yaml.SafeLoader):
         keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
         twice = sorted(key for key, count in keys.items() if count > 1)
         if twice:
-            problem = f"{', '.join(twice)} stand(s) twice in one row; is a line lost?"
+            problem = f"{', '.join(twice)} duplicated in one entry; check for a missing line"
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
         return super().construct_mapping(node, deep)
 
@@ -49,7 +49,7 @@ def read_yaml(text: str) -> Any:
     except RecursionError as error:
         raise yaml.YAMLError("its values are nested too deeply") from error
     except (ValueError, TypeError, OverflowError) as error:
-        raise yaml.YAMLError(f"a value cannot be understood: {error}") from error
+        raise yaml.YAMLError(f"a value is not valid: {error}") from error
 
 
 def say_absence(error: OSError) -> str:

@@ -73,7 +73,7 @@ def _parse(rows: Rows, file: str, table: pa.Table, model: type[Row]) -> list[Row
         except ValidationError as error:
             wrong.append(_say_wrong(number, values, error))
     if wrong:
-        rows.blame(file, f"{len(wrong)} of {table.num_rows} rows left out: {_some(wrong)}")
+        rows.blame(file, f"{len(wrong)} of {table.num_rows} rows skipped: {_some(wrong)}")
     return found
 
 
@@ -86,7 +86,7 @@ def _without_twins(rows: Rows, episodes: list[EpisodeSummary]) -> list[EpisodeSu
     first: dict[str, EpisodeSummary] = {}
     twins = [row.episode_id for row in episodes if first.setdefault(row.episode_id, row) is not row]
     if twins:
-        rows.blame(METADATA_FILE, f"{len(twins)} rows left out that stand there twice: {_some(twins)}")
+        rows.blame(METADATA_FILE, f"{len(twins)} duplicate rows skipped: {_some(twins)}")
     return list(first.values())
 
 
@@ -103,9 +103,9 @@ def _with_files(rows: Rows, root: Place) -> list[EpisodeSummary]:
         if sizes[row.episode_id] not in (None, row.file_bytes)
     ]
     if missing:
-        rows.blame(EPISODES, f"{len(missing)} episodes left out whose file is not there: {_some(missing)}")
+        rows.blame(EPISODES, f"{len(missing)} episodes skipped, because the file is missing: {_some(missing)}")
     if cut:
-        rows.blame(EPISODES, f"{len(cut)} episodes left out whose file has another size: {_some(cut)}")
+        rows.blame(EPISODES, f"{len(cut)} episodes skipped, because the file has another size: {_some(cut)}")
     return [row for row in rows.episodes if sizes[row.episode_id] == row.file_bytes]
 
 
@@ -120,9 +120,9 @@ def _read_failures(rows: Rows, path: Place) -> list[FailedAttempt] | None:
     try:
         table = pq.read_table(table_of(path)).select(list(FailedAttempt.model_fields))
     except FileNotFoundError:
-        rows.blame(ATTEMPTS_FILE, "is not there; attempts are left out; a resumed run writes it anew")
+        rows.blame(ATTEMPTS_FILE, "is missing; attempts are not counted; resume the run to rewrite it")
     except (pa.ArrowException, OSError, KeyError) as error:
-        rows.blame(ATTEMPTS_FILE, f"cannot be read ({error}); attempts are left out; a resumed run writes it anew")
+        rows.blame(ATTEMPTS_FILE, f"cannot be read ({error}); attempts are not counted; resume the run to rewrite it")
     else:
         if table.num_rows != rows.meta.failed_attempts:
             rows.blame(ATTEMPTS_FILE, f"has {table.num_rows} rows, {META_FILE} says {rows.meta.failed_attempts}")
@@ -137,7 +137,7 @@ def _compare_with_meta(rows: Rows, table_rows: int) -> None:
     if not meta.complete:
         rows.note(META_FILE, f"the run is not finished: {meta.episodes} of {meta.planned} planned episodes")
     if not rows.episodes:
-        rows.note(METADATA_FILE, "no episodes; every mean is left out")
+        rows.note(METADATA_FILE, "no episodes; there are no means")
 
 
 def _compare_with_plan(rows: Rows) -> None:

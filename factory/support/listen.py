@@ -20,7 +20,8 @@ def require_loopback(endpoints: Sequence[str]) -> None:
         host = _host_of(endpoint, "tcp")
         if host != "localhost" and not _is_loopback(host):
             raise UsageError(
-                f"{endpoint} could be reached from other machines: without --tls only loopback is listened on. Make "
+                f"{endpoint} is reachable from other machines: without --tls, only loopback addresses are allowed. "
+                "Create "
                 "certificates with `factory keys` and listen on tls/HOST:PORT, or stay on tcp/127.0.0.1:PORT"
             )
 
@@ -49,10 +50,10 @@ def _host_of(endpoint: str, wanted: str) -> str:
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol in {"tcp", "tls"} and protocol != wanted:
-        remedy = f"write tls/{address}, or leave out --tls" if wanted == "tls" else "give the TLS folder with --tls"
-        raise UsageError(f"{endpoint} and {'--tls' if wanted == 'tls' else 'no --tls'} do not go together: {remedy}")
+        remedy = f"write tls/{address}, or remove --tls" if wanted == "tls" else "give the TLS folder with --tls"
+        raise UsageError(f"{endpoint} and {'--tls' if wanted == 'tls' else 'no --tls'} cannot be combined: {remedy}")
     if protocol != wanted or not host or not port.isdigit() or int(port) > 65535:
-        raise UsageError(f"{endpoint!r} is no endpoint; write {wanted}/127.0.0.1:7447")
+        raise UsageError(f"{endpoint!r} is not a valid endpoint; example: {wanted}/127.0.0.1:7447")
     return host.strip("[]")
 
 

@@ -112,7 +112,9 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
         WorldError: the cache cannot be written.
     """
     if not len(dataset):
-        raise UsageError(f"{dataset.root} has no such episodes; `factory status` prints the splits and tiers it has")
+        raise UsageError(
+            f"{dataset.root} has no episodes of this split, scene and tier; `factory status` prints those that it has"
+        )
     key = CacheKey(dataset=dataset.digest, size=size, hold=hold)
     folder = root / key.name
 
@@ -130,7 +132,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
                     _make(dataset, key, folder, tell)
                     index = _read_index(folder)
     if index is None:
-        raise WorldError(f"the cache {folder} vanished while it was opened: run the command again")
+        raise WorldError(f"the cache {folder} was deleted while it was opened: run the command again")
     return _open(folder, index)
 
 
@@ -179,7 +181,9 @@ def _decode(dataset: Dataset, key: CacheKey, part: Path, tell: ProgressCallback)
         array.flush()
     np.savez(part / "labels.npz", actions=actions, is_stop=is_stop, episode=owner)
     if len(settings) > 1:
-        raise UsageError(f"{dataset.root} mixes rates, cameras or robots: train on one scene at a time with --scene")
+        raise UsageError(
+            f"{dataset.root} has scenes with different rates, cameras or robots: select one scene with --scene"
+        )
     hz, fov, speed, yaw_rate = settings.pop()
     index = _Index(
         key=key,
@@ -228,5 +232,5 @@ def _open(folder: Path, index: _Index) -> FrameCache:
         with (folder / "labels.npz").open("rb") as file, np.load(file) as labels:
             actions, is_stop, episode = labels["actions"], labels["is_stop"], labels["episode"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder, it is made anew") from error
+        raise WorldError(f"the cache {folder} is damaged ({error}): delete that folder; it is created again") from error
     return FrameCache(index, rgb, depth, mask, actions, is_stop, episode)

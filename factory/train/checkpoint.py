@@ -43,17 +43,19 @@ def parse_meta(text: object, path: Path) -> CheckpointMeta:
         UsageError: they are not a checkpoint's, or of a newer version.
     """
     if not isinstance(text, str):
-        raise UsageError(f"{path} is no checkpoint of `factory train`: it has no text `meta`")
+        raise UsageError(f"{path} is not a checkpoint of `factory train`: the text `meta` is missing")
     try:
         meta = CheckpointMeta.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         what = f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
-        raise UsageError(f"{path} is no checkpoint that this version reads ({what})") from error
+        raise UsageError(f"{path} is not a checkpoint that this version reads ({what})") from error
     if meta.format > CHECKPOINT_FORMAT or meta.look != PREPROCESS_VERSION:
         found = f"format {meta.format}, pictures of version {meta.look}"
         mine = f"format {CHECKPOINT_FORMAT}, pictures of version {PREPROCESS_VERSION}"
-        raise UsageError(f"{path} is of another version ({found}; this one reads {mine}): train it again")
+        raise UsageError(
+            f"{path} was written by another version ({found}; this version reads {mine}): train the policy again"
+        )
     return meta
 
 
@@ -79,16 +81,16 @@ def read_checkpoint(path: Path) -> Checkpoint:
     torch = load_torch()
     path = checkpoint_path(path)
     if not path.is_file():
-        raise UsageError(f"no checkpoint {path}; `factory train bc DIR -o OUT` makes OUT/{POLICY}")
+        raise UsageError(f"checkpoint {path} does not exist; `factory train bc DIR -o OUT` creates OUT/{POLICY}")
     if path.stat().st_size > MAX_BYTES:
         raise UsageError(f"{path} has {path.stat().st_size} bytes; checkpoints have at most {MAX_BYTES}")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # the unpickler raises a dozen types for what is no checkpoint
         first = (str(error).splitlines() or ["no reason given"])[0][:200]
-        raise WorldError(f"{path} is damaged or no checkpoint ({type(error).__name__}: {first})") from error
+        raise WorldError(f"{path} is damaged or not a checkpoint ({type(error).__name__}: {first})") from error
     if not isinstance(content, dict):
-        raise UsageError(f"{path} is no checkpoint of `factory train`: it holds a {type(content).__name__}")
+        raise UsageError(f"{path} is not a checkpoint of `factory train`: it contains a {type(content).__name__}")
     return Checkpoint(parse_meta(content.pop("meta", None), path), content)
 
 

@@ -45,7 +45,7 @@ class BcOptions(Model):
     @classmethod
     def _divides_a_frame(cls, size: int) -> int:
         if size not in SIZES:
-            raise ValueError(f"{size} px: a picture has {', '.join(map(str, SIZES))} px")
+            raise ValueError(f"{size} is not a valid image size; valid sizes: {', '.join(map(str, SIZES))} px")
         return size
 
 

@@ -123,7 +123,8 @@ def _check_folder(order: TrainOrder) -> Checkpoint | None:
         different = [f"{name} {then[name]}, now {now[name]}" for name in now if then[name] != now[name]]
         if different:
             raise UsageError(
-                f"{order.out} holds a training with other options ({'; '.join(different)}): give the same options to "
+                f"{order.out} contains a training with other options ({'; '.join(different)}): give the same options "
+                "to "
                 "continue it, or choose another --out"
             )
     with translated("write", order.out):
@@ -135,7 +136,7 @@ def _require_same_data(found: Checkpoint, meta: CheckpointMeta, out: Path) -> No
     then = found.meta
     if (then.train_digest, then.words) != (meta.train_digest, meta.words):
         raise UsageError(
-            f"{out} holds a training on other episodes ({_say_data(then)}; now {_say_data(meta)}): give the same "
+            f"{out} contains a training on other episodes ({_say_data(then)}; now {_say_data(meta)}): give the same "
             "dataset, --split, --scene and --tier to continue it, or choose another --out"
         )
 
@@ -149,7 +150,9 @@ def _caches(order: TrainOrder, watcher: Watcher) -> tuple[FrameCache, FrameCache
     part = order.dataset.filter(split=order.split)
     if not len(part):
         found = ", ".join(sorted(set(order.dataset.metadata["split"].to_pylist()))) or "none"
-        raise UsageError(f"{order.dataset.root} has no episodes of {order.split} here; splits there: {found}")
+        raise UsageError(
+            f"{order.dataset.root} has no such episodes in split {order.split}; splits with episodes: {found}"
+        )
 
     def tell(done: int, of: int) -> None:
         watcher.caching(done, of)
@@ -193,7 +196,7 @@ def _restore(order: TrainOrder, training: BcTraining, found: Checkpoint) -> list
 
 def _require_sound(measured: EpochMeasures) -> None:
     if measured.train_loss != measured.train_loss:  # NaN
-        raise WorldError(f"the loss of epoch {measured.epoch} is no number: try a lower --rate")
+        raise WorldError(f"the loss of epoch {measured.epoch} is not a finite number: try a lower --rate")
 
 
 def _write(out: Path, training: BcTraining, meta: CheckpointMeta, report: TrainReport) -> None:

@@ -135,14 +135,16 @@ def _check_listing(root: Place, rows: Rows, report: VerifyReport) -> None:
         name = f"{EPISODES}/{entry.name}"
         index = index_of_file(entry.name) if entry.is_file() and not entry.is_symlink() else None
         if index is None:
-            report.add(Kind.FOREIGN, name, "is no episode by its name")
+            report.add(Kind.FOREIGN, name, "is not named like an episode")
         elif episode_id(index) not in rows:
             report.add(
-                Kind.SURPLUS, name, f"{METADATA_FILE} does not name it (while a run is under way, it lags behind)"
+                Kind.SURPLUS,
+                name,
+                f"{METADATA_FILE} does not list it (during a run, the table is updated with a delay)",
             )
     for entry in children(root):
         if not is_part(entry.name):
-            report.add(Kind.FOREIGN, entry.name, "is no part of a dataset")
+            report.add(Kind.FOREIGN, entry.name, "does not belong to a dataset")
 
 
 def _check_tables(dataset: Dataset, rows: Rows, report: VerifyReport) -> None:
@@ -178,7 +180,7 @@ def _check_split_tables(dataset: Dataset, report: VerifyReport) -> None:
         return
     for fault in find_faults(dataset.root, report.deep):
         if not (lags and fault.kind in (FaultKind.ABSENT, FaultKind.OUTDATED)):
-            report.add(_KIND_OF_FAULT[fault.kind], fault.name, f"{fault.text}; `factory repair` writes it anew")
+            report.add(_KIND_OF_FAULT[fault.kind], fault.name, f"{fault.text}; rewrite it with `factory repair`")
 
 
 def _check_scenes(root: Place, meta: DatasetMeta, report: VerifyReport) -> dict[str, SceneEntry]:

@@ -69,7 +69,7 @@ def target_of(row: EpisodeSummary, scene: SceneEntry | None) -> tuple[Target | N
     if scene is None:
         return None, []
     if scene.sha256 != row.scene_sha256:
-        text = f"made in a scene with SHA-256 {row.scene_sha256}, {row.scene} has {scene.sha256}"
+        text = f"its scene has SHA-256 {row.scene_sha256}, but the package of {row.scene} has {scene.sha256}"
         return None, [Finding(Kind.CONTRADICTION, row.file_name, text)]
     try:
         return scene.info.target(row.target_id), []

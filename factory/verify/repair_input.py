@@ -54,14 +54,14 @@ def inspect_dataset(
         WorldError: a scene is not as recorded and cannot be built so again.
     """
     if not root.is_dir():
-        raise UsageError(f"no directory {root}; give the --out of a run")
+        raise UsageError(f"directory {root} does not exist; give the --out of a run")
     ledger = ledger_url_of(home, url)
     noted, described = _from_ledger(ledger), _from_meta(root)
     record, stranger = _settle_plan(root, noted, described, plan)
     if record is None:
         raise UsageError(
-            f"neither the ledger nor dataset_meta.json of {root} says what was planned: give the plan it was begun "
-            "with, by --plan FILE.toml or --plan NAME"
+            f"neither the ledger nor dataset_meta.json of {root} contains the plan of the run: give the plan "
+            "with --plan FILE.toml or --plan NAME"
         )
     catalog, troubles = _catalog(record, root, cache, tell)
     return RepairInput(root, home, ledger, record.plan, catalog, troubles, stranger)
@@ -141,11 +141,12 @@ def _built_again(
     try:
         made = open_catalog(record.plan.model_copy(update={"scenes": wanted}), cache / "nowhere", cache, tell)
     except FactoryError as error:
-        raise WorldError(f"{'; '.join(troubles.values())}; and it cannot be built again: {error}") from error
+        raise WorldError(f"{'; '.join(troubles.values())}; the scene cannot be built again: {error}") from error
     for name in troubles:
         if made[name].sha256 != record.scenes[name]:
             raise WorldError(
-                f"{troubles[name]}; built again it has SHA-256 {made[name].sha256}, so other software made it: bring "
-                f"the package back from a backup into {SCENES}/"
+                f"{troubles[name]}; built again it has SHA-256 {made[name].sha256}, so another version built it: "
+                "restore "
+                f"the package from a backup into {SCENES}/"
             )
     return dict(made)

@@ -78,7 +78,7 @@ class ArraySpec:
             most: the maximum, likewise.
         """
         if not (np.isfinite(least).all() and np.isfinite(most).all()):
-            return [f"{self.name}: holds NaN or infinity"]
+            return [f"{self.name}: contains NaN or infinity"]
         found = []
         if self.low is not None and np.less(least, self.low).any():
             found.append(f"{self.name}: minimum {np.min(least)} is below {self.low} {self.unit}")

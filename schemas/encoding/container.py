@@ -66,10 +66,10 @@ class ContainerWriter(Closing):
             ValueError: a member of that name is there already, or the container would pass 4 GiB.
         """
         if name in self._directory:
-            raise ValueError(f"{name!r} stands in the container already")
+            raise ValueError(f"{name!r} is already in the container")
         spelt = name.encode()
         if self._offset + len(data) + len(spelt) + _LOCAL.size > _MOST_BYTES:
-            raise ValueError(f"{name!r} of {len(data)} bytes does not fit: a container holds {_MOST_BYTES} bytes")
+            raise ValueError(f"{name!r} of {len(data)} bytes does not fit: a container has at most {_MOST_BYTES} bytes")
         flags = 0 if name.isascii() else _UTF8
         facts = (_VERSION, flags, _STORED, *_EPOCH, crc32(data), len(data), len(data), len(spelt), 0)
         self._directory[name] = (

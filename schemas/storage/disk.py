@@ -25,8 +25,8 @@ _REMEDIES = {
     errno.EROFS: "the file system is read-only: choose another --out",
     errno.EACCES: "the directory may not be written: change its permissions or choose another --out",
     errno.EPERM: "the directory may not be written: change its permissions or choose another --out",
-    errno.ENOTDIR: "a file stands where a directory is wanted: choose another --out",
-    errno.EEXIST: "a file stands where a directory is wanted: choose another --out",
+    errno.ENOTDIR: "the path is a file, not a directory: choose another --out",
+    errno.EEXIST: "the path is a file, not a directory: choose another --out",
 }
 
 
@@ -41,7 +41,7 @@ def require_room(root: Path, reserve_bytes: int) -> None:
         free = shutil.disk_usage(there).free
     if free < reserve_bytes:
         raise WorldError(
-            f"{root} has {free / 1e9:.2f} GB free, and a run keeps {reserve_bytes / 1e9:.2f} GB in reserve: free some "
+            f"{root} has {free / 1e9:.2f} GB free, but a run keeps {reserve_bytes / 1e9:.2f} GB in reserve: free some "
             "space or choose another --out"
         )
 

@@ -171,7 +171,7 @@ class _Ranges(io.RawIOBase):
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         base = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._size}[whence]
         if base + offset < 0:
-            raise ValueError(f"position {base + offset} lies before the beginning of {self._key}")
+            raise ValueError(f"position {base + offset} is before the beginning of {self._key}")
         self._position = base + offset
         return self._position
 

@@ -36,11 +36,11 @@ _CODE = re.compile(r"<Code>(\w{1,64})</Code>")
 _ASKED_THE_CLOUD = ("latest/api/token", "latest/meta-data", "computeMetadata", "metadata/identity")
 """Where machines of a cloud ask for credentials, which they do only when none were given."""
 _REMEDIES = (
-    ("NoSuchBucket", "make the bucket, or check its name and AWS_ENDPOINT_URL"),
+    ("NoSuchBucket", "create the bucket, or check its name and AWS_ENDPOINT_URL"),
     ("no credentials", "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or your cloud's own variables"),
     ("401", "check the credentials in the environment"),
     ("403", "check the credentials in the environment, and that they may read, write, list and delete there"),
-    ("501", "the store must know conditional writes (If-None-Match), so that no episode is ever overwritten"),
+    ("501", "use a store that supports conditional writes (If-None-Match), so that no episode is overwritten"),
     ("cannot be reached", "check the network and AWS_ENDPOINT_URL, then try again"),
 )
 
@@ -133,7 +133,7 @@ class Objects:
         try:
             return action(obstore, self._store)
         except (AlreadyExistsError, PreconditionError):
-            raise FileExistsError(errno.EEXIST, "is there already", place) from None
+            raise FileExistsError(errno.EEXIST, "already exists", place) from None
         # the door's own errors may quote requests with their signatures, so that none is chained to ours
         except FileNotFoundError as error:
             if "NoSuchBucket" not in str(error):
@@ -156,7 +156,8 @@ def _require_own_process(url: str) -> None:
         _users.append(os.getpid())
     if os.getpid() not in _users:
         raise UsageError(
-            f"{url} cannot be read in a process forked from one that has read it: start processes by spawning, e.g. "
+            f"{url} cannot be read after a fork of a process that has read it: start processes with the method "
+            "spawn, e.g. "
             "DataLoader(..., multiprocessing_context='spawn')"
         )
 
@@ -165,10 +166,10 @@ def _checked(url: str) -> str:
     scheme, _, rest = url.rstrip("/").partition("://")
     if scheme not in SCHEMES or not rest or any(mark in rest for mark in "?#") or ".." in rest.split("/"):
         raise UsageError(
-            f"{_shown(url)!r} names no place for a dataset: give a directory, or {'://, '.join(SCHEMES)}://BUCKET/NAME"
+            f"{_shown(url)!r} is not a valid location of a dataset: give a directory, or {'://, '.join(SCHEMES)}://BUCKET/NAME"
         )
     if "@" in rest:
-        raise UsageError(f"{_shown(url)!r}: a URL is no place for credentials; they are read from the environment")
+        raise UsageError(f"{_shown(url)!r}: a URL must not contain credentials; they are read from the environment")
     return f"{scheme}://{rest}"
 
 
@@ -187,7 +188,7 @@ def _open(url: str) -> Any:
         return from_url(url, client_options=_CLIENT, retry_config=_RETRY)
     except (BaseError, ValueError) as error:
         said = str(error).split("\n")[0]
-        raise UsageError(f"cannot open {url}: {said}; set your cloud's variables in the environment") from None
+        raise UsageError(f"cannot open {url}: {said}; set the environment variables of your cloud provider") from None
 
 
 def _world_error(what: str, place: str, said: str) -> WorldError:

@@ -31,7 +31,7 @@ def place_of(name: str | Place) -> Place:
     if name.startswith("file:"):
         parts = urlsplit(name)
         if parts.netloc not in ("", "localhost") or not parts.path.startswith("/"):
-            raise UsageError(f"{name!r} names no directory of this machine: write file:///DIRECTORY")
+            raise UsageError(f"{name!r} is not a local directory: write file:///DIRECTORY")
         return _path(unquote(parts.path))
     return ObjectPath.at(name) if "://" in name else _path(name)
 
@@ -39,7 +39,7 @@ def place_of(name: str | Place) -> Place:
 def _path(name: str) -> Path:
     trouble = path_trouble(name)
     if trouble:
-        raise UsageError(f"no directory {name[:80]!r}: {trouble}")
+        raise UsageError(f"{name[:80]!r} is not a valid directory: {trouble}")
     return Path(name)
 
 

@@ -61,7 +61,7 @@ def test_a_directory_of_another_plan_is_left_alone(factory, calm, tmp_path):
 
 def test_a_directory_within_a_dataset_is_refused(factory, plan, calm):
     err = factory("run", plan, "--out", calm / "episodes" / "x", expect=2).stderr
-    assert f"lies in the dataset {calm}" in err
+    assert f"is inside the dataset {calm}" in err
     assert not (calm / "episodes" / "x").exists()
 
 
@@ -71,7 +71,7 @@ def test_what_is_no_part_of_a_dataset_is_said_before_one_is_made_beside_it(facto
     out.mkdir()
     (out / "thesis.tex").write_text("mine")
     err = factory("run", plan, "--out", out, expect=2).stderr
-    assert "no part of a dataset, as `factory verify` will say: thesis.tex" in err
+    assert "files that do not belong to a dataset; `factory verify` will report them: thesis.tex" in err
 
 
 def test_a_worker_without_a_coordinator_says_how_to_start_one(factory):
@@ -126,7 +126,7 @@ def test_truncated_and_foreign_files_among_the_episodes_are_found_and_mended(fac
 
 def test_an_episode_that_is_not_there_says_what_is(factory, calm):
     assert "holds 5 episodes" in factory("replay", calm, 77, expect=2).stderr
-    assert "no dataset" in factory("replay", calm.parent, 1, expect=2).stderr
+    assert "is not a dataset" in factory("replay", calm.parent, 1, expect=2).stderr
 
 
 def test_retrying_an_archived_episode_is_refused_with_the_reason(factory, calm):

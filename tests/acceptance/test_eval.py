@@ -88,7 +88,7 @@ def test_ctrl_c_keeps_what_is_done(factory: FactoryCli, drives: Path, out: Path,
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "run the same command to go on" in err
+    assert "run the same command again to continue" in err
     (log,) = tmp_path.rglob("episodes.jsonl")
     assert log.read_bytes().count(b"\n") == 1
     assert log.read_bytes().endswith(b"\n")
@@ -100,9 +100,9 @@ def test_a_policy_that_always_raises_is_quoted_and_can_be_driven_anew(
     specs = out.parent / "specs.json"
     words = ("eval", "--data", drives, "--specs", specs, "--policy", "tests.builders.policies:Raises", "--videos", 0)
     first = factory(*words, "-o", tmp_path / "out", expect=1)
-    assert "2 of 2 ended by policy_raised" in first.stdout
+    assert "2 of 2 episodes ended with policy_raised" in first.stdout
     assert "KeyError: 'depth_front' (policies.py:" in first.stdout
-    assert "nothing is known of how it drives" in first.stderr
+    assert "had a fault in every episode, so it was not evaluated" in first.stderr
     (log,) = tmp_path.rglob("episodes.jsonl")
     assert f"rm -r {log.parent}" in first.stderr
     log.unlink()

@@ -32,8 +32,8 @@ def test_gate_fails_under_the_share_and_names_the_reasons(factory, tmp_path):
     plan = tmp_path / "hasty.toml"
     plan.write_text("[task]\nmax_steps = 20\n" + PILOT)
     done = factory("gate", "--scene", "hospital", "--plan", plan, "--episodes", 2, "--workers", 1, expect=1)
-    assert "failed by: 2 timeout" in done.stdout
-    assert "80 % of first attempts asked for" in done.stdout
+    assert "failures: 2 timeout" in done.stdout
+    assert "80 % required" in done.stdout
 
 
 def test_gate_refuses_a_scene_that_the_plan_does_not_have(factory):
@@ -50,7 +50,7 @@ def test_an_enforced_gate_keeps_a_hopeless_plan_from_being_handed_out(factory, t
     plan.write_text(HASTY)
     err = factory(*verb, plan, "--out", root, "--gate", "enforce", expect=1).stderr
     assert "2 timeout" in err
-    assert "the gate is closed: under 80 % of first attempts succeed in hospital" in err
+    assert "gate failed: less than 80 % of first attempts succeed in hospital" in err
     assert not (root / "dataset_meta.json").exists()
     assert not (root / "ledger.db").exists()
 

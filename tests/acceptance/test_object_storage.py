@@ -23,8 +23,8 @@ def test_a_run_into_a_bucket_is_made_resumed_checked_and_told(plan, cache, objec
         assert factory.json("status", url)["finished"]
         read = factory.json("bench", "read", url, "--frames", 4, "--repeats", 1, "--workers", 0)
         assert (read["episodes"], read["frames"]) == (1, 4)
-        assert f"works on a dataset directory, not on {url}" in factory("push", url, "me/tiny", expect=2).stderr
-        assert "works on a dataset directory, not on" in factory("eval", "--data", url, expect=2).stderr
+        assert f"supports dataset directories only, not {url}" in factory("push", url, "me/tiny", expect=2).stderr
+        assert "supports dataset directories only, not" in factory("eval", "--data", url, expect=2).stderr
     finally:
         factory.end()
     (home,) = (state / "archives").iterdir()

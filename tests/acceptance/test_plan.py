@@ -6,7 +6,8 @@ from tests.builders.stage import StageText, room_body
 
 
 def test_splits_that_get_no_episode_are_named(factory):
-    assert "4 episodes are too few for a share of test_id" in factory("plan", "show", "demo", "--episodes", 4).stderr
+    said = factory("plan", "show", "demo", "--episodes", 4).stderr
+    assert "4 episodes are too few; splits without episodes: test_id" in said
     assert "too few" not in factory("plan", "show", "demo").stderr
 
 
@@ -34,7 +35,7 @@ def test_an_impossible_plan_is_refused_with_the_nearest_possible_one(factory, tm
     assert (found["possible"], found["moved"], len(found["mistakes"])) == (False, 1, 1)
     assert sum(row["episodes"] for row in found["cells"]) == 10
     again = factory("plan", "nearest", better).stdout
-    assert "possible as it is: 10 episodes" in again
+    assert "feasible without changes: 10 episodes" in again
 
 
 def test_a_plan_of_which_nothing_is_there_is_answered_with_what_is(factory, tmp_path):
@@ -87,7 +88,7 @@ def test_an_own_scene_is_compiled_once_and_then_compared_with_what_is_asked_of_i
         "episodes = 2\n"
     )
     before = factory("plan", "show", plan)
-    assert "not compared with what the scenes hold (loft not built yet)" in before.stderr
+    assert "was not checked against its scenes, because these are not built: loft" in before.stderr
     assert "factory plan nearest" in before.stderr
     assert "building loft" in factory("plan", "nearest", plan).stderr
     assert "building" not in factory("plan", "nearest", plan).stderr

@@ -31,5 +31,5 @@ def test_without_ledger_and_description_the_plan_is_asked_for(factory, calm, pla
 
 
 def test_a_directory_that_is_not_there_is_said_so(factory, tmp_path):
-    assert "no directory" in factory("repair", tmp_path / "nowhere", expect=2).stderr
+    assert "nowhere does not exist" in factory("repair", tmp_path / "nowhere", expect=2).stderr
     assert not (tmp_path / "nowhere").exists()

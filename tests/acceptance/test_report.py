@@ -30,7 +30,7 @@ def test_damage_is_told_by_the_exit_code_and_a_full_folder_is_refused(factory, c
     bundle.write_bytes(bytes(bundle.stat().st_size))
     done = factory("report", damaged, "-o", tmp_path / "out", expect=1)
     assert "report.html: 5 of 5 episodes" in done.stdout
-    assert "damage: episodes/ep_000001.zip: left out of tracks" in done.stderr
+    assert "damage: episodes/ep_000001.zip: skipped in trajectories" in done.stderr
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
     refused = factory("report", calm, "-o", tmp_path / "mine", expect=2).stderr

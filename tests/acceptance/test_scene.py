@@ -36,14 +36,14 @@ def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
     stage = TEXT.write(tmp_path / "room.usda", room_body(TEXT, plant))
     made = factory("scene", "import", stage, "--name", "den")
     assert (
-        "targets: 1 chair, 1 plant\nno target: 5 of 7 instances\n  5 of no known category: /World/Floor" in made.stdout
+        "targets: 1 chair, 1 plant\nnot targets: 5 of 7 instances\n  5 without a category: /World/Floor" in made.stdout
     )
     assert "--rules FILE" in made.stdout
     assert "next:    factory scene inspect den" in made.stdout
     plan = tmp_path / "den.toml"
     plan.write_text(made.stdout[made.stdout.index('name = "den"') :])
     assert factory.json("plan", "nearest", plan)["possible"]
-    assert "no target: 5 of 7 instances" in factory("scene", "inspect", "den").stdout
+    assert "not targets: 5 of 7 instances" in factory("scene", "inspect", "den").stdout
     assert factory.json("scene", "survey", "den")["spawns"] >= 40
     assert factory.json("scene", "targets", "den", "-o", tmp_path / "list.yaml")["scene"] == "den"
     assert "did you mean 'den'?" in factory("scene", "inspect", "denn", expect=2).stderr
@@ -55,7 +55,7 @@ def test_an_imported_scene_is_known_by_its_name(factory, tmp_path):
     last = factory.json("scene", "import", stage, "--name", "den")["package"]
     again = factory("scene", "inspect", "den")
     assert "categories: 1 chair\n" in again.stdout
-    assert f"den was imported 2 times; taking the last, {last}" in again.stderr
+    assert f"den was imported 2 times; the last import is used: {last}" in again.stderr
 
 
 def test_a_package_in_another_folder_is_told_by_its_path(factory, tmp_path):
@@ -63,7 +63,7 @@ def test_a_package_in_another_folder_is_told_by_its_path(factory, tmp_path):
     made = factory.json("scene", "import", stage, "--name", "attic", "--cache", tmp_path / "a b")
     assert made["next"][0] == f"factory scene inspect '{made['package']}' -o attic.png"
     assert [thing["category"] for thing in made["no_target"]] == [None] * 5
-    assert "no scene is called 'attic'" in factory("scene", "inspect", "attic", expect=2).stderr
+    assert "'attic' is neither a scene nor an existing file" in factory("scene", "inspect", "attic", expect=2).stderr
 
 
 def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factory, tmp_path):
@@ -72,8 +72,8 @@ def test_survey_passes_a_good_scene_and_fails_a_small_one_with_the_reason(factor
     assert report["spawns"] >= 40
     assert report["share_within"] == 1.0
     words = factory("scene", "survey", package).stdout
-    assert "spawns without a target in sight: " in words
-    assert "floor within 2 m of a spawn: 100.0 %" in words
+    assert "start points without a visible target: " in words
+    assert "floor within 2 m of a start point: 100.0 %" in words
     assert not any(key in words for key in ("blind", "share_within", "farthest_floor_m"))
     closet = TEXT.box("Floor", (0, 0, -0.1), (2, 2, 0)) + TEXT.box("SM_Crate_01", (0.2, 0.2, 0), (0.5, 0.5, 0.4))
     _, small = room(factory, tmp_path / "small", closet)
@@ -131,7 +131,7 @@ def test_render_into_what_is_no_folder_says_so(factory, tmp_path):
 BAD = {
     "no mesh": (TEXT.group("Empty", ""), "1", "at or below /World"),
     "no floor": (TEXT.box("Wall", (0, 0, 0), (5, 0.1, 3)), "1", "widest prim /World/Wall"),
-    "no unit": (room_body(TEXT), "0", "says metersPerUnit = 0"),
+    "no unit": (room_body(TEXT), "0", "has metersPerUnit = 0"),
     "a floor of kilometres": (room_body(TEXT), "1000", "widest prim /World/Floor"),
     "no known thing": (TEXT.box("Floor", (0, 0, -0.1), (8, 8, 0)), "1", "such as /World/Floor"),
     "a circle": (TEXT.group("Loop", "", head="references = </World>"), "1", "In </World/Loop>: Cycle detected"),

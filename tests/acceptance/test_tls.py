@@ -23,7 +23,7 @@ def test_a_run_behind_tls_is_finished_by_the_admitted_only(factory: FactoryCli, 
     wait_for(lambda: (out / ".coordinator.json").exists())
     outsider = ("worker", "--connect", endpoint, "--wait", 1, "--spool", tmp_path / "spool")
     assert (
-        "do not go together"
+        "cannot be combined"
         in factory("worker", "--tls", pki / "gone", "--connect", endpoint[:1] + "cp/" + endpoint[4:], expect=2).stderr
     )
     assert "hosts.txt" in factory(*outsider, "--tls", pki / "gone", expect=1).stderr

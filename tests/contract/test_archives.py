@@ -128,7 +128,7 @@ def test_nothing_is_published_before_it_is_asked_for(kind: Kind) -> None:
 def test_archived_episode_is_never_overwritten(kind: Kind) -> None:
     with kind.open() as archive:
         place = publish(archive, 1, b"first")
-        with pytest.raises(ArchiveCorrupt, match="there already and is not overwritten"):
+        with pytest.raises(ArchiveCorrupt, match="already exists and is not overwritten"):
             publish(archive, 1, b"other")
         assert place.read_bytes() == b"first"
         assert parts_of(kind) == []
@@ -146,11 +146,11 @@ def test_unpublishing_deletes_and_may_be_repeated(kind: Kind) -> None:
 
 def test_quarantined_file_is_kept_with_its_reason(kind: Kind) -> None:
     with kind.open() as archive:
-        place = archive.quarantine(publish(archive, 1, b"torn"), "5 bytes, the ledger says 9")
+        place = archive.quarantine(publish(archive, 1, b"torn"), "5 bytes; in the ledger 9")
         assert place.read_bytes() == b"torn"
         reason = (place.parent / f"{place.name}.reason.txt").read_text(encoding="utf-8")
         assert "ep_000001.zip" in reason
-        assert "5 bytes, the ledger says 9" in reason
+        assert "5 bytes; in the ledger 9" in reason
         assert archive.present() == {}
 
 
@@ -250,7 +250,7 @@ def test_free_space_is_that_of_the_disk_where_part_files_grow(kind: Kind) -> Non
 
 def test_file_in_place_of_the_directory_is_named_with_the_remedy(kind: Kind) -> None:
     kind.home.write_text("a file")
-    with pytest.raises(WorldError, match=r"cannot open .*; a file stands where a directory is wanted"):
+    with pytest.raises(WorldError, match=r"cannot open .*; the path is a file, not a directory"):
         kind.open()
 
 

@@ -216,7 +216,9 @@ def test_export_of_another_dataset_is_refused(
     other = tmp_path_factory.mktemp("other") / "data"
     make_dataset(other, 1)
     before = contents(calm[name])
-    with pytest.raises(WorldError, match=r"holds another export: dataset test-.*; delete it, or choose another --out"):
+    with pytest.raises(
+        WorldError, match=r"contains another export: dataset test-.*; delete it, or choose another --out"
+    ):
         run_export(order(other, calm[name], name))
     assert contents(calm[name]) == before
 
@@ -224,14 +226,14 @@ def test_export_of_another_dataset_is_refused(
 @every_format
 def test_other_episodes_of_the_dataset_are_refused(dataset: Path, calm: dict[str, Path], name: str) -> None:
     wanted = order(dataset, calm[name], name)
-    with pytest.raises(WorldError, match="holds another export: episodes 3 of all splits"):
+    with pytest.raises(WorldError, match="contains another export: episodes 3 of all splits"):
         run_export(ExportOrder(dataset, calm[name], name, wanted.options, episodes=("ep_000002",)))
 
 
 @every_format
 def test_another_format_is_refused(dataset: Path, calm: dict[str, Path], name: str) -> None:
     other = next(other for other in EXPORTERS if other != name)
-    with pytest.raises(WorldError, match=f"format {name}, asked for {other}"):
+    with pytest.raises(WorldError, match=f"format {name}, requested {other}"):
         run_export(order(dataset, calm[name], other))
 
 
@@ -263,7 +265,7 @@ def test_missing_package_is_named_with_its_extra(
 @every_format
 def test_export_into_the_dataset_is_refused(dataset: Path, name: str) -> None:
     for out in (dataset, dataset / "out", dataset.parent):
-        with pytest.raises(UsageError, match="the export must be outside of the dataset"):
+        with pytest.raises(UsageError, match="cannot be inside the dataset"):
             run_export(order(dataset, out, name))
     assert len(Dataset(dataset)) == EPISODES
 
@@ -271,6 +273,6 @@ def test_export_into_the_dataset_is_refused(dataset: Path, name: str) -> None:
 @every_format
 def test_folder_with_other_things_is_refused(dataset: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(WorldError, match="holds no export"):
+    with pytest.raises(WorldError, match="is not an export"):
         run_export(order(dataset, tmp_path, name))
     assert contents(tmp_path) == {"thesis.txt": b"years of work"}

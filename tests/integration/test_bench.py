@@ -115,7 +115,7 @@ def test_memory_is_watched_over_episodes_cut_short_and_whole_ones(room: Path) ->
 @pytest.mark.gl
 def test_memory_of_a_simulation_that_breaks_is_no_figure(room: Path) -> None:
     nowhere = replace(read_entry(room), path=room / "no folder")
-    with pytest.raises(WorldError, match=r"could not do .*Not a directory"):
+    with pytest.raises(WorldError, match=r"simulation failed in scene .*Not a directory"):
         bench_memory([job_in(room)], {"box_room": nowhere}, COMMAND, 20, lambda: None)
 
 

@@ -72,7 +72,7 @@ def test_every_command_line_is_understood(where, words):
     while isinstance(command, click.Group):
         name = rest.pop(0)
         found = command.get_command(context, name)
-        assert found is not None, f"{where}: no verb {name}"
+        assert found is not None, f"{where}: unknown verb {name}"
         command = found
     command.make_context(command.name, rest)  # parses every option and argument, runs nothing
 

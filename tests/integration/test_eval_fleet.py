@@ -102,5 +102,8 @@ def test_a_checkpoint_travels_to_the_workers_by_its_digest(drives: Dataset, camp
     ):
         run_fleet(learned, drives.meta.plan, store, FleetAccess((endpoint,)), threading.Event(), lambda _pace: None)
     (tmp_path / "policy.pt").unlink()
-    with open_store(tmp_path / "none", learned) as store, pytest.raises(UsageError, match="no checkpoint"):
+    with (
+        open_store(tmp_path / "none", learned) as store,
+        pytest.raises(UsageError, match=r"checkpoint .* does not exist"),
+    ):
         run_fleet(learned, drives.meta.plan, store, FleetAccess((endpoint,)), threading.Event(), lambda _pace: None)

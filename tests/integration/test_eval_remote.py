@@ -95,7 +95,7 @@ def test_an_error_of_the_server_is_the_policys_failure_with_its_last_words() -> 
 def test_rubbish_is_an_invalid_answer() -> None:
     with server(lambda connection, _: connection.send(b"\xc1")) as address:
         policy = begin(address)
-        with pytest.raises(PolicyFailure, match="no msgpack message") as caught:
+        with pytest.raises(PolicyFailure, match="not a valid msgpack message") as caught:
             policy.act(VIEW)
         policy.close()
     assert caught.value.fault is PolicyFault.INVALID
@@ -175,7 +175,10 @@ def test_a_server_that_is_gone_is_nobodys_failure() -> None:
 
 
 def test_what_is_no_policy_server_is_said_at_once() -> None:
-    with server(lambda _c, _o: None, greeting="hello") as address, pytest.raises(UsageError, match="openpi's kind"):
+    with (
+        server(lambda _c, _o: None, greeting="hello") as address,
+        pytest.raises(UsageError, match="not an openpi policy server"),
+    ):
         begin(address)
     with pytest.raises(UsageError, match="write ws://HOST:PORT"):
         begin("ws:nonsense")
@@ -208,7 +211,7 @@ def test_arrays_are_packed_as_openpi_packs_them() -> None:
 def test_an_array_that_contradicts_itself_is_refused_before_it_is_made(fake: dict[bytes, Any]) -> None:
     import msgpack
 
-    with pytest.raises(WireError, match="holds an array"):
+    with pytest.raises(WireError, match="contains an array"):
         unpack(msgpack.packb(fake))
     with pytest.raises(WireError):
         pack(np.array([object()]))

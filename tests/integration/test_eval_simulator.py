@@ -112,7 +112,7 @@ def test_a_start_inside_a_wall_is_refused_by_name(specs: SpecSet, stage: SceneRe
     spec = specs.specs[0].model_copy(update={"spawn_pose": (-3.95, 0.0, 0.0)})
     with (
         Simulator(stage, specs.settings) as simulator,
-        pytest.raises(WorldError, match=r"ep_000001.*stand firm in office"),
+        pytest.raises(WorldError, match=r"ep_000001.*robot is not stable at its start in office"),
     ):
         simulator.reset(spec, place)
 
@@ -137,5 +137,5 @@ def test_pictures_are_drawn_when_somebody_looks_and_never_of_an_episode_that_is_
         assert simulator.step(Twist(0.5, 0.0)).frame.rgb.shape == (640, 640, 3)
         assert laps.count("read-back") == 2
         simulator.reset(specs.specs[1], place)
-        with pytest.raises(RuntimeError, match="keep its frame"):
+        with pytest.raises(RuntimeError, match="keep the frame"):
             _ = first.frame

@@ -30,7 +30,7 @@ DEEP = 100_000
 TOML = {
     "nested too deeply": "x = " + "[" * DEEP,
     "tables nested too deeply": "[" + ".".join("a" for _ in range(DEEP)) + "]",
-    "no UTF-8": b"name = '\xff\xfe'",
+    "not UTF-8": b"name = '\xff\xfe'",
     "a huge number": "seed = " + "9" * 5000,
     "too large": "#" * (5 << 20),
     "a NUL in a path": 'name = "a"\n[[scenes]]\nname = "s"\nepisodes = 1\nusd = "a\\u0000b.usda"\nseen = ["chair"]',

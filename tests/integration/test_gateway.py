@@ -248,7 +248,7 @@ def test_a_gateway_under_the_name_of_one_with_episodes_elsewhere_is_refused_and_
     gateway = site.open_gateway("gw1")
     bring_home(site.open_worker(gateway.endpoints), site)
     gateway.close()
-    with pytest.raises(WorldError, match="1 episodes lie at gateway gw1"):
+    with pytest.raises(WorldError, match="the ledger has 1 episodes at gateway gw1"):
         site.open_gateway("gw1", "another")
     assert site.core.progress().by_gateway == {"gw1": 1}
 

@@ -105,7 +105,7 @@ def test_seeds_choose_the_episode_and_names_do(env: MiniVLANavEnv) -> None:
     drawn = [env.reset(seed=seed)[1]["episode_id"] for seed in (1, 1, 2, 3, 4, 5)]
     assert drawn[0] == drawn[1]
     assert set(drawn) == {"ep_000002", "ep_000003"}
-    with pytest.raises(UsageError, match="no episode 'ep_000001' among these 2"):
+    with pytest.raises(UsageError, match="episode 'ep_000001' is not one of the 2 selected episodes"):
         env.reset(options={"episode": "ep_000001"})
 
 
@@ -133,9 +133,9 @@ def test_what_is_no_action_is_refused(env: MiniVLANavEnv, action: np.ndarray) ->
         ({"size": 0}, "choose 1 to 2048 pixels"),
         ({"size": 4096}, "choose 1 to 2048 pixels"),
         ({"actions": "joints"}, "tokens"),
-        ({"split": "test"}, "no split test"),
+        ({"split": "test"}, "unknown split test"),
         ({"instruction": "words"}, "choose text, tokens, none"),
-        ({"vocabulary": ("<pad>", "<unknown>", "<any>", "go")}, "needs instruction='tokens'"),
+        ({"vocabulary": ("<pad>", "<unknown>", "<any>", "go")}, "requires instruction='tokens'"),
         ({"instruction": "tokens", "vocabulary": ("go", "to")}, "not a vocabulary"),
     ],
 )

@@ -214,7 +214,7 @@ def test_of_two_plans_that_ledger_and_description_name_the_episodes_tell_the_rig
     patient = inspect_dataset(tmp_path / "out", tmp_path / "out", None, None, tmp_path / "cache", print)
     assert patient.plan == plan
     assert "the episodes of run" in patient.stranger
-    with pytest.raises(UsageError, match="the directory holds run"):
+    with pytest.raises(UsageError, match="the directory contains run"):
         inspect_dataset(tmp_path / "out", tmp_path / "out", small_plan(7), None, tmp_path / "cache", print)
 
 

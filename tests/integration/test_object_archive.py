@@ -78,7 +78,7 @@ def copy_to(store: ObjectPath, folder: Path) -> None:
 def test_missing_bucket_is_named_with_the_remedy(store: ObjectPath, tmp_path: Path) -> None:
     said = said_by(lambda: open_archive(tmp_path, ObjectPath.at("s3://never-made/run")))
     assert said.startswith("cannot write s3://never-made/run/.lock: the store answers 404 Not Found (NoSuchBucket)")
-    assert "make the bucket" in said
+    assert "create the bucket" in said
 
 
 def test_refused_access_is_named_without_the_servers_words(
@@ -99,14 +99,14 @@ def test_absent_credentials_are_named(store: ObjectPath, tmp_path: Path, monkeyp
 
 
 def test_credentials_in_a_url_are_refused_and_not_repeated() -> None:
-    with pytest.raises(UsageError, match="a URL is no place for credentials") as caught:
+    with pytest.raises(UsageError, match="a URL must not contain credentials") as caught:
         place_of(f"s3://tester:{SECRET}@bucket/run")
     assert SECRET not in str(caught.value)
 
 
 @pytest.mark.parametrize("url", ["s3://", "ftp://host/run", "s3://bucket/../other", "s3://bucket/run?versionId=1"])
 def test_url_that_names_no_place_is_refused(url: str) -> None:
-    with pytest.raises(UsageError, match="names no place for a dataset"):
+    with pytest.raises(UsageError, match="is not a valid location of a dataset"):
         place_of(url)
 
 
@@ -163,18 +163,18 @@ def test_upload_in_parts_that_was_never_finished_is_not_seen(
 
 def test_store_that_ignores_conditions_is_refused(store: ObjectPath, relay: StoreRelay, tmp_path: Path) -> None:
     relay.ignores_conditions = True
-    assert "overwrites an object although it was told not to" in said_by(lambda: open_archive(tmp_path, store))
+    assert "ignores conditional writes" in said_by(lambda: open_archive(tmp_path, store))
     assert list(store.walk()) == []
 
 
 def test_dataset_belongs_to_one_home_until_it_is_closed_or_taken_over(store: ObjectPath, tmp_path: Path) -> None:
     first = ObjectArchive(store, tmp_path / "first")
     said = said_by(lambda: open_archive(tmp_path / "second", store))
-    assert f"another coordinator holds {store}: that of {tmp_path / 'first'} on host" in said
+    assert f"is in use by another coordinator {store}: that of {tmp_path / 'first'} on host" in said
     assert f"factory repair --take-over {store}" in said
     with open_archive(tmp_path / "second", store, take_over=True):
         first.close()
-        assert "another coordinator holds" in said_by(lambda: open_archive(tmp_path / "first", store))
+        assert "is in use by another coordinator" in said_by(lambda: open_archive(tmp_path / "first", store))
     with open_archive(tmp_path / "first", store):
         pass
     assert list(store.walk()) == []

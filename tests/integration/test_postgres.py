@@ -60,7 +60,7 @@ def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finishe
 def test_a_second_coordinator_is_refused_even_from_another_directory(finished, tmp_path):
     with (
         Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS),
-        pytest.raises(WorldError, match="another coordinator writes"),
+        pytest.raises(WorldError, match="is in use by another coordinator"),
     ):
         Coordinator(tmp_path / "elsewhere", finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS)
 

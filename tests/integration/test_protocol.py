@@ -211,11 +211,11 @@ def test_scenes_are_served_in_chunks(opened, worker, tmp_path):
 @pytest.mark.parametrize(
     ("verb", "payload", "reason"),
     [
-        ("claim", b"not json", "not understood"),
+        ("claim", b"not json", "invalid message"),
         ("claim", b'{"sid": "host-1", "token": "short"}', "token"),
-        ("steal", b"{}", "no verb"),
+        ("steal", b"{}", "unknown verb"),
         ("beat", b"x" * ((1 << 20) + 1), "more than"),
-        ("claim", Claim(sid="other-1", token="b" * 32).model_dump_json().encode(), "not of host"),
+        ("claim", Claim(sid="other-1", token="b" * 32).model_dump_json().encode(), "does not belong to host"),
     ],
 )
 def test_a_bad_message_is_refused_with_the_reason(worker, verb, payload, reason):
@@ -258,7 +258,7 @@ def test_an_operator_is_served_by_the_running_coordinator_and_without_one_under_
     assert list(cancelled.refused) == [7]
     assert read_address(out) is None
     assert administer(out, AdminRequest(action=AdminAction.RETRY, indices=(1,)), now).changed == (1,)
-    with pytest.raises(UsageError, match="nobody to drain"):
+    with pytest.raises(UsageError, match="no worker to drain"):
         administer(out, AdminRequest(action=AdminAction.DRAIN), now)
 
 

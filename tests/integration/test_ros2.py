@@ -218,7 +218,7 @@ def test_a_message_with_an_unknown_field_is_refused() -> None:
     ("words", "said"),
     [
         (("--to", "gnm", "--ros2"), "format gnm has no --ros2"),
-        (("--to", "mcap", "--start-time", "1800000000"), "--start-time needs --ros2"),
+        (("--to", "mcap", "--start-time", "1800000000"), "--start-time requires --ros2"),
         (("--to", "mcap", "--ros2", "--start-time", "2147483600"), "give at most 2147483527"),
         (("--to", "mcap", "--ros2", "--start-time", "0"), "--start-time: Input should be greater than or equal to 1"),
     ],

@@ -114,7 +114,7 @@ def test_killed_simulation_is_a_crash_and_the_next_job_gets_a_fresh_process(tmp_
 def test_crash_report_carries_exit_status_and_last_words(tmp_path):
     with coordinator("exit") as hub, WorkerThread(settings_for(hub.endpoint, tmp_path)) as worker:
         assert worker.join() == 0
-        assert hub.ended[1].detail == "exit status 3; last words: EGL: the driver is gone"
+        assert hub.ended[1].detail == "exit status 3; last output: EGL: the driver is gone"
 
 
 def test_simulation_without_progress_is_killed_and_reported_as_hung(tmp_path):

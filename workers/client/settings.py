@@ -72,9 +72,7 @@ class WorkerSettings:
         if trade is Trade.COLLECTION:
             return self.simulation_command
         if not self.errand_command:
-            raise WorldError(
-                f"the run is an {trade}, and this worker was given no errand_command: use `factory worker`"
-            )
+            raise WorldError(f"the run is an {trade}, and this worker has no errand_command: use `factory worker`")
         return self.errand_command
 
     @property

@@ -88,7 +88,7 @@ class Slot:
             if starts.failures >= _STARTS:
                 command = " ".join(self._host.command)
                 raise WorldError(
-                    f"a simulation does not start after {_STARTS} tries of `{command}`: {heard.detail}; run that "
+                    f"a simulation does not start after {_STARTS} tries of `{command}`: {heard.detail}; run this "
                     "command by hand to see why, or choose another --renderer"
                 )
             self._host.pause(pause_s)
@@ -202,7 +202,7 @@ class Slot:
         if self._host.phase.stopping.is_set():
             raise _Stopped
         if self._host.leases.is_lost(lease):
-            raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) is somebody else's")
+            raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) belongs to another worker")
 
     def _hand_over(self, job: Job, lease: Lease, report: SimulationReport) -> SimulationReport:
         """Spools and announces a bundle; returns the report, or the failure that a full disk has made of it."""

@@ -74,14 +74,14 @@ class Spool(Closing):
     def __init__(self, root: Path, max_bundles: int, max_bytes: int, min_free_bytes: int = 0) -> None:
         self._max_bundles, self._max_bytes, self._min_free_bytes = max_bundles, max_bytes, min_free_bytes
         self._guard = threading.Lock()
-        self._short = Repeated(log.bind(remedy="free some space; attempts go on by themselves"), "spool_disk_low")
+        self._short = Repeated(log.bind(remedy="free some space; the worker then continues"), "spool_disk_low")
         try:
             self.directory, self._lock = _take_folder(root)
             for orphaned in _idle_siblings(root, self.directory):
                 _adopt(orphaned, self.directory)
             self._entries = {_key(entry.lease): entry for entry in _clean(self.directory)}
         except OSError as error:
-            raise WorldError(f"cannot spool in {root}: {error}; give a writable folder with --spool") from error
+            raise WorldError(f"cannot spool in {root}: {error}; choose a writable folder with --spool") from error
 
     @property
     def is_full(self) -> bool:
@@ -100,7 +100,7 @@ class Spool(Closing):
         if free >= self._min_free_bytes:
             self._short.succeed()
             return False
-        self._short.fail(f"{free} bytes free, {self._min_free_bytes} wanted", spool=str(self.directory))
+        self._short.fail(f"{free} bytes free, {self._min_free_bytes} required", spool=str(self.directory))
         return True
 
     def path_for(self, lease: Lease) -> Path:
@@ -201,8 +201,8 @@ class Spool(Closing):
             yield
         except OSError as error:
             raise WorldError(
-                f"the spool {self.directory} cannot be used: {error.strerror or error}; start the worker again, which "
-                "makes the folder anew, free some space, or give another folder with --spool"
+                f"the spool {self.directory} cannot be used: {error.strerror or error}; restart the worker, which "
+                "creates the folder again, free some space, or choose another folder with --spool"
             ) from error
 
     def _file(self, lease: Lease, suffix: str) -> Path:
@@ -233,7 +233,7 @@ def _take_folder(root: Path) -> tuple[Path, int]:
         lock = _try_lock(folder)
         if lock is not None:
             return folder, lock
-    raise WorldError(f"{_MAX_SIBLINGS} workers spool under {root}; give this one another folder with --spool")
+    raise WorldError(f"{_MAX_SIBLINGS} workers use spool folders below {root}; choose another folder with --spool")
 
 
 def _try_lock(folder: Path) -> int | None:

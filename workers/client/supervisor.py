@@ -183,7 +183,8 @@ def _meet(
             refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
             found = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
-                f"no coordinator at {where} within {settings.wait_s:g} s{found}{refused}: start one with `factory "
+                f"no coordinator answered at {where} within {settings.wait_s:g} s{found}{refused}: start one with "
+                "`factory "
                 "coordinator start`, give its endpoint with --connect, or wait longer with --connect-timeout"
             )
         stop.wait(pause.fail())
@@ -201,7 +202,7 @@ def _choose(
         return short[0]
     if len(terms) > 1:
         runs = ", ".join(reply.run for reply in terms)
-        raise WorldError(f"{len(terms)} runs answer ({runs}): --connect to an endpoint of one of them only")
+        raise WorldError(f"{len(terms)} runs answer ({runs}): give --connect endpoints of one run only")
     refusals = [reply.error for reply in replies if isinstance(reply, Refusal)]
     if not terms and refusals:
         raise WorldError(f"the coordinator refuses this worker: {refusals[0]}")

@@ -43,4 +43,4 @@ def require_expert(name: ExpertName) -> None:
     """
     if name not in EXPERTS:
         known = ", ".join(EXPERTS)
-        raise UsageError(f"expert {name} is not part of this version; choose one with --expert: {known}")
+        raise UsageError(f"expert {name} is not available in this version; choose another with --expert: {known}")

@@ -46,7 +46,7 @@ class PlannerExpert:
             RuntimeError: `begin` has not been called or found no path.
         """
         if self._follower is None:
-            raise RuntimeError("act() without a path; call begin() first and drive only where it finds one")
+            raise RuntimeError("act() has no path; call begin() first, and act() only if begin() found a path")
         self._has_stopped = self._has_stopped or self._has_arrived(seen)
         if self._has_stopped:
             return Twist(0.0, 0.0)

@@ -104,7 +104,7 @@ class BulletClient(Closing):
     def __init__(self) -> None:
         self._id: int = _p.connect(_p.DIRECT)
         if self._id < 0:
-            raise WorldError("PyBullet gave no physics client; close worlds that are no longer used")
+            raise WorldError("PyBullet returned no physics client; close worlds that are no longer used")
         self._inertial: dict[int, tuple[Vector, tuple[float, float, float, float]]] = {}
 
     def close(self) -> None:
@@ -148,7 +148,7 @@ class BulletClient(Closing):
             )
         except _p.error as error:
             size = f"{len(mesh.vertices)} vertices, {len(mesh.indices) // 3} triangles"
-            raise WorldError(f"PyBullet refuses a collider of {size}; rebuild the scene: {error}") from error
+            raise WorldError(f"PyBullet rejects a collider of {size}; rebuild the scene: {error}") from error
         return self._add_static(0.0, collision=shape)
 
     def add_urdf(self, urdf: str) -> int:

@@ -157,7 +157,7 @@ class Simulation:
         self._stderr.seek(0, os.SEEK_END)
         self._stderr.seek(max(0, self._stderr.tell() - _TAIL_BYTES))
         lines = self._stderr.read().decode(errors="replace").strip().splitlines()
-        return f"; last words: {lines[-1].strip()}" if lines else ""
+        return f"; last output: {lines[-1].strip()}" if lines else ""
 
     def _forget_chatter(self) -> None:
         if self._stderr is not None and os.fstat(self._stderr.fileno()).st_size > _CHATTER_BYTES:

@@ -41,7 +41,7 @@ def open_renderer(
         WorldError: `gl` was asked for and this machine has no usable EGL driver.
     """
     if kind not in get_args(RendererKind):
-        raise UsageError(f"no renderer {kind!r}; choose one of {', '.join(get_args(RendererKind))}")
+        raise UsageError(f"unknown renderer {kind!r}; valid renderers: {', '.join(get_args(RendererKind))}")
     if apart:
         return _open_apart(kind, size, lap)
     if kind == "tiny":

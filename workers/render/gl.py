@@ -136,7 +136,7 @@ class GlRenderer(Closing):
 
     def _require_own_process(self) -> None:
         if self._pid != os.getpid():
-            raise UsageError(f"this renderer was opened by process {self._pid}, which was forked since; {_AFTER_FORK}")
+            raise UsageError(f"this renderer was opened by process {self._pid} before a fork; {_AFTER_FORK}")
 
     def _loaded(self) -> GpuScene:
         self._require_own_process()
@@ -157,11 +157,11 @@ class GlRenderer(Closing):
 
 def _open_context() -> moderngl.Context:
     if _used_by and os.getpid() not in _used_by:
-        raise UsageError(f"OpenGL was used before this process was forked, and would hang; {_AFTER_FORK}")
+        raise UsageError(f"OpenGL was used before a fork of this process and would hang; {_AFTER_FORK}")
     try:
         context = moderngl.create_context(require=450, standalone=True, **_EGL)
     except Exception as error:  # glcontext raises nothing more specific
-        raise WorldError(f"no OpenGL 4.5 through EGL on this machine: {error}") from error
+        raise WorldError(f"OpenGL 4.5 with EGL is not available on this machine: {error}") from error
     _used_by.add(os.getpid())
     return context
 

@@ -88,7 +88,7 @@ class RenderingProcess:
     def _require_open(self) -> None:
         if self._pid != os.getpid():
             raise UsageError(
-                f"this renderer was opened by process {self._pid}, which was forked since: open it in the process that "
+                f"this renderer was opened by process {self._pid} before a fork: open it in the process that "
                 "uses it (Gymnasium: create the environment there, as `make_vec(..., vectorization_mode='async')` does)"
             )
         if not self._end.alive:

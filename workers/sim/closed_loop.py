@@ -119,7 +119,7 @@ class _Lent:
 
     def renderer(self) -> Renderer:
         if self._renderer is None:
-            raise RuntimeError("a view of an episode that is over is looked at; keep its frame, not the view")
+            raise RuntimeError("the episode of this view has ended; keep the frame, not the view")
         return self._renderer
 
     def take_back(self) -> None:

@@ -44,26 +44,26 @@ _WORLD = ", ".join(f"'{reason}'" for reason in FailReason if reason.is_task_fail
 _OPEN = ", ".join(f"'{state}'" for state in OPEN_STATES)
 _RULES: Mapping[str, str] = MappingProxyType(
     {
-        "draws of an episode are missing, doubled or not superseded": """
+        "draws of an episode are missing, duplicated or not superseded": """
             SELECT idx FROM jobs GROUP BY idx
             HAVING count(*) != max(draw) + 1 OR min(draw) != 0 OR min(idx) < 1
                 OR sum(CASE WHEN superseded THEN 0 ELSE 1 END) != 1
                 OR max(CASE WHEN superseded THEN -1 ELSE draw END) != max(draw)""",
         "a superseded draw has not failed": f"SELECT idx FROM jobs WHERE superseded AND state != '{JobState.FAILED}'",
-        "a job is archived and its episode is not recorded as it is": f"""
+        "an archived job has no matching row of its episode": f"""
             SELECT jobs.idx FROM jobs LEFT JOIN episodes ON episodes.idx = jobs.idx
             WHERE jobs.state = '{JobState.ARCHIVED}' AND (episodes.idx IS NULL OR episodes.job_id != jobs.id
                 OR episodes.attempt != jobs.attempt)""",
-        "an episode is recorded and its job is not archived": f"""
+        "an episode has a row but its job is not archived": f"""
             SELECT episodes.idx FROM episodes LEFT JOIN jobs ON jobs.id = episodes.job_id
             WHERE jobs.id IS NULL OR jobs.idx != episodes.idx OR jobs.superseded
                 OR jobs.state != '{JobState.ARCHIVED}'""",
-        "a job does not stand where its last event left it": f"""
+        "a job is not in the state of its last event": f"""
             SELECT jobs.idx FROM jobs JOIN events ON events.id =
                 (SELECT max(last.id) FROM events AS last WHERE last.job_id = jobs.id)
             WHERE NOT jobs.superseded AND jobs.state != '{JobState.ARCHIVED}'
                 AND (events.state != jobs.state OR events.fence != jobs.fence OR events.attempt > jobs.attempt)""",
-        "a job that nothing has happened to does not wait": f"""
+        "a job without events is not pending": f"""
             SELECT jobs.idx FROM jobs WHERE jobs.state != '{JobState.PENDING}'
                 AND NOT EXISTS (SELECT 1 FROM events WHERE events.job_id = jobs.id)""",
         "a held job has no lease": f"""

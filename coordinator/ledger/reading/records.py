@@ -189,7 +189,8 @@ def _summaries(connection: Connection, query: Select[Any]) -> Iterator[EpisodeSu
             yield EpisodeSummary.model_validate_json(summary)
         except ValidationError as error:
             raise WorldError(
-                f"the ledger's row of episode {index} cannot be understood: stop the run and let `factory repair` read "
+                f"the ledger's row of episode {index} cannot be read: stop the run and run `factory repair`, which "
+                "restores "
                 "it from the episode's file"
             ) from error
 

@@ -1,4 +1,4 @@
-"""Where a verb lets workers in: without TLS on loopback only, with it whoever the list of hosts admits."""
+"""Endpoints and access control of commands that listen: loopback only without TLS, admitted hosts only with TLS."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _TLS_LISTEN = ("tls/0.0.0.0:7447",)
 
 
 def open_door(tls: Path | None, listen: tuple[str, ...]) -> tuple[Guard | None, tuple[str, ...]]:
-    """Returns who is let in, and where.
+    """Returns the access control, `None` without TLS, and the endpoints to listen on.
 
     Args:
-        tls: folder of certificates, if any.
-        listen: endpoints as asked for; none takes the default.
+        tls: TLS folder of this host, or `None`.
+        listen: endpoints given by the user; when empty, the default endpoint is used.
 
     Raises:
-        UsageError: an endpoint and the certificates do not go together.
+        UsageError: an endpoint does not fit: not on loopback without TLS, or not `tls/` with it.
     """
     if tls is None:
         require_loopback(listen)

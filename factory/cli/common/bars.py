@@ -1,4 +1,7 @@
-"""Progress bars on stderr that fit the terminal; in a log file, a line a minute. The only user of rich's `Progress`."""
+"""Progress bars on stderr that fit the terminal. In a log file, one line per minute is printed instead.
+
+This module is the only user of rich's `Progress`.
+"""
 
 from __future__ import annotations
 
@@ -28,21 +31,21 @@ __all__ = ["Bars"]
 
 _PAUSE_S = 60.0
 _BAR_WIDTHS = (40, 20, 10)
-"""Widths of the bar, characters; the first that fits is taken."""
+"""Widths of the bar, characters; the first that fits is used."""
 
 
 class Bars(Progress):
-    """One line a task: description, bar, count, time and a note; the note is on the next line where it does not fit.
+    """One line per task: description, bar, count, time and a note. A note that does not fit is on the next line.
 
-    Rich shows a log file its bars only when all is done, which is hours later for a long run; this class prints a
-    line a minute there.
+    Without a terminal, rich prints its bars only at the end, hours later for a long run. This class prints one line
+    per minute instead.
 
     Args:
         counts: columns between the bar and the note; by default the count and the elapsed time.
         transient: remove the bars at the end.
-        refresh_per_second: how often a terminal is redrawn.
-        console: where to print.
-        pause_s: least time between two lines where there is no terminal, seconds.
+        refresh_per_second: refresh rate on a terminal.
+        console: output console.
+        pause_s: minimum time between two lines without a terminal, seconds.
     """
 
     def __init__(
@@ -61,21 +64,21 @@ class Bars(Progress):
         self._said = time.monotonic()
 
     def add_task(self, description: str, *args: Any, note: str = "", **fields: Any) -> TaskID:
-        """Adds a task with a note, which is empty at first."""
+        """Adds a task with a note; the default is an empty note."""
         return super().add_task(description, *args, note=note, **fields)
 
     def update(self, task_id: TaskID, **changes: Any) -> None:
-        """Changes a task, and prints a line where no terminal shows its bar."""
+        """Updates a task; without a terminal, prints a line."""
         super().update(task_id, **changes)
         self._say()
 
     def advance(self, task_id: TaskID, advance: float = 1) -> None:
-        """Advances a task, and prints a line where no terminal shows its bar."""
+        """Advances a task; without a terminal, prints a line."""
         super().advance(task_id, advance)
         self._say()
 
     def get_renderables(self) -> Iterator[RenderableType]:
-        """Yields the bars, and below them the notes that do not fit beside them."""
+        """Yields the bars, then the notes that do not fit on the lines of the bars."""
         yield from self._fitted([task for task in self.tasks if task.visible])
 
     def _fitted(self, tasks: list[Task]) -> Iterator[RenderableType]:
@@ -93,7 +96,7 @@ class Bars(Progress):
                 yield Text(f"  {of}{task.fields['note']}", overflow="fold", no_wrap=False)
 
     def _table(self, tasks: Iterable[Task], bar_width: int | None, with_notes: bool = False) -> Table:
-        """Returns the lines; without a bar when it has no width."""
+        """Returns the lines as a table; without bars when `bar_width` is `None`."""
         self._bar.bar_width = bar_width
         description = TextColumn("{task.description}", table_column=Column(overflow="fold"))
         columns: list[ProgressColumn] = [description, *((self._bar,) if bar_width else ()), *self._counts]
@@ -118,5 +121,5 @@ class Bars(Progress):
 
 
 def _width(console: Console, table: Table) -> int:
-    """Returns the width that a table would take on an endless line."""
+    """Returns the width of a table on a console of unlimited width."""
     return Measurement.get(console, console.options.update(max_width=10_000), table).maximum

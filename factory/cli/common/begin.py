@@ -1,4 +1,4 @@
-"""The plan of a run: the one that its directory was begun with, or the one asked for; told before anything is built."""
+"""Chooses the plan of a run, the one in its dataset directory or the requested one, before anything is built."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ __all__ = ["Beginning", "begin"]
 
 
 class Beginning(NamedTuple):
-    """What is to be made."""
+    """The plan of a run, and whether the run is new."""
 
     plan: Plan
     is_new: bool
-    """Nothing of it has been made yet."""
+    """True when the dataset has neither a ledger nor episodes."""
 
 
 def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning:
-    """Returns the plan to work on in a place.
+    """Returns the plan to run in a dataset directory.
 
     Args:
-        name: of the plan asked for; `None` goes on with the one that is there, or takes demo.
-        site: where the dataset is made.
-        changes: the shrink options.
+        name: name or file of the requested plan; `None` continues the existing one, or uses `demo`.
+        site: location of the dataset.
+        changes: values of the shrink options.
 
     Raises:
-        UsageError: the place was begun with another plan, or lies in another dataset.
-        WorldError: it cannot be looked into.
+        UsageError: the directory has another plan, or is inside another dataset.
+        WorldError: the directory cannot be read.
     """
     begun = plan_of(site)
     wanted = load_plan(name) if name is not None else begun or load_plan("demo")
@@ -56,11 +56,14 @@ def begin(name: str | None, site: Site, changes: Mapping[str, Any]) -> Beginning
 
 
 def _look_around(out: Path) -> None:
-    """Refuses a directory within a dataset, and says what a new one holds that is not of a dataset."""
+    """Refuses a directory inside a dataset; prints a note about files that do not belong to a dataset."""
     around = next((parent for parent in out.absolute().parents if is_dataset(parent)), None)
     if around is not None:
-        raise UsageError(f"{out} lies in the dataset {around}: choose an --out outside of it")
+        raise UsageError(f"{out} is inside the dataset {around}: choose an --out outside of it")
     strange = sorted(entry.name for entry in out.iterdir() if not is_part(entry.name)) if out.is_dir() else []
     if strange:
         some = ", ".join(strange[:3]) + (", ..." if len(strange) > 3 else "")
-        click.echo(f"note: {out} holds what is no part of a dataset, as `factory verify` will say: {some}", err=True)
+        click.echo(
+            f"note: {out} contains files that do not belong to a dataset; `factory verify` will report them: {some}",
+            err=True,
+        )

@@ -1,4 +1,4 @@
-"""Naming an episode on the command line: `ep_000012` or `12`."""
+"""Episode names on the command line: `ep_000012` or `12`."""
 
 from __future__ import annotations
 
@@ -10,28 +10,33 @@ __all__ = ["episode_index", "episode_path"]
 
 
 def episode_index(name: str) -> int:
-    """Returns the number in an episode's name.
+    """Returns the number of an episode from its name.
 
     Raises:
-        UsageError: it is neither a number nor a name of an episode.
+        UsageError: `name` is neither an episode number nor an episode name.
     """
     digits = name.removeprefix("ep_").removesuffix(".zip")
     if not digits.isascii() or not digits.isdigit() or int(digits) < 1:
-        raise UsageError(f"{name!r} names no episode; write ep_000012 or 12")
+        raise UsageError(f"{name!r} is not a valid episode name; examples: ep_000012, 12")
     return int(digits)
 
 
 def episode_path(root: Place, name: str) -> Place:
-    """Returns the bundle of an episode of a dataset.
+    """Returns the path of an episode's bundle in a dataset.
 
     Raises:
-        UsageError: the directory or the episode is not there.
+        UsageError: the directory or the episode does not exist.
     """
     folder = root / "episodes"
     if not folder.is_dir():
-        raise UsageError(f"{root} is no dataset: it has no episodes/ (make one with `factory run demo --out {root}`)")
+        raise UsageError(
+            f"{root} is not a dataset: episodes/ is missing; create a dataset with `factory run demo --out {root}`"
+        )
     path = folder / f"{episode_id(episode_index(name))}.zip"
     if not path.is_file():
         count = len(list(folder.glob("ep_*.zip")))
-        raise UsageError(f"{root} has no {path.stem}; it holds {count} episodes (see `factory jobs list {root}`)")
+        raise UsageError(
+            f"{path.stem} does not exist in {root}, which has {count} episodes; list them with "
+            f"`factory jobs list {root}`"
+        )
     return path

@@ -1,4 +1,4 @@
-"""Filters of the command line: `--split --scene --tier --state`, each repeatable or with commas between its values."""
+"""Filter options: `--split --scene --tier --state`, each repeatable; values may also be separated by commas."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ __all__ = ["ALL", "filter_option", "scene_filter", "split_filter", "tier_filter"
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 ALL = "all"
-"""The value of a filter that lets everything pass."""
+"""The value that selects everything."""
 
 
 class _Names(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
-    """`A[,B...]` as a tuple, checked where the names are known beforehand; `all` is an empty tuple."""
+    """`A[,B...]` as a tuple of names, checked against the valid names if they are known; `all` is an empty tuple."""
 
     def __init__(self, name: str, known: Sequence[str] = ()) -> None:
         self.name = name
         self._known = known
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        """Returns the names; an unknown one is wrong usage."""
+        """Returns the names; an unknown name is a usage error."""
         if isinstance(value, tuple):
             return value
         names = tuple(name.strip() for name in str(value).split(",") if name.strip())
@@ -35,13 +35,14 @@ class _Names(click.ParamType):  # type: ignore[type-arg]  # generic since click 
             return ()
         unknown = [name for name in names if self._known and name not in self._known]
         if unknown or not names:
-            valid = f"valid: {', '.join(self._known)}, {ALL}" if self._known else f"give a name, or {ALL}"
+            valid = f"valid values: {', '.join(self._known)}, {ALL}" if self._known else f"give a name, or {ALL}"
             near = did_you_mean("".join(unknown[:1]), (*self._known, ALL))
-            self.fail(f"no {self.name} {', '.join(map(repr, unknown)) or 'is named'}; {valid}{near}", param, ctx)
+            what = f"unknown {self.name} {', '.join(map(repr, unknown))}" if unknown else "empty value"
+            self.fail(f"{what}; {valid}{near}", param, ctx)
         return names
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:  # noqa: ARG002
-        """Completes the last name of the list."""
+        """Completes the last name in the list."""
         before, comma, last = incomplete.rpartition(",")
         return [CompletionItem(f"{before}{comma}{name}") for name in self._known if name.startswith(last)]
 
@@ -52,13 +53,13 @@ def filter_option(
     known: Iterable[str] = (),
     text: str | None = None,
 ) -> Callable[[Command], Command]:
-    """An option whose values are collected in one tuple; `None` where it is not given, empty for `all`.
+    """Returns an option whose values are collected in one tuple: `None` when not given, empty for `all`.
 
     Args:
         flag: the option, e.g. `--split`.
-        name: of the parameter.
-        known: valid values; empty where they are not known beforehand.
-        text: of the help; by default that of a filter.
+        name: name of the parameter.
+        known: valid values; empty when they are not known in advance.
+        text: help text; by default that of a filter.
     """
     word, names = flag.lstrip("-"), tuple(map(str, known))
     return click.option(
@@ -68,7 +69,7 @@ def filter_option(
         type=_Names(word, names),
         metavar=word.upper(),
         callback=_flatten,
-        help=text or f"Only this {word}, repeatable: {', '.join(names)}.",
+        help=text or f"{word.capitalize()} to include; repeatable. Values: {', '.join(names)}. Default: all.",
     )
 
 
@@ -83,9 +84,9 @@ def tier_filter() -> Callable[[Command], Command]:
 
 
 def scene_filter() -> Callable[[Command], Command]:
-    """`--scene SCENE` as `scenes`; an own scene has any name."""
+    """`--scene SCENE` as `scenes`. Names are not checked: imported scenes have any name."""
     known = ", ".join(BUILTIN_CATEGORIES)
-    return filter_option("--scene", "scenes", (), f"Only this scene, repeatable. Built in: {known}.")
+    return filter_option("--scene", "scenes", (), f"Scene to include; repeatable. Built-in: {known}. Default: all.")
 
 
 def _flatten(context: click.Context, param: click.Parameter, given: Any) -> tuple[str, ...] | None:  # noqa: ARG001

@@ -1,6 +1,6 @@
-"""`--gate`: a pilot of first attempts in each scene of a plan, before the plan is handed out. Archives nothing.
+"""`--gate`: measures the success rate of first attempts in each scene before a run starts. Archives nothing.
 
-Run by the face and not by the coordinator, which never simulates: it is told what was found, and writes it down.
+The command line runs the pilot, because the coordinator never simulates; the coordinator records the result.
 """
 
 from __future__ import annotations
@@ -29,22 +29,26 @@ GateMode = Literal["auto", "enforce", "report", "skip"]
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _PILOT = 50
-"""First attempts a scene, as in the paper."""
+"""First attempts per scene, as in the paper."""
 _MIN_SUCCESS = 0.8
 _WORTH_A_PILOT = 4 * _PILOT
-"""Episodes from which on `auto` tries a scene first: below, the pilot costs more than a quarter of the run."""
+"""Least number of episodes for which `auto` runs a pilot. Below it, a pilot costs over a quarter of the run."""
 _MEANINGS = (
-    f"Pilot of {_PILOT} first attempts in each scene before a new run. enforce: exit with 1 when less than "
-    f"{100 * _MIN_SUCCESS:.0f} % succeed; report: continue and record the result; skip: no pilot"
+    f"Pilot before a new run: {_PILOT} first attempts in each scene. enforce: exit with 1 if less than "
+    f"{100 * _MIN_SUCCESS:.0f} % succeed; report: record the result and continue; skip: no pilot"
 )
 
 
 def gate_option(default: GateMode) -> Callable[[Command], Command]:
-    """`--gate MODE`."""
+    """Returns the option `--gate MODE`."""
     modes = ["enforce", "report", "skip"]
     if default == "auto":
         modes.insert(0, default)
-    auto = f"; auto: report, for scenes of {_WORTH_A_PILOT} episodes and more" if default == "auto" else ""
+    auto = (
+        f"; auto: report for scenes with at least {_WORTH_A_PILOT} episodes, otherwise skip"
+        if default == "auto"
+        else ""
+    )
     return click.option(
         "--gate", "gate_mode", type=click.Choice(modes), default=default, show_default=True, help=f"{_MEANINGS}{auto}."
     )
@@ -53,10 +57,10 @@ def gate_option(default: GateMode) -> Callable[[Command], Command]:
 def hold_gate(
     plan: Plan, catalog: Catalog, mode: GateMode, renderer: RendererKind, processes: int, stop: threading.Event
 ) -> tuple[GateOutcome, ...] | None:
-    """Tries the scenes of a plan as the mode says; returns what was found, or `None` when `stop` was set.
+    """Runs the pilots that the mode requires; returns their outcomes, or `None` when `stop` was set.
 
     Raises:
-        WorldError: the mode is `enforce` and a scene stays under the share; or simulations do not start.
+        WorldError: the mode is `enforce` and the success rate in a scene is too low, or simulations do not start.
     """
     reports: list[GateReport] = []
     for scene in plan.scenes:
@@ -72,8 +76,9 @@ def hold_gate(
     failed = [report.scene for report in reports if not report.passed]
     if failed and mode == "enforce":
         raise WorldError(
-            f"the gate is closed: under {100 * _MIN_SUCCESS:.0f} % of first attempts succeed in {', '.join(failed)}; "
-            f"nothing was archived; see what fails with `factory gate --scene {failed[0]}`, or go on with --gate report"
+            f"gate failed: less than {100 * _MIN_SUCCESS:.0f} % of first attempts succeed in {', '.join(failed)}; "
+            f"nothing was archived; list the failures with `factory gate --scene {failed[0]}`, or continue with "
+            "--gate report"
         )
     return tuple(map(_outcome, reports))
 
@@ -81,7 +86,9 @@ def hold_gate(
 def try_scene(
     plan: Plan, catalog: Catalog, min_success: float, renderer: RendererKind, processes: int, stop: threading.Event
 ) -> GateReport | None:
-    """Tries every episode of a plan of one scene once, under a bar; returns the verdict, or `None` when `stop` was set.
+    """Attempts every episode of a one-scene plan once; returns the report, or `None` when `stop` was set.
+
+    Shows a progress bar.
 
     Raises:
         WorldError: simulations do not start.
@@ -118,7 +125,7 @@ def _print(reports: list[GateReport]) -> None:
         )
         for report in reports
     ]
-    print_table("", ("gate", "first attempts", "succeeded", "share", "failed by", "verdict"), rows, stderr)
+    print_table("", ("gate", "first attempts", "succeeded", "success", "failures", "result"), rows, stderr)
 
 
 def _percent(share: Share) -> str:

@@ -1,4 +1,4 @@
-"""Groups of commands: nearest names for misspelled commands, one line of help a command, and a verb with a default."""
+"""Command groups: suggestions for misspelled names, and groups with a default command."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from schemas.support.suggest import did_you_mean
 __all__ = ["CommandGroup", "DefaultCommand", "DefaultGroup", "say_no_option"]
 
 _MOST = 2
-"""Largest number of suggested names."""
+"""Maximum number of suggested names."""
 
 
 class CommandGroup(click.Group):
-    """A group that lists its commands in their order, and names the nearest one when a name is misspelled."""
+    """A group that lists its commands in order of definition and suggests names for a misspelled one."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Returns the names of the commands."""
@@ -29,7 +29,7 @@ class CommandGroup(click.Group):
         """Returns the command that the first argument names.
 
         Raises:
-            click.UsageError: there is no such command.
+            click.UsageError: the command does not exist.
         """
         name = str(args[0])
         names = self.list_commands(ctx)
@@ -39,7 +39,7 @@ class CommandGroup(click.Group):
 
 
 class _GroupContext(click.Context):
-    """The context of a default command, which usage and errors call by the name of its group."""
+    """The context of a default command; usage and errors show the path of its group."""
 
     @property
     def command_path(self) -> str:
@@ -67,7 +67,7 @@ class DefaultGroup(CommandGroup):
         self.add_command(command)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Puts the name of the default command before arguments that name no command."""
+        """Inserts the name of the default command if the first argument is not a command."""
         first = args[0] if args else None
         if first is None and ctx.resilient_parsing:
             return super().parse_args(ctx, args)
@@ -81,7 +81,7 @@ class DefaultGroup(CommandGroup):
         self.format_commands(ctx, formatter)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Returns the commands, and what the default command takes first."""
+        """Returns the commands, and the completions of the default command's first argument."""
         found = super().shell_complete(ctx, incomplete)
         own = self.default.make_context(ctx.info_name, [], ctx.parent, resilient_parsing=True)
         found.extend(item for item in self.default.shell_complete(own, incomplete) if item not in found)
@@ -92,7 +92,7 @@ class DefaultGroup(CommandGroup):
 
 
 def say_no_option(error: click.NoSuchOption) -> click.UsageError:
-    """Returns the error for an unknown option with the nearest visible option of the command."""
+    """Returns the error for an unknown option, with suggestions of visible options of the command."""
     known = _visible_options(error.ctx.command.params if error.ctx is not None else ())
     return click.UsageError(
         f"No such option {error.option_name!r}{did_you_mean(error.option_name, known, _MOST)}", ctx=error.ctx

@@ -1,4 +1,4 @@
-"""`--http` and `--http-token`: status pages beside a verb that serves for long."""
+"""`--http` and `--http-token`: status pages of long-running commands."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def http_options(command: Command) -> Command:
             "--http-token",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE",
-            help="File whose first line is the bearer token of /metrics; needed where --http is not on loopback.",
+            help="File whose first line is the bearer token of /metrics. Required if --http is not a loopback address.",
         ),
         click.option(
             "--http",
             metavar="HOST:PORT",
             callback=_require_pages,
-            help="Address of the status pages /healthz, /readyz and /metrics; default: none.",
+            help="Address to serve the status pages /healthz, /readyz and /metrics on. Default: no status pages.",
         ),
     ):
         command = option(command)
@@ -47,20 +47,20 @@ def _require_pages(context: click.Context, param: click.Parameter, http: str | N
 
 @contextmanager
 def status_pages(vitals: Watched, http: str | None, token_file: Path | None) -> Iterator[None]:
-    """Serves status pages during the block, if wanted.
+    """Serves status pages while the context is open, if `--http` is given.
 
     Args:
-        vitals: of what is served.
-        http: `--http`.
-        token_file: `--http-token`.
+        vitals: source of the values on the pages.
+        http: value of `--http`.
+        token_file: value of `--http-token`.
 
     Raises:
         UsageError: the address is malformed or unprotected, or the extra is missing.
-        WorldError: the address is taken.
+        WorldError: the address is in use.
     """
     if http is None:
         if token_file is not None:
-            raise UsageError("--http-token without --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
+            raise UsageError("--http-token requires --http: give the address to serve on, e.g. --http 127.0.0.1:9464")
         yield
         return
     from coordinator.status import StatusServer, parse_address  # its packages are an extra
@@ -75,4 +75,6 @@ def _read_token(path: Path) -> str:
     try:
         return path.read_text(encoding="ascii").partition("\n")[0].strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"no token in {path}: {error}; make one with: openssl rand -hex 16 > {path}") from error
+        raise UsageError(
+            f"cannot read a token from {path}: {error}; create one with: openssl rand -hex 16 > {path}"
+        ) from error

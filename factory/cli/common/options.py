@@ -1,4 +1,4 @@
-"""Options that several verbs share, each defined once."""
+"""Options and arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 compare_option = click.option(
     "--compare-paper/--no-compare-paper",
     default=None,
-    help="Show the paper's published values beside the dataset's. Default: only for the plan paper.",
+    help="Show the published values of the paper next to those of the dataset. Default: only for the plan `paper`.",
 )
-"""`--compare-paper`: on, off, or by the dataset's plan."""
+"""`--compare-paper`: on, off, or chosen by the dataset's plan."""
 
 
 def plan_argument(default: str | None) -> Callable[[Command], Command]:
-    """PLAN: a built-in name or a TOML file."""
+    """Returns the argument PLAN: a built-in name or a TOML file."""
     return click.argument("plan_name", metavar="[PLAN]", required=False, default=default, shell_complete=_complete_plan)
 
 
@@ -62,15 +62,15 @@ def _complete_plan(context: click.Context, param: click.Parameter, word: str) ->
 
 
 def shrink_options(command: Command) -> Command:
-    """`--scene --episodes --expert --seed`: a plan with fewer scenes or episodes, or with another expert or seed."""
+    """Adds `--scene --episodes --expert --seed`, which change a plan's scenes, episode count, expert and seed."""
     for option in (
-        click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root seed; default: the plan's."),
+        click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root random seed. Default: the plan's."),
         expert_option,
         click.option(
             "--episodes",
             type=click.IntRange(min=1),
             metavar="N",
-            help="Number of episodes, in the plan's proportions; default: all of the plan.",
+            help="Number of episodes, in the plan's proportions. Default: all episodes of the plan.",
         ),
         scene_filter(),
     ):
@@ -91,10 +91,10 @@ def shrunk_plan(plan: Plan, changes: Mapping[str, Any]) -> Plan:
 
 
 def warn_of_empty_splits(plan: Plan) -> None:
-    """Prints on stderr which splits get no episode because the plan has too few."""
+    """Prints on stderr which splits have no episodes because the plan has too few."""
     empty = empty_splits(plan)
     if empty:
-        click.echo(f"note: {plan.episodes} episodes are too few for a share of {', '.join(empty)}", err=True)
+        click.echo(f"note: {plan.episodes} episodes are too few; splits without episodes: {', '.join(empty)}", err=True)
 
 
 dataset_argument = click.argument("root", metavar="DIR", type=DIRECTORY)
@@ -104,7 +104,7 @@ place_argument = click.argument("root", metavar="DIR|URL", type=PLACE)
 """DIR|URL: a dataset to read, in a directory or in object storage."""
 
 site_argument = click.argument("site", metavar="DIR|URL", type=SITE)
-"""DIR|URL: a run, by where its dataset lies."""
+"""DIR|URL: a run, given by the location of its dataset."""
 
 out_option = click.option(
     "-o",
@@ -113,55 +113,55 @@ out_option = click.option(
     required=True,
     metavar="DIR|URL",
     type=SITE,
-    help="Dataset directory, or s3://BUCKET/NAME (gs://, az://); its ledger and part files are then in MINIVLA_STATE. "
-    "A dataset that is there is continued.",
+    help="Dataset directory, or URL s3://BUCKET/NAME (also gs://, az://); for a URL, the ledger and temporary files "
+    "are stored in MINIVLA_STATE. An existing dataset is continued.",
 )
-"""`--out`: where the dataset is made."""
+"""`--out`: location of the dataset."""
 
 ledger_option = click.option(
     "--ledger",
     metavar="URL",
     envvar="MINIVLA_LEDGER",
-    help="URL of the ledger's database; default: ledger.db in the dataset directory, or MINIVLA_LEDGER.",
+    help="URL of the ledger's database. Default: MINIVLA_LEDGER, else ledger.db in the dataset directory.",
 )
-"""`--ledger URL`, or the environment's MINIVLA_LEDGER: a URL may hold a password, which a command line shows to all."""
+"""`--ledger URL`, or MINIVLA_LEDGER: the URL can contain a password, which is visible in a command line."""
 
 tls_option = click.option(
     "--tls",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
     envvar="MINIVLA_TLS",
-    help="TLS folder of this host, made by `factory keys host`; default: MINIVLA_TLS.",
+    help="TLS folder of this host, created by `factory keys host`. Default: MINIVLA_TLS, else no TLS.",
 )
-"""`--tls DIR`, or the environment's MINIVLA_TLS."""
+"""`--tls DIR`, or MINIVLA_TLS."""
 
 renderer_option = click.option(
     "--renderer",
     type=click.Choice(get_args(RendererKind)),
     default="auto",
     show_default=True,
-    help="gl: OpenGL; tiny: PyBullet's TinyRenderer; auto: the first of them that works on this machine.",
+    help="Renderer. gl: OpenGL; tiny: PyBullet's TinyRenderer; auto: OpenGL if it works on this machine, else tiny.",
 )
 """`--renderer auto|gl|tiny`."""
 
 expert_option = click.option(
-    "--expert", type=click.Choice([str(name) for name in ExpertName]), help="Expert controller; default: the plan's."
+    "--expert", type=click.Choice([str(name) for name in ExpertName]), help="Expert controller. Default: the plan's."
 )
-"""`--expert NAME`: another expert than the plan's."""
+"""`--expert NAME`: replaces the plan's expert."""
 
-verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log every event, not only warnings.")
+verbose_option = click.option("-v", "--verbose", is_flag=True, help="Log all events. Default: warnings only.")
 """`--verbose`."""
 
 
 def workers_option(text: str, default: int | None = None, least: int = 1) -> Callable[[Command], Command]:
-    """`--workers N`: how many processes work at a time; `None` is one a core."""
+    """Returns the option `--workers N`: number of processes; `None` means one per core."""
     return click.option(
         "--workers",
         type=click.IntRange(least, 1024),
         default=default,
         show_default=default is not None,
         metavar="N",
-        help=text if default is not None else f"{text}; default: one a core.",
+        help=text if default is not None else f"{text}. Default: one per core.",
     )
 
 
@@ -173,21 +173,21 @@ def count_option(
     least: int = 1,
     most: int | None = None,
 ) -> Callable[[Command], Command]:
-    """An option that takes a whole number and shows its default."""
+    """Returns an option with an integer value that shows its default."""
     return click.option(
         flag, type=click.IntRange(least, most), default=default, show_default=True, metavar="N", help=text
     )
 
 
 def connect_option(text: str, required: bool = False) -> Callable[[Command], Command]:
-    """`--connect ENDPOINT`, repeatable or with commas between."""
+    """Returns the option `--connect ENDPOINT`, repeatable; values may also be separated by commas."""
     return click.option(
         "--connect", multiple=True, required=required, metavar="ENDPOINT", callback=_split_commas, help=text
     )
 
 
 def listen_option(text: str) -> Callable[[Command], Command]:
-    """`--listen ENDPOINT`, repeatable or with commas between."""
+    """Returns the option `--listen ENDPOINT`, repeatable; values may also be separated by commas."""
     return click.option("--listen", multiple=True, metavar="ENDPOINT", callback=_split_commas, help=text)
 
 
@@ -196,13 +196,13 @@ def _split_commas(context: click.Context, param: click.Parameter, given: tuple[s
 
 
 def former_option(old: str, name: str, new: str, **like: Any) -> Callable[[Command], Command]:
-    """A hidden option: the former spelling of another option or of an argument.
+    """Returns a hidden option: the former spelling of another option or of an argument.
 
     Args:
         old: the former spelling, e.g. `--data`.
-        name: of the parameter that it sets.
-        new: what to write instead, for the error when both are given and for the help.
-        like: further arguments of `click.option`.
+        name: name of the parameter that it sets.
+        new: the current spelling, for the help and for the error when both are given.
+        like: other arguments of `click.option`.
     """
     own = f"former_{old.lstrip('-').replace('-', '_')}"
 
@@ -215,11 +215,18 @@ def former_option(old: str, name: str, new: str, **like: Any) -> Callable[[Comma
         def checked(*args: Any, **kwargs: Any) -> Any:
             context = click.get_current_context()
             if all(context.get_parameter_source(key) is click.core.ParameterSource.COMMANDLINE for key in (own, name)):
-                context.fail(f"{old} is the former spelling of {new}: give only {new}")
+                context.fail(f"{old} is the former spelling of {new}; give {new} only")
             return verb(*args, **kwargs)
 
         option = click.option(
-            old, own, hidden=True, is_eager=True, expose_value=False, callback=set_it, help=f"Former {new}.", **like
+            old,
+            own,
+            hidden=True,
+            is_eager=True,
+            expose_value=False,
+            callback=set_it,
+            help=f"Former spelling of {new}.",
+            **like,
         )
         return cast("Command", option(checked))
 

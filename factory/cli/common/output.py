@@ -1,4 +1,4 @@
-"""How results are printed: JSON or tables on stdout, bars and remarks on stderr. Prints, never computes."""
+"""Prints results as JSON, tables or text: results on stdout, notes on stderr. Computes nothing."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rich.table import Table
 __all__ = ["FittedTable", "json_option", "print_json", "print_table", "print_text", "say_duration", "stderr", "stdout"]
 
 _PIPE_COLUMNS = 200
-"""Width of tables where no terminal sets one."""
+"""Width of tables without a terminal, characters."""
 _GAP = 2
 """Spaces between columns."""
 _MOST_KEYS = 3
-"""Columns of text that tell the rows of a table apart."""
+"""Maximum number of text columns that identify a row."""
 
 stdout = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else _PIPE_COLUMNS)
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, width=None if sys.stderr.isatty() else _PIPE_COLUMNS)
@@ -28,12 +28,12 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 
 
 def print_json(data: Any) -> None:
-    """Prints plain data as indented JSON."""
+    """Prints data as indented JSON."""
     click.echo(json.dumps(data, indent=2, ensure_ascii=False))
 
 
 def print_text(text: str, console: Console = stdout) -> None:
-    """Prints sentences; on a terminal, lines are broken between words."""
+    """Prints text; on a terminal, lines are wrapped between words."""
     if console.is_terminal:
         console.print(text, soft_wrap=False, markup=False)
     else:
@@ -48,16 +48,16 @@ def print_table(
 
 
 class FittedTable:
-    """A table that fits the terminal; columns whose cells are numbers are aligned right.
+    """A table that fits the terminal; columns of numbers are aligned right.
 
-    A table that is too wide is printed with narrower gaps, then in pieces, each with the columns of text that a row
-    begins with.
+    A table that is too wide is printed with narrower gaps or, if that is not enough, in pieces. Each piece repeats
+    the leading text columns, which identify the rows.
 
     Args:
         title: printed above the first piece.
-        columns: names.
-        rows: one cell a column; `None` is printed as a dash.
-        min_first: least width of the first column, characters.
+        columns: column names.
+        rows: rows with one cell per column; `None` is printed as a dash.
+        min_first: minimum width of the first column, characters.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class FittedTable:
         self._cells = [[_cell(value) for value in row] for row in body]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
-        """Yields the pieces that fit the console."""
+        """Yields the table, or its pieces, at the width of the console."""
         widths = [max(map(cell_len, (name, *(row[k] for row in self._cells)))) for k, name in enumerate(self._columns)]
         room = options.max_width
         gap = next((gap for gap in (_GAP, 1) if sum(widths) + gap * (len(widths) - 1) <= room), _GAP)
@@ -94,7 +94,7 @@ class FittedTable:
 
 
 def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, gap: int) -> list[list[int]]:
-    """Returns the columns of every piece that fits into `room` characters; those that name a row are in each."""
+    """Returns the columns of each piece of at most `room` characters; the columns that identify rows are in each."""
     names = [all(map(str.isidentifier, (row[k][:1] for row in cells))) for k in range(min(_MOST_KEYS, len(widths)))]
     keys = max(1, (*names, False).index(False))
     while keys > 1 and sum(widths[:keys]) + gap * keys > room / 2:
@@ -108,7 +108,7 @@ def _pieces(widths: Sequence[int], cells: Sequence[Sequence[str]], room: int, ga
 
 
 def say_duration(seconds: float | None) -> str:
-    """Returns seconds as `1 h 05 min`, `4 min 10 s` or `12 s`; a dash when unknown."""
+    """Returns a duration as `1 h 05 min`, `4 min 10 s` or `12 s`; a dash when it is unknown."""
     if seconds is None:
         return "-"
     minutes, rest = divmod(round(seconds), 60)

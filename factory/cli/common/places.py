@@ -1,4 +1,4 @@
-"""Naming a dataset on the command line: a directory, or a URL where a verb can work on one."""
+"""Dataset arguments of the command line: a directory, or a URL for commands that support object storage."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["DIRECTORY", "PLACE", "SITE"]
 
 
 def _folders(word: str) -> list[CompletionItem]:
-    """Has the shell complete the names of folders; a URL is left to who types it."""
+    """Tells the shell to complete directory names; URLs are not completed."""
     return [CompletionItem(word, type="dir")]
 
 
@@ -50,16 +50,16 @@ class _DirectoryType(click.ParamType[Path]):
         place = place_of(value)
         if isinstance(place, Path):
             return place
-        verb = f"`{ctx.command_path}`" if ctx is not None else "this"
+        command = f"`{ctx.command_path}`" if ctx is not None else "this command"
         raise UsageError(
-            f"{verb} works on a dataset directory, not on {place}: copy the dataset to a disk first, for example with "
-            "`aws s3 sync` or `rclone copy`"
+            f"{command} supports dataset directories only, not {place}: copy the dataset to a local directory first, "
+            "for example with `aws s3 sync` or `rclone copy`"
         )
 
 
 SITE = _SiteType()
-"""A run: where its dataset lies, and where its ledger."""
+"""A run: the locations of its dataset and its ledger."""
 PLACE = _PlaceType()
 """A dataset to read."""
 DIRECTORY = _DirectoryType()
-"""A dataset that must lie on a disk."""
+"""A dataset in a local directory."""

@@ -1,4 +1,4 @@
-"""The closing words of a run: what was made, where it lies, what to type next."""
+"""Summary of a finished run: episodes, location and next command."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from schemas.wire import Progress
 
 __all__ = ["print_summary", "say_missing", "summarise"]
 
-_WORDS = {str(FailReason.RELEASED): "given back"}
-"""What an outcome is called where its own name says little."""
+_WORDS = {str(FailReason.RELEASED): "returned"}
+"""Names of outcomes in the summary, where they differ from the outcome's value."""
 
 
 def summarise(root: Place, progress: Progress) -> dict[str, Any]:
-    """Returns the facts of a finished run as plain data."""
+    """Returns the summary of a finished run as JSON data."""
     dataset = Dataset(root)
     sizes = [path.stat().st_size for path in (root / "episodes").glob("ep_*.zip")]
     return {
@@ -39,11 +39,11 @@ def summarise(root: Place, progress: Progress) -> dict[str, Any]:
 
 
 def say_missing(site: object, progress: Progress) -> None:
-    """Prints why a finished run lacks episodes and what to do, on stderr; nothing when it is whole.
+    """Prints on stderr how many episodes of a finished run are missing and what to do; nothing if none is missing.
 
     Args:
         site: the dataset's directory or URL.
-        progress: of the run.
+        progress: progress of the run.
     """
     if not progress.missing:
         return
@@ -52,13 +52,14 @@ def say_missing(site: object, progress: Progress) -> None:
     state = next((state for state, count in ends.items() if count), "failed")
     click.echo(
         f"error: {progress.missing} of {progress.planned} episodes are missing ({counts}): "
-        f"`factory jobs list {site} --state {state}` says why, `factory jobs retry {site} EPISODE` queues one again",
+        f"list the reasons with `factory jobs list {site} --state {state}`, requeue an episode with "
+        f"`factory jobs retry {site} EPISODE`",
         err=True,
     )
 
 
 def print_summary(summary: dict[str, Any]) -> None:
-    """Prints the facts for people."""
+    """Prints the summary as text."""
     size = f"{summary['bytes'] / 1e6:.0f} MB"
     print_text(f"dataset {summary['dataset']}: {summary['episodes']} of {summary['planned']} episodes, {size}")
     print_text(f"digest  {summary['digest']}")

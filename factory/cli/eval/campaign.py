@@ -1,4 +1,4 @@
-"""What `factory eval` was told, as a campaign and its store, with a progress bar for each part of it."""
+"""Builds the campaign and opens the result store of `factory eval` from its options, with progress bars."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__ = ["Asked", "draw_up", "open_store", "pace_bars", "published"]
 
 @dataclass(frozen=True)
 class Asked:
-    """The options of an evaluation, as given; their help stands with the command."""
+    """The values of the options of `factory eval`; see the help of the command."""
 
     root: Path
     splits: tuple[str, ...] | None
@@ -49,17 +49,17 @@ class Asked:
 
 
 def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
-    """Returns the campaign that was asked for.
+    """Returns the campaign that the options describe.
 
     Args:
-        asked: the options.
-        drives_here: whether this machine drives, which then has to hold what the policies are made of.
+        asked: values of the options.
+        drives_here: True if this machine runs the episodes, so that the policies must be installed here.
 
     Raises:
-        UsageError: a policy, a split or the file of specs does not exist, or what a policy needs is not installed.
+        UsageError: a policy, a split or the specs file does not exist, or a package of a policy is not installed.
     """
     if not asked.policies:
-        raise UsageError("give the dataset and a policy: factory eval DIR --policy expert")
+        raise UsageError("--policy is missing; example: factory eval DIR --policy expert")
     for name in asked.policies:
         check_name(name)
         if drives_here:
@@ -83,7 +83,7 @@ def draw_up(asked: Asked, drives_here: bool = True) -> Campaign:
 
 
 def open_store(campaign: Campaign, folder: Path) -> Store:
-    """Opens the directory of the results, or goes on with it."""
+    """Opens a new or existing results directory."""
     manifest = EvalManifest(
         run=Dataset(campaign.root).meta.run,
         specs_digest=campaign.specs.digest,
@@ -95,7 +95,7 @@ def open_store(campaign: Campaign, folder: Path) -> Store:
 
 @contextmanager
 def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
-    """Shows a bar a policy; yields what is told their progress."""
+    """Shows one progress bar per policy; yields the function that updates them."""
     with Bars(*_counts()) as bar:
         tasks = {name: bar.add_task(name, total=None) for name in campaign.policies}
 
@@ -108,17 +108,17 @@ def pace_bars(campaign: Campaign) -> Iterator[Callable[[Pace], None]]:
 
 def published(campaign: Campaign, store: Store, videos: int) -> Evaluation:
     """Writes all results and returns them."""
-    with _one_bar("drawing failures") as tell:
+    with _one_bar("videos of failures") as tell:
         return publish(campaign, store, videos, tell)
 
 
 def _specs(dataset: Dataset, asked: Asked) -> SpecSet:
-    """The specs of a file, or made of the dataset."""
+    """Returns the specs in the file, or creates them from the dataset."""
     if asked.specs_path is not None:
         splits = frozenset(map(Split, asked.splits)) if asked.splits else None
         return read_specs(asked.specs_path).only(splits, asked.episodes)
     chosen = splits_of(dataset, asked.splits)
-    with _one_bar("reading starts") as tell:
+    with _one_bar("start states") as tell:
         return specs_of_dataset(dataset, chosen, tell, asked.episodes)
 
 

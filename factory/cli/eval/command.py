@@ -1,4 +1,4 @@
-"""`factory eval`: drive policies closed-loop over a dataset's splits; prints every measure with its interval."""
+"""`factory eval`: evaluates policies in closed loop on a dataset; prints each measure with its interval."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ __all__ = ["command"]
 
 @click.group("eval", cls=DefaultGroup)
 def command() -> None:
-    """Evaluate policies in closed loop on episodes of a dataset."""
+    """Evaluate policies in closed loop on the episodes of a dataset."""
 
 
 @click.command("run", cls=DefaultCommand, hidden=True)
@@ -53,31 +53,34 @@ def command() -> None:
 @former_option("--data", "root", "DIR", type=DIRECTORY)
 @eval_split_filter
 @click.option(
-    "--policy", "policies", multiple=True, metavar="POLICY", help="Policy to evaluate, repeatable; see above."
+    "--policy", "policies", multiple=True, metavar="POLICY", help="Policy to evaluate, see above; repeatable."
 )
 @click.option(
     "--specs",
     "specs_path",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Episodes to drive, written by `factory eval specs`; default: episodes of the dataset.",
+    help="File of evaluation episodes, written by `factory eval specs`. Default: the episodes of the dataset.",
 )
 @click.option(
-    "--ablate-language", is_flag=True, help="Also drive with shuffled, wrong-category and empty instructions."
+    "--ablate-language", is_flag=True, help="Also evaluate with shuffled, wrong-category and empty instructions."
 )
 @click.option(
-    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes, spread evenly; default: all."
+    "--episodes",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Number of episodes, selected at even intervals. Default: all.",
 )
-@workers_option("Number of processes, one episode each")
-@listen_option("Endpoint where `factory worker`s connect that drive the episodes, repeatable.")
-@connect_option("Endpoint of a running coordinator whose workers drive the episodes, repeatable.")
+@workers_option("Number of simulation processes on this machine")
+@listen_option("Endpoint to listen on; `factory worker` processes that connect run the episodes. Repeatable.")
+@connect_option("Endpoint of a running coordinator whose workers run the episodes; repeatable.")
 @tls_option
 @click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Directory of the results. An interrupted evaluation of the same options is continued.",
+    help="Output directory. An interrupted evaluation with the same options is continued. Default: no output files.",
 )
 @click.option(
     "--act-timeout",
@@ -85,7 +88,7 @@ def command() -> None:
     default=10.0,
     show_default=True,
     metavar="SECONDS",
-    help="Timeout of each action.",
+    help="Timeout for each action, seconds.",
 )
 @click.option(
     "--load-timeout",
@@ -93,16 +96,18 @@ def command() -> None:
     default=300.0,
     show_default=True,
     metavar="SECONDS",
-    help="Timeout of loading the policy, and of each reset.",
+    help="Timeout for loading the policy and for each reset, seconds.",
 )
-@click.option("--pose", "with_pose", is_flag=True, help="Give policies the pose of the robot in the start frame.")
+@click.option(
+    "--pose", "with_pose", is_flag=True, help="Add the robot's pose, in the start frame, to the observations."
+)
 @click.option(
     "--videos",
     type=click.IntRange(0),
     default=12,
     show_default=True,
     metavar="N",
-    help="Largest number of films of failures, for each policy.",
+    help="Maximum number of videos of failed episodes for each policy.",
 )
 @click.option("--tables", "all_tables", is_flag=True, help="Also print tables by scene, tier, category and template.")
 @renderer_option
@@ -117,14 +122,15 @@ def run(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Evaluate policies in closed loop on episodes of a dataset.
+    """Evaluate policies in closed loop on the episodes of a dataset.
 
     \b
-    POLICY is built in:   expert, planner, random, stop, replay, playback, bc:DIR
-    or a class:           package.module:Class (see docs/evaluation/README.md)
-    or a server:          ws://HOST:PORT (openpi's websocket and msgpack)
+    POLICY is one of
+      built-in:  expert, planner, random, stop, replay, playback, bc:DIR
+      a class:   package.module:Class (see docs/evaluation/README.md)
+      a server:  ws://HOST:PORT (openpi's protocol: WebSocket and msgpack)
 
-    --out receives episodes.parquet, results.json and index.html; the same command continues an interrupted evaluation.
+    Writes episodes.parquet, results.json and index.html to --out. The same command continues an interrupted evaluation.
     """
     configure_logs()
     door = _door(listen, connect, tls, out, options["workers"])
@@ -133,7 +139,7 @@ def run(
         folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="eval-")))
         store = stack.enter_context(open_store(campaign, folder))
         if not _drive(campaign, store, door):
-            kept = f"run the same command to go on; {out} holds what is done" if out else "give -o to keep what is done"
+            kept = "run the same command again to continue" if out else "results were not kept; keep them with -o DIR"
             click.echo(f"interrupted: {kept}", err=True)
             return 130
         evaluation = published(campaign, store, videos) if out else evaluation_of(campaign, store)
@@ -142,7 +148,7 @@ def run(
         else:
             print_evaluation(evaluation, all_tables)
         if out:
-            click.echo(f"kept in {out}: results.json, episodes.parquet, index.html", err=True)
+            click.echo(f"results in {out}: results.json, episodes.parquet, index.html", err=True)
             _tell_how_to_drive_again(evaluation, store)
     return _judged(evaluation)
 
@@ -150,33 +156,38 @@ def run(
 def _tell_how_to_drive_again(evaluation: Evaluation, store: Store) -> None:
     folders = [shlex.quote(str(store.folder_of(policy.policy))) for policy in evaluation.policies if policy.faults]
     if folders:
-        again = f"`rm -r {' '.join(folders)}` and the same command drive it anew"
-        click.echo(f"episodes that a policy failed stay as they are; once it is mended, {again}", err=True)
+        again = f"run `rm -r {' '.join(folders)}` and the same command again"
+        click.echo(f"note: episodes with policy faults are kept; to repeat a corrected policy, {again}", err=True)
 
 
 def _judged(evaluation: Evaluation) -> int:
-    """Returns the exit code; a policy that failed as a program in every episode has not been evaluated."""
+    """Returns the exit code: 1 if a policy had a fault in every episode, because it was then not evaluated."""
     lost = [policy.policy for policy in evaluation.policies if policy.only_failed]
     for name in lost:
-        click.echo(f"error: {name} failed as a program in every episode: nothing is known of how it drives", err=True)
+        click.echo(f"error: policy {name} had a fault in every episode, so it was not evaluated", err=True)
     return 1 if lost else 0
 
 
 def _door(
     listen: tuple[str, ...], connect: tuple[str, ...], tls: Path | None, out: Path | None, workers: int | None
 ) -> FleetAccess | None:
-    """Returns how workers are reached; `None` where this machine drives."""
+    """Returns how workers are reached; `None` if this machine runs the episodes."""
     if not (listen or connect):
         if tls is not None:
-            raise UsageError("--tls is for --listen and --connect; leave it out, or give one of them")
+            raise UsageError("--tls requires --listen or --connect; give one of them, or remove --tls")
         return None
     if out is None:
-        raise UsageError("give -o OUT with --listen and --connect: what workers bring is archived there")
+        raise UsageError("--listen and --connect require -o DIR, where the results of the workers are stored")
     if workers is not None:
-        raise UsageError("--workers drives on this machine; else start `factory worker`s, here too if wanted")
+        raise UsageError(
+            "--workers cannot be combined with --listen or --connect: remove it and start `factory worker` on each host"
+        )
     if tls is not None and connect:
         if listen:
-            raise UsageError("with --tls give --listen or --connect: a certificate is for one of them")
+            raise UsageError(
+                "--tls with both --listen and --connect is not supported, because a certificate has one role: give one "
+                "of them"
+            )
         require_tls_endpoints(connect)
         return FleetAccess((), connect, Guard(tls, listens=False), _invite)
     require_loopback(connect)

@@ -1,4 +1,4 @@
-"""`factory eval compare`: two policies over the same episodes, pair by pair."""
+"""`factory eval compare`: paired comparison of two policies on the same episodes."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _RESULTS = click.Path(path_type=Path)
     type=click.Choice([str(v) for v in Variant]),
     default="original",
     show_default=True,
-    help="Variant of the instruction.",
+    help="Instruction variant to compare.",
 )
 @json_option
 def command(first: Path, second: Path, variant: str, as_json: bool) -> int:
-    """Compare two policies over the episodes that both drove.
+    """Compare two policies on the episodes that both have run.
 
-    A and B are OUT/policies/NAME of `factory eval -o OUT`, or OUT where it holds one policy.
+    A and B are folders OUT/policies/NAME of `factory eval -o OUT`, or OUT if it contains one policy.
     """
     (_, ones), (_, others) = read_policy_folder(first), read_policy_folder(second)
     found = compare(ones, others, Variant(variant))

@@ -1,4 +1,4 @@
-"""Options that the verbs of evaluation share."""
+"""Options that the evaluation commands share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ __all__ = ["eval_split_filter", "splits_of"]
 
 _TRAINED_ON = (Split.TRAIN_ID, Split.VAL_ID)
 
-eval_split_filter = split_filter(f"Only this split, repeatable: {', '.join(Split)}, or all; default: the test splits.")
+eval_split_filter = split_filter(
+    f"Split to include; repeatable. Values: {', '.join(Split)}, all. Default: the test splits."
+)
 """`--split SPLIT`."""
 
 
@@ -20,12 +22,14 @@ def splits_of(dataset: Dataset, asked: tuple[str, ...] | None) -> tuple[Split, .
 
     Args:
         dataset: the dataset.
-        asked: names of splits; empty for all that have episodes; `None` for those of them that are not for training.
+        asked: names of splits; empty for all splits with episodes, `None` for all test splits with episodes.
     """
     if asked:
         return tuple(split for split in Split if str(split) in asked)
     present = set(dataset.metadata["split"].to_pylist())
     found = tuple(split for split in Split if str(split) in present and (asked is not None or split not in _TRAINED_ON))
     if not found:
-        raise UsageError(f"{dataset.root} has episodes for training only; give --split all to evaluate on these")
+        raise UsageError(
+            f"{dataset.root} has no episodes in test splits; evaluate on its other splits with --split all"
+        )
     return found

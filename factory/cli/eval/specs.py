@@ -1,4 +1,4 @@
-"""`factory eval specs`: write the evaluation episodes of a dataset to a file, or freshly drawn ones."""
+"""`factory eval specs`: writes evaluation episodes to a file, those of a dataset or newly sampled ones."""
 
 from __future__ import annotations
 
@@ -27,12 +27,14 @@ __all__ = ["command"]
 @click.command("specs")
 @place_argument
 @eval_split_filter
-@click.option("--unfiltered", is_flag=True, help="Draw new start states, also those where an expert would fail.")
 @click.option(
-    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes; default: all, with --unfiltered 100."
+    "--unfiltered", is_flag=True, help="Sample new start states, including those where the expert would fail."
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N", help="Seed of --unfiltered."
+    "--episodes", type=click.IntRange(1), metavar="N", help="Number of episodes. Default: all; with --unfiltered: 100."
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N", help="Random seed of --unfiltered."
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, metavar="FILE", help="JSON file to write.")
 @json_option
@@ -47,13 +49,13 @@ def command(
 ) -> int:
     """Write the evaluation episodes of a dataset to a file.
 
-    Evaluations with the same file drive the same episodes.
+    Evaluations with the same specs file use the same episodes.
     """
     configure_logs()
     dataset = Dataset(root)
     chosen = splits_of(dataset, splits)
     with Bars(transient=True) as bar:
-        task = bar.add_task("reading starts", total=None)
+        task = bar.add_task("start states", total=None)
 
         def tell(done: int, of: int) -> None:
             bar.update(task, completed=done, total=of)
@@ -98,6 +100,6 @@ def _print(found: SpecSet, out: Path) -> None:
     click.echo(f"{len(found.specs)} episodes: {found.source}")
     click.echo(
         f"target in view at the start: {summary['target_in_view']}; two or more categories in view: "
-        f"{summary['two_or_more_categories_in_view']}; no way along the floor: {summary['without_way']}"
+        f"{summary['two_or_more_categories_in_view']}; no path on the floor: {summary['without_way']}"
     )
     click.echo(f"written to {out}, digest {found.digest[:16]}")

@@ -1,4 +1,4 @@
-"""An evaluation as tables on stdout. Prints, never computes."""
+"""Prints an evaluation as tables on stdout. Computes nothing."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _ALWAYS = {"split", "view"}
 
 
 def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
-    """Prints all policies side by side, overall and by groups, and what other words did to them.
+    """Prints the measures of all policies, overall, by group, and with other instructions.
 
     Args:
-        evaluation: what to print.
-        all_tables: also by scene, tier, category and template.
+        evaluation: the evaluation.
+        all_tables: also print tables by scene, tier, category and template.
     """
     print_text(f"{evaluation.episodes} episodes: {evaluation.source}; success radius {evaluation.success_radius_m:g} m")
     rows = [(policy.policy, *_cells(policy.overall)) for policy in evaluation.policies]
@@ -35,18 +35,20 @@ def print_evaluation(evaluation: Evaluation, all_tables: bool = False) -> None:
     _print_ablations(evaluation.policies)
     click.echo("")
     for policy in evaluation.policies:
-        print_text(f"{policy.policy}: goes by {policy.knows}; {ends_of(policy)}")
+        print_text(f"{policy.policy}: input: {policy.knows}; {ends_of(policy)}")
         for line in faults_in_words(policy):
             print_text(line)
     for remark in evaluation.remarks:
         print_text(f"note: {remark}")
-    print_text("rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP is to the closest point")
+    print_text(
+        "rates with 95 % Wilson intervals, means with 95 % BCa bootstrap intervals; OP: progress at the closest point"
+    )
 
 
 def print_comparison(comparison: PairedComparison) -> None:
     """Prints a paired comparison."""
     one, other = comparison.first, comparison.second
-    print_text(f"{comparison.pairs} episodes that both drove ({comparison.variant} instruction)")
+    print_text(f"{comparison.pairs} episodes run by both policies ({comparison.variant} instruction)")
     rows = [(one, _share(comparison.first_success)), (other, _share(comparison.second_success))]
     print_table("", ("policy", "SR %"), rows)
     counts = f"both {comparison.both}, only {one} {comparison.only_first}, only {other} {comparison.only_second}"
@@ -55,7 +57,7 @@ def print_comparison(comparison: PairedComparison) -> None:
     body += [(name, _estimate(value, 3)) for name, value in comparison.differences.items()]
     print_table("", (f"{other} minus {one}", "mean, 95 % interval"), body)
     if comparison.left_out:
-        print_text(f"left out: {comparison.left_out} episodes that only one of them drove")
+        print_text(f"not compared: {comparison.left_out} episodes run by one policy only")
 
 
 def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None:
@@ -67,10 +69,10 @@ def _print_groups(policies: Sequence[PolicyScores], by: str, title: str) -> None
 def _print_ablations(policies: Sequence[PolicyScores]) -> None:
     rows = list(ablation_rows(policies, _share, _estimate))
     if rows:
-        head = ("policy", "words", "episodes", "n", "SR %", "gap of SR to the true words", "McNemar p")
-        print_table("\nOther words", head, rows)
+        head = ("policy", "instruction", "episodes", "n", "SR %", "SR difference to the original", "McNemar p")
+        print_table("\nInstruction ablation", head, rows)
         for name in deaf_policies(policies):
-            print_text(f"{name}: reads no instruction, gap 0 by construction")
+            print_text(f"{name}: does not use the instruction, difference 0 by construction")
 
 
 def _cells(score: Score) -> tuple[object, ...]:

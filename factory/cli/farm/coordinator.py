@@ -1,4 +1,4 @@
-"""`factory coordinator start`: the truth of a run, for workers anywhere."""
+"""`factory coordinator start`: starts the coordinator of a run, with workers on any host."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ __all__ = ["command"]
 
 @click.group("coordinator", cls=CommandGroup)
 def command() -> None:
-    """Run the coordinator of a run with workers on other hosts."""
+    """Start the coordinator of a run whose workers are on other hosts."""
 
 
 @command.command("start")
 @plan_argument(default=None)
 @out_option
 @listen_option(
-    "Endpoint where workers connect, repeatable; port 0 takes a free port. Default: tcp/127.0.0.1:7447, with --tls "
-    "tls/0.0.0.0:7447."
+    "Endpoint to listen on for workers, repeatable; port 0 selects a free port. Default: tcp/127.0.0.1:7447; with "
+    "--tls: tls/0.0.0.0:7447."
 )
 @ledger_option
 @click.option(
@@ -55,9 +55,9 @@ def command() -> None:
     default=CoordinatorSettings().lease_ttl_s,
     show_default=True,
     metavar="SECONDS",
-    help="Time after which the job of a silent worker is given to another one.",
+    help="Lease time of a job, seconds. A worker that sends no heartbeat for this time loses its job.",
 )
-@click.option("--stay", is_flag=True, help="Keep running and answering after the run is finished.")
+@click.option("--stay", is_flag=True, help="Do not exit when the run has finished; keep answering requests.")
 @tls_option
 @http_options
 @gate_option("skip")
@@ -77,11 +77,11 @@ def start(
     verbose: bool,
     **changes: Any,
 ) -> int:
-    """Give the jobs of a plan to workers and archive their episodes.
+    """Assign the jobs of a plan to workers and archive their episodes.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
-    The command ends when the run is finished, with 1 when episodes are missing; stopped before that, it ends with 0.
-    With --gate the pilot is simulated on this host before the first job is given out.
+    Exits when the run has finished: with 0, or with 1 if episodes are missing. Exits with 0 if it is stopped earlier.
+    The pilot of --gate runs on this host before the first job is assigned.
     """
     configure_logs(verbose)
     guard, listen = open_door(tls, listen)
@@ -92,7 +92,7 @@ def start(
         catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", "auto", os.cpu_count() or 1, stop)
         if gate is None:
-            click.echo("interrupted at the gate; nothing was kept", err=True)
+            click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
         with (
             Coordinator(
@@ -112,7 +112,7 @@ def start(
                 coordinator.see_off(stop)
             progress = coordinator.progress()
     if not progress.finished:
-        click.echo(f"stopped; go on with: factory coordinator start --out {site}", err=True)
+        click.echo(f"stopped; continue with: factory coordinator start --out {site}", err=True)
         return 0
     click.echo("finished", err=True)
     say_missing(site, progress)

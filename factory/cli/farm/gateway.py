@@ -1,4 +1,4 @@
-"""`factory gateway`: a router with a directory of its own, between workers and a coordinator far away."""
+"""`factory gateway`: starts a router that stores episodes locally, between workers and a remote coordinator."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _POLL_S = 0.5
 
 @click.group("gateway", cls=CommandGroup)
 def command() -> None:
-    """Run a gateway between workers and a coordinator."""
+    """Start a gateway between workers and a coordinator."""
 
 
 @command.command("start")
-@connect_option("Endpoint of the coordinator, repeatable.", required=True)
+@connect_option("Endpoint of the coordinator; repeatable.", required=True)
 @click.option(
     "-o",
     "--out",
@@ -41,14 +41,14 @@ def command() -> None:
     required=True,
     metavar="DIR",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Directory of this gateway's episodes. One that is there is continued.",
+    help="Directory of this gateway's episodes. An existing one is continued.",
 )
 @listen_option(
-    "Endpoint where workers connect, repeatable; port 0 takes a free port. Default: tcp/127.0.0.1:7448, with --tls "
-    "tls/0.0.0.0:7447."
+    "Endpoint to listen on for workers, repeatable; port 0 selects a free port. Default: tcp/127.0.0.1:7448; with "
+    "--tls: tls/0.0.0.0:7447."
 )
 @click.option(
-    "--name", metavar="NAME", help="Name of this gateway; default: the host's name, with --tls that of the certificate."
+    "--name", metavar="NAME", help="Name of this gateway. Default: the host name; with --tls: that of the certificate."
 )
 @tls_option
 @http_options
@@ -63,10 +63,10 @@ def start(
     http_token: Path | None,
     verbose: bool,
 ) -> int:
-    """Validate and keep the episodes of workers for a coordinator.
+    """Validate and store the episodes of workers for a coordinator.
 
-    The coordinator keeps the ledger and gives out the jobs; no episode passes through it. The gateway runs until it is
-    stopped. When the run is finished, `factory gather` copies the episodes of all gateways into one dataset.
+    The coordinator keeps the ledger and assigns the jobs; episodes are not sent to it. The gateway runs until it is
+    stopped. When the run has finished, copy the episodes of all gateways into one dataset with `factory gather`.
     """
     configure_logs(verbose)
     guard, name, listen = _door(tls, name, connect, listen)
@@ -78,7 +78,7 @@ def start(
                 Gateway(root, name, connect, listen, settings, guard=guard, stop=stop) as gateway,
                 status_pages(gateway, http, http_token),
             ):
-                click.echo(f"gateway {name} of run {gateway.run}, keeping episodes in {root}", err=True)
+                click.echo(f"gateway {name} of run {gateway.run}, storing episodes in {root}", err=True)
                 for endpoint in gateway.endpoints:
                     click.echo(f"factory worker --cores 2 --connect {endpoint}")
                 while not stop.wait(_POLL_S):
@@ -86,16 +86,16 @@ def start(
         except TransientError:
             if not stop.is_set():
                 raise
-            click.echo(f"stopped before the coordinator at {', '.join(connect)} had answered", err=True)
+            click.echo(f"stopped before the coordinator at {', '.join(connect)} answered", err=True)
             return 130
-    click.echo(f"stopped; its episodes lie in {root}", err=True)
+    click.echo(f"stopped; the episodes of this gateway are in {root}", err=True)
     return 0
 
 
 def _door(
     tls: Path | None, name: str | None, connect: tuple[str, ...], listen: tuple[str, ...]
 ) -> tuple[Guard | None, str, tuple[str, ...]]:
-    """Returns who is let in, under which name the core knows this gateway, and where it listens."""
+    """Returns the access control, `None` without TLS, the name of the gateway, and the endpoints to listen on."""
     require_endpoints(connect, with_tls=tls is not None)
     if tls is None:
         require_loopback(listen)
@@ -103,5 +103,7 @@ def _door(
     require_tls_endpoints(listen)
     certified = read_credentials(tls)[1]
     if name not in (None, certified):
-        raise UsageError(f"the certificate in {tls} is of {certified!r}, not of {name!r}: leave out --name")
+        raise UsageError(
+            f"--name {name!r} does not match the certificate in {tls}, which is for {certified!r}: remove --name"
+        )
     return Guard(tls, of_gateway=True), certified, listen or _TLS_LISTEN

@@ -1,4 +1,4 @@
-"""`factory gather`: one dataset out of what several gateways keep."""
+"""`factory gather`: copies the episodes stored by several gateways into one dataset."""
 
 from __future__ import annotations
 
@@ -26,26 +26,25 @@ _LISTED = 20
 @click.option(
     "--requeue-missing",
     is_flag=True,
-    help="Put episodes that are found nowhere back into the queue; they are made again with the same content.",
+    help="Requeue episodes that are in none of the directories; they are generated again with the same content.",
 )
 @ledger_option
 @json_option
 def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger: str | None, as_json: bool) -> int:
-    """Copy the episodes that gateways keep into one dataset.
+    """Copy the episodes stored by gateways into one dataset.
 
-    DIR is the coordinator's dataset directory; no coordinator may run on it. GATEWAY_DIR is the --out of a gateway, or
-    a copy of it, and is not changed. Each episode is compared with the ledger. With the directories of all gateways DIR
-    is the whole dataset; with some of them, run the command again for the others. Exits with 1 when episodes are
-    missing.
+    DIR is the coordinator's dataset directory; stop its coordinator first. GATEWAY_DIR is the --out of a gateway, or a
+    copy of it; it is not changed. Each episode is checked against the ledger. If you give only some of the gateways'
+    directories, run the command again with the others. Exits with 1 if episodes are missing and not requeued.
     """
     configure_logs()
     with Bars(transient=True) as bar:
         task = bar.add_task("gathering", total=None)
-        patient = inspect_dataset(
+        found = inspect_dataset(
             root, root, None, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
         )
         report = gather(
-            patient,
+            found,
             sources,
             datetime.now(UTC),
             requeue_missing=requeue_missing,
@@ -61,13 +60,15 @@ def command(root: Path, sources: tuple[Path, ...], requeue_missing: bool, ledger
 def _print(report: GatherReport) -> None:
     if report.missing:
         rows = [(one.episode, one.gateway, one.why) for one in report.missing[:_LISTED]]
-        print_table("", ("missing", "gateway", "why"), rows)
+        print_table("", ("missing", "gateway", "reason"), rows)
     more = f" (the first {_LISTED} are listed)" if len(report.missing) > _LISTED else ""
     click.echo(
         f"{report.dataset}: {report.gathered} episodes gathered, {len(report.missing)} missing{more}; "
-        f"{report.episodes} of {report.planned} lie there"
+        f"the dataset has {report.episodes} of {report.planned} episodes"
     )
     if report.requeued:
-        click.echo(f"make the missing ones with: factory run --out {report.dataset}", err=True)
+        click.echo(f"generate the missing episodes with: factory run --out {report.dataset}", err=True)
     elif report.missing:
-        click.echo("give the directories of those gateways too, or --requeue-missing when they are lost", err=True)
+        click.echo(
+            "give the directories of these gateways too, or --requeue-missing if the episodes are lost", err=True
+        )

@@ -1,4 +1,4 @@
-"""`factory keys`: an authority of one's own, one certificate a host, and who is admitted."""
+"""`factory keys`: creates a certificate authority and the certificates of hosts, and admits and revokes hosts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _days_option(default: int) -> Callable[[Command], Command]:
         default=default,
         show_default=True,
         metavar="N",
-        help="Validity of the certificate, days.",
+        help="Validity period of the certificate, days.",
     )
 
 
@@ -42,19 +42,21 @@ def command() -> None:
     factory keys host pki node-07
     factory keys host pki desk --role evaluator
 
-    Then copy pki/hub, pki/gw1, pki/node-07 and pki/desk to these hosts and give them as --tls.
+    Then copy pki/hub, pki/gw1, pki/node-07 and pki/desk to the hosts, and pass each folder with --tls.
     """
 
 
 @command.command("ca")
 @_folder_argument
-@click.option("--name", default="minivla-factory", show_default=True, metavar="NAME", help="Name of the authority.")
+@click.option(
+    "--name", default="minivla-factory", show_default=True, metavar="NAME", help="Name in the authority's certificate."
+)
 @_days_option(3650)
 @json_option
 def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
     """Create a certificate authority.
 
-    DIR is the new directory of the authority. Keep DIR/ca.key secret.
+    DIR is the directory to create. Keep DIR/ca.key secret.
     """
     found(folder, name, days, datetime.now(UTC))
     if as_json:
@@ -71,27 +73,28 @@ def ca(folder: Path, name: str, days: int, as_json: bool) -> None:
     type=click.Choice([str(role) for role in Role]),
     default=str(Role.WORKER),
     show_default=True,
-    help="Role of the host, which decides what it may do.",
+    help="Role of the host. It determines which requests the host may send.",
 )
 @click.option(
     "--address",
     multiple=True,
     metavar="ADDRESS",
-    help="Host name or IP address where others connect to it; repeatable. Needed for coordinators and gateways.",
+    help="Host name or IP address at which other hosts connect to it; repeatable. Required for the roles coordinator "
+    "and gateway.",
 )
 @_days_option(365)
-@click.option("--renew", is_flag=True, help="Replace an existing certificate of this host.")
+@click.option("--renew", is_flag=True, help="Replace the existing certificate of this host.")
 @json_option
 def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int, renew: bool, as_json: bool) -> None:
-    """Create the TLS folder of a host, and admit the host.
+    """Create the TLS folder of a host and admit the host.
 
-    DIR is the directory of the authority. The folder is DIR/NAME.
+    DIR is the directory of the authority. NAME is the host's name; the folder is DIR/NAME.
     """
     place = admit(folder, name, Role(role), address, days, datetime.now(UTC), renew=renew)
     if as_json:
         print_json({"host": name, "role": role, "folder": str(place)})
     else:
-        click.echo(f"{role} {name}: copy {place} to it and give it as --tls")
+        click.echo(f"{role} {name}: copy {place} to the host and pass the folder with --tls")
 
 
 @command.command("revoke")
@@ -101,13 +104,17 @@ def host(folder: Path, name: str, role: str, address: tuple[str, ...], days: int
 def revoke_(folder: Path, name: str, as_json: bool) -> None:
     """Revoke the admission of a host.
 
-    DIR is the directory of the authority. Coordinators and gateways notice it within seconds.
+    DIR is the directory of the authority. Updates the list of admitted hosts in the TLS folders of coordinators and
+    gateways below DIR; they apply it within seconds. Copy the list to those on other machines.
     """
     lists = [str(path) for path in revoke(folder, name)]
     if as_json:
         print_json({"revoked": name, "lists": lists})
     else:
-        click.echo(f"{name} is out; where those who listen are other machines copy there: {', '.join(lists) or '-'}")
+        click.echo(
+            f"{name} is revoked; copy the updated lists to coordinators and gateways on other machines: "
+            f"{', '.join(lists) or 'none'}"
+        )
 
 
 @command.command("list")

@@ -1,4 +1,4 @@
-"""`factory worker`: simulations of this host for a coordinator anywhere."""
+"""`factory worker`: simulates jobs of a coordinator on this host."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ __all__ = ["command"]
 
 
 @click.command("worker")
-@count_option("--cores", 1, "Number of cores to use: one simulation process each.", most=1024)
+@count_option("--cores", 1, "Number of simulation processes, one per core.", most=1024)
 @former_option("--workers", "cores", "--cores", type=click.IntRange(1, 1024))
 @connect_option(
-    "Endpoint of a coordinator or gateway, repeatable: the worker takes one, and another one when that is gone. "
-    "Default: tcp/127.0.0.1:7447, with --tls tls/127.0.0.1:7447."
+    "Endpoint of a coordinator or gateway, repeatable. The worker uses one and switches to another if it becomes "
+    "unreachable. Default: tcp/127.0.0.1:7447; with --tls: tls/127.0.0.1:7447."
 )
 @renderer_option
 @click.option(
     "--spool",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Directory where finished bundles wait to be fetched; default: in the user's cache.",
+    help="Directory of finished bundles that the coordinator has not fetched yet. Default: in the user's cache.",
 )
 @click.option(
     "--connect-timeout",
@@ -50,10 +50,10 @@ __all__ = ["command"]
     default=30.0,
     show_default=True,
     metavar="SECONDS",
-    help="Timeout of the first connection to a coordinator.",
+    help="Timeout for the first connection to a coordinator, seconds.",
 )
 @former_option("--wait", "wait_s", "--connect-timeout", type=click.FloatRange(0.0))
-@click.option("--import-policies", is_flag=True, help="Import the policy classes that evaluations name.")
+@click.option("--import-policies", is_flag=True, help="Allow evaluations to import policy classes on this host.")
 @click.option("--until-eof", is_flag=True, hidden=True, help="Stop when stdin is closed.")
 @tls_option
 @verbose_option
@@ -70,7 +70,7 @@ def command(
 ) -> int:
     """Simulate jobs of a coordinator on this host.
 
-    The worker stops when the run is finished. SIGTERM gives the jobs that are under way back to the coordinator.
+    The worker exits when the run has finished. On SIGTERM it returns its running jobs to the coordinator and exits.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory worker`")

@@ -1,4 +1,4 @@
-"""`factory jobs`: single jobs with their attempts and reasons; retry and cancelling; release of barred hosts."""
+"""`factory jobs`: lists and shows jobs with their attempts; retries and cancels jobs; releases barred hosts."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def command() -> None:
 @tier_filter()
 @split_filter()
 @click.option(
-    "--limit", type=click.IntRange(1), default=100, show_default=True, metavar="N", help="Largest number of rows."
+    "--limit", type=click.IntRange(1), default=100, show_default=True, metavar="N", help="Maximum number of rows."
 )
 @ledger_option
 @json_option
@@ -57,7 +57,10 @@ def list_(
     ledger: str | None,
     as_json: bool,
 ) -> None:
-    """List the current draw of each episode of a run."""
+    """List the current job of each episode of a run.
+
+    An episode gets a new job, called a draw, with another target when its job fails too often.
+    """
     wanted = JobFilter(
         states=tuple(map(JobState, states or ())),
         scenes=scenes or (),
@@ -76,7 +79,7 @@ def list_(
     ]
     print_table("", ("episode", "state", "scene", "tier", "split", "target", "attempt", "draw", "reason"), rows)
     if total > len(jobs):
-        click.echo(f"{len(jobs)} of {total}; more with --limit", err=True)
+        click.echo(f"{len(jobs)} of {total} jobs are listed; list more with --limit", err=True)
 
 
 @command.command("show")
@@ -87,14 +90,16 @@ def list_(
 def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
     """Show the draws, attempts and events of one episode.
 
-    EPISODE is ep_000001 or 1.
+    EPISODE is a name or number: ep_000001 or 1.
     """
     index = episode_index(episode)
     with read_ledger(site, ledger) as connection:
         draws = list_jobs(connection, JobFilter(index=index))
         attempts, events = list(read_attempts(connection, index)), list(read_events(connection, index))
     if not draws:
-        raise UsageError(f"the plan of {site} has no {episode_id(index)}")
+        raise UsageError(
+            f"the run in {site} has no episode {episode_id(index)}; list its episodes with `factory jobs list`"
+        )
     if as_json:
         parts: dict[str, Sequence[object]] = {"draws": draws, "attempts": attempts, "events": events}
         print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
@@ -118,7 +123,7 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
 @command.command("retry")
 @site_argument
 @click.argument("episodes", nargs=-1)
-@click.option("--all", "everything", is_flag=True, help="Every failed job of the run.")
+@click.option("--all", "everything", is_flag=True, help="Retry all failed jobs of the run.")
 @ledger_option
 @tls_option
 @json_option
@@ -127,7 +132,7 @@ def retry(
 ) -> int:
     """Put failed or cancelled jobs back into the queue.
 
-    EPISODES are names or numbers: ep_000001 or 1. Each job gets a new budget of attempts.
+    EPISODES are names or numbers: ep_000001 or 1. Each job is attempted again as often as a new one.
     """
     return _administer(site, AdminAction.RETRY, episodes, everything, ledger, tls, as_json)
 
@@ -135,16 +140,16 @@ def retry(
 @command.command("cancel")
 @site_argument
 @click.argument("episodes", nargs=-1)
-@click.option("--all", "everything", is_flag=True, help="Every job of the run that has not ended.")
+@click.option("--all", "everything", is_flag=True, help="Cancel all jobs of the run that have not finished.")
 @ledger_option
 @tls_option
 @json_option
 def cancel(
     site: Site, episodes: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
 ) -> int:
-    """Cancel jobs that have not ended.
+    """Cancel jobs that have not finished.
 
-    EPISODES are names or numbers: ep_000001 or 1. A worker that holds one stops it at its next heartbeat.
+    EPISODES are names or numbers: ep_000001 or 1. A worker stops a cancelled job at its next heartbeat.
     """
     return _administer(site, AdminAction.CANCEL, episodes, everything, ledger, tls, as_json)
 
@@ -152,22 +157,26 @@ def cancel(
 @command.command("release")
 @site_argument
 @click.argument("hosts", nargs=-1)
-@click.option("--all", "everything", is_flag=True, help="Every host that pauses or is barred.")
+@click.option("--all", "everything", is_flag=True, help="Release all barred and throttled hosts.")
 @ledger_option
 @tls_option
 @json_option
 def release(
     site: Site, hosts: tuple[str, ...], everything: bool, ledger: str | None, tls: Path | None, as_json: bool
 ) -> int:
-    """Give jobs again to HOSTS that pause or are barred."""
+    """Allow barred or throttled HOSTS to receive jobs again.
+
+    HOSTS are host names as printed by `factory status`. A host is throttled, then barred, when its attempts keep
+    failing because of the host.
+    """
     if bool(hosts) == everything:
-        raise UsageError("which hosts to release? name them as `factory status` does, or give --all")
+        raise UsageError("give either HOSTS, as `factory status` prints them, or --all")
     request = AdminRequest(action=AdminAction.RELEASE, hosts=tuple(require_host_name(name) for name in hosts))
     reply = _ask(site, request, ledger, tls)
     if as_json:
         print_json(reply.model_dump(mode="json"))
     else:
-        click.echo(f"release: {len(reply.hosts)} hosts {', '.join(reply.hosts)}")
+        click.echo(f"released {len(reply.hosts)} hosts: {', '.join(reply.hosts) or 'none'}")
         for host, reason in reply.refused_hosts.items():
             click.echo(f"  {host}: {reason}", err=True)
     return 1 if reply.refused_hosts else 0
@@ -183,9 +192,9 @@ def _administer(
     as_json: bool,
 ) -> int:
     if bool(names) == everything:
-        raise UsageError(f"which jobs to {action}? name episodes, or give --all")
+        raise UsageError(f"give either EPISODES or --all to {action} jobs")
     if len(names) > MAX_INDICES:
-        raise UsageError(f"{len(names)} episodes; name at most {MAX_INDICES} at a time, or give --all")
+        raise UsageError(f"{len(names)} episodes were given; give at most {MAX_INDICES}, or --all")
     request = AdminRequest(action=action, indices=tuple(episode_index(name) for name in names))
     reply = _ask(site, request, ledger, tls)
     if as_json:

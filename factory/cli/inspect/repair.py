@@ -1,4 +1,4 @@
-"""`factory repair`: puts a damaged dataset directory right, or says what would have to be done."""
+"""`factory repair`: repairs a damaged dataset, or lists the necessary actions with `--dry-run`."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ __all__ = ["command"]
 
 @click.command("repair")
 @site_argument
-@click.option("--dry-run", is_flag=True, help="Print the actions and change nothing; exit with 1 when there are any.")
+@click.option("--dry-run", is_flag=True, help="Print the actions without executing them; exit with 1 if there are any.")
 @click.option(
     "--plan",
     "plan_name",
     metavar="PLAN",
-    help="Plan of the dataset, needed where neither the ledger nor dataset_meta.json has it.",
+    help="Plan of the dataset, a built-in name or a TOML file. Required only if both the ledger and "
+    "dataset_meta.json are lost.",
 )
 @click.option(
     "--take-over",
     is_flag=True,
-    help="Take over a dataset in object storage whose former coordinator will not run again.",
+    help="Take over a dataset in object storage from a coordinator that will not run again.",
 )
 @ledger_option
 @json_option
@@ -42,19 +43,19 @@ def command(
 ) -> int:
     """Repair a damaged dataset, its ledger and its tables.
 
-    No coordinator may run on the dataset. Valid episodes that the ledger lacks are added to it; invalid files are moved
-    to quarantine/; missing episodes are put back into the queue and are made again with the same content; a lost or
-    damaged ledger is rebuilt from the plan and the episodes; the tables are written again. Every file is hashed.
+    Stop the coordinator of the dataset first. Every file is hashed. Valid episodes that are missing in the ledger are
+    added to it. Invalid files are moved to quarantine/. Missing episodes are requeued; they are generated again with
+    the same content. A lost or damaged ledger is rebuilt from the plan and the episodes. The tables are rewritten.
     """
     configure_logs()
     plan = load_plan(plan_name) if plan_name is not None else None
     with Bars(transient=True) as bar, Validator() as validator:
-        task = bar.add_task("examining", total=None)
-        patient = inspect_dataset(
+        task = bar.add_task("checking files", total=None)
+        found = inspect_dataset(
             site.place, site.home, plan, ledger, scene_cache(), lambda name: click.echo(f"building {name}", err=True)
         )
         report = repair(
-            patient,
+            found,
             validator,
             datetime.now(UTC),
             apply=not dry_run,
@@ -70,9 +71,9 @@ def command(
 
 def _print(report: RepairReport) -> None:
     if report.actions:
-        print_table("", ("action", "what", "why"), [(a.kind, a.what, a.why) for a in report.actions])
-    done = "done" if report.applied else "to be done (dry run, nothing was changed)"
+        print_table("", ("action", "file or episode", "reason"), [(a.kind, a.what, a.why) for a in report.actions])
+    done = "executed" if report.applied else "required (dry run; nothing was changed)"
     verdict = f"{len(report.actions)} actions {done}" if report.actions else "nothing to repair"
-    click.echo(f"{report.dataset}: {verdict}; {report.episodes} of {report.planned} episodes whole")
+    click.echo(f"{report.dataset}: {verdict}; {report.episodes} of {report.planned} episodes are valid")
     if report.applied and report.episodes < report.planned:
-        click.echo(f"make the rest with: factory run --out {report.dataset}", err=True)
+        click.echo(f"generate the missing episodes with: factory run --out {report.dataset}", err=True)

@@ -1,4 +1,4 @@
-"""`factory replay`: regenerate an episode and compare digests."""
+"""`factory replay`: simulates an archived episode again and compares the digests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["command"]
 def command(root: Place, episode: str, renderer: str, as_json: bool) -> int:
     """Simulate one episode again and compare its content.
 
-    EPISODE is ep_000001 or 1. Exits with 1 when the content differs.
+    EPISODE is a name or number: ep_000001 or 1. Exits with 1 if the content differs.
     """
     configure_logs()
     path = episode_path(root, episode)
@@ -55,4 +55,4 @@ def _print(outcome: Replay) -> None:
         for name, distance in outcome.differences.items():
             click.echo(f"  {name}: largest difference {distance:g}")
     for name, (then, now) in outcome.fingerprint_changes.items():
-        click.echo(f"  made with {name} {then}, here {now}")
+        click.echo(f"  {name}: {then} when archived, {now} on this machine")

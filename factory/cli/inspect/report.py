@@ -1,4 +1,4 @@
-"""`factory report`: the paper's figures of a dataset and one HTML page that opens offline."""
+"""`factory report`: writes the figures of the paper for a dataset and one HTML page that works offline."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ __all__ = ["command"]
     required=True,
     metavar="DIR",
     type=click.Path(path_type=Path),
-    help="Folder of the report. An earlier report there is replaced.",
+    help="Output folder. An existing report is replaced.",
 )
-@click.option("--force", is_flag=True, help="Also write into a folder that holds other files; these are kept.")
+@click.option("--force", is_flag=True, help="Allow a folder that contains other files; they are kept.")
 @compare_option
 @json_option
 def command(root: Place, out: Path, force: bool, compare_paper: bool | None, as_json: bool) -> int:
-    """Draw the figures of a dataset and an HTML page.
+    """Write an HTML report with figures of a dataset.
 
-    Writes --out/figures and --out/report.html, which needs no network. Exits with 1 when damaged episodes were left
-    out; the page names them.
+    Writes report.html and figures/ to --out; the page works offline. Exits with 1 if damaged episodes were skipped; the
+    page lists them.
     """
     configure_logs()
     summary = _make(root, out, force, compare_paper)
@@ -44,14 +44,14 @@ def command(root: Place, out: Path, force: bool, compare_paper: bool | None, as_
         print_json({"page": str(out / "report.html"), **summary.model_dump(mode="json")})
     else:
         figures = sum(name.endswith(".svg") for name in summary.files)
-        click.echo(f"{out / 'report.html'}: {summary.episodes} of {summary.planned} episodes, {figures} drawings")
+        click.echo(f"{out / 'report.html'}: {summary.episodes} of {summary.planned} episodes, {figures} figures")
     for remark in summary.remarks:
         click.echo(f"{'damage' if remark.is_damage else 'note'}: {remark.file}: {remark.text}", err=True)
     return 1 if any(remark.is_damage for remark in summary.remarks) else 0
 
 
 def _make(root: Place, out: Path, force: bool, compare_paper: bool | None) -> Summary:
-    from factory.report import make_report  # matplotlib takes half a second and may be missing
+    from factory.report import make_report  # importing matplotlib takes half a second, and it may not be installed
 
     with Bars() as bar:
         tasks = {what: bar.add_task(what, total=None) for what in ("episodes", "figures")}

@@ -1,4 +1,4 @@
-"""`factory show`: a picture or a short film of one episode."""
+"""`factory show`: writes one episode as a contact sheet or a video."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _KINDS = (".png", ".mp4", ".gif")
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="File to write, .png, .mp4 or .gif; default: EPISODE.png.",
+    help="Output file: .png, .mp4 or .gif. Default: EPISODE.png.",
 )
 @click.option(
     "--columns",
@@ -41,21 +41,22 @@ _KINDS = (".png", ".mp4", ".gif")
     default=6,
     show_default=True,
     metavar="N",
-    help="Number of frames in a row of a contact sheet.",
+    help="Number of frames per row of a contact sheet.",
 )
 @json_option
 def command(root: Place, episode: str, out: Path | None, columns: int, as_json: bool) -> None:
-    """Write one episode as a contact sheet or as a film.
+    """Write one episode as a contact sheet or a video.
 
-    EPISODE is ep_000001 or 1. A .png is a contact sheet; a .mp4 or .gif is a film in real time: colour, depth, ids and
-    the track from above, with the instruction below.
+    EPISODE is a name or number: ep_000001 or 1. A .png file is a contact sheet. An .mp4 or .gif file is a real-time
+    video of colour, depth, instance ids and a map with the trajectory, with the instruction below.
     """
     path = episode_path(root, episode)
     target = out or Path(f"{path.stem}.png")
     kind = target.suffix.lower()
     if kind not in _KINDS:
         raise UsageError(
-            f"-o {target}: nothing is written as {kind or 'a file without suffix'!r}; use {', '.join(_KINDS)}"
+            f"-o {target}: {f'suffix {kind!r} is not supported' if kind else 'the suffix is missing'}; supported "
+            f"suffixes: {', '.join(_KINDS)}"
         )
     if kind == ".mp4":
         require_mp4()
@@ -79,7 +80,7 @@ def _make_room(target: Path) -> None:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WorldError(f"cannot make {target.parent} ({error.strerror}); choose another -o") from error
+        raise WorldError(f"cannot create {target.parent} ({error.strerror}); choose another -o") from error
 
 
 def _save_sheet(target: Path, bundle: BundleReader, scene: CompiledScene, columns: int) -> None:

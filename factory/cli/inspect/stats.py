@@ -1,4 +1,4 @@
-"""`factory stats`: every table of the paper for a dataset, and beside it what the paper publishes."""
+"""`factory stats`: prints the tables of the paper for a dataset, optionally with the published values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["command"]
 def command(root: Place, compare_paper: bool | None, as_json: bool) -> int:
     """Print the statistics of a dataset.
 
-    Exits with 1 when damaged episodes were left out.
+    Exits with 1 if damaged episodes were skipped.
     """
     configure_logs()
     statistics = measure_dataset(root, compare_paper)

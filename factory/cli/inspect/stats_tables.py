@@ -1,4 +1,4 @@
-"""Statistics as text tables, the paper's values in the last columns where they are compared. Prints only."""
+"""Prints statistics as text tables; published values of the paper are in the last columns. Computes nothing."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def print_statistics(statistics: Statistics) -> None:
     found, planned = statistics.episodes, statistics.planned
     print_text(f"{statistics.dataset}: {found} of {planned} episodes, run {statistics.run}, {statistics.expert} expert")
     beside = statistics.beside_paper
-    published = "; `paper`: as published" if beside else ""
-    print_text(f"NE and TL in metres, means unless said{published}; intervals: 95 %")
+    published = "; columns `paper`: published values" if beside else ""
+    print_text(f"NE: navigation error, TL: trajectory length, metres; means unless noted{published}; 95 % intervals")
     for name, rows in (
         ("scene", statistics.scenes),
         ("split", statistics.splits),
@@ -92,7 +92,7 @@ def _print_attempts(rows: Sequence[AttemptRow] | None, beside: bool) -> None:
         )
         for row in rows
     ]
-    columns = ("scene / tier", "attempts", "won", "success", "first attempts", "collision", "timeout", "failed by")
+    columns = ("scene / tier", "attempts", "succeeded", "success", "first attempts", "collision", "timeout", "failures")
     _table((*columns, *(("paper success",) if beside else ())), body)
 
 
@@ -126,7 +126,7 @@ def _print_errors(rows: Sequence[ErrorRow], radius_m: float, beside: bool) -> No
 
 def _print_fits(fits: Sequence[Fit]) -> None:
     _table(
-        ("TL over spawn distance", "N", "r", "95 % interval", "p", "slope m/m", "intercept m", "remark"),
+        ("TL vs. start distance", "N", "r", "95 % interval", "p", "slope m/m", "intercept m", "remark"),
         [_fit_cells(fit) for fit in fits],
     )
 
@@ -145,7 +145,7 @@ def _print_overlap(statistics: Statistics) -> None:
         (row.scene, row.split, str(row.targets), str(row.shared), _percent(row.share), str(row.episodes_on_shared))
         for row in statistics.overlap
     ]
-    _table(("scene", "split", "targets", "also in train_id", "share", "episodes on them"), body)
+    _table(("scene", "split", "targets", "also in train_id", "share", "episodes with shared targets"), body)
 
 
 def _table(columns: Sequence[str], body: Sequence[Sequence[str]]) -> None:
@@ -156,7 +156,7 @@ def _table(columns: Sequence[str], body: Sequence[Sequence[str]]) -> None:
 
 
 def _aligned(cells: Sequence[str]) -> list[str]:
-    """Sets a column of numbers to the right, its name included."""
+    """Aligns the cells and the heading of a column of numbers right."""
     width = max(map(len, cells))
     is_number = all(cell[:1].isdigit() or cell.startswith(_DASH) for cell in cells[1:])
     return [cell.rjust(width) if is_number else cell for cell in cells]

@@ -1,4 +1,4 @@
-"""`factory status`: where a run stands, from the ledger in a directory or from a running coordinator."""
+"""`factory status`: shows the progress of a run, read from its ledger or from a running coordinator."""
 
 from __future__ import annotations
 
@@ -27,20 +27,22 @@ __all__ = ["command", "draw_progress", "watch_progress"]
 
 _PAUSE_S = 1.0
 _PATIENCE_S = 60.0
-"""Silence of a coordinator that is watched, seconds: a restart takes a few."""
+"""Time without an answer after which `--watch` gives up, seconds; a restart of a coordinator takes a few."""
 _FIRST = max(map(len, BUILTIN_CATEGORIES))
-"""Width of the first columns, so that the numbers of all tables are below each other."""
+"""Width of the first columns, characters, so that the numbers of all tables are aligned."""
 _REASON_CHARS = 200
 _COLUMNS = ("pending", "leased", "submitted", "archived", "failed", "cancelled")
 _ALWAYS = ("pending", "leased", "archived")
-"""States whose columns are shown even where no job has them."""
+"""States whose columns are always shown."""
 
 
 @click.command("status")
 @click.argument("site", metavar="[DIR|URL]", required=False, type=SITE)
-@connect_option("Ask the running coordinator at this endpoint, e.g. tcp/127.0.0.1:7447.")
+@connect_option(
+    "Endpoint of a running coordinator to ask, e.g. tcp/127.0.0.1:7447; repeatable. Default: read the ledger."
+)
 @ledger_option
-@click.option("--watch", is_flag=True, help="Refresh every second until the run is finished.")
+@click.option("--watch", is_flag=True, help="Refresh every second until the run has finished.")
 @tls_option
 @json_option
 def command(
@@ -48,7 +50,8 @@ def command(
 ) -> None:
     """Show the progress of a run and its workers.
 
-    Prints the jobs of the dataset in DIR or URL by scene, tier and split, the rate, the time left and the workers.
+    Prints the number of jobs by scene, tier and split, the rate, the remaining time and the workers. Give the dataset
+    (DIR or URL), or --connect.
     """
     source = _source(site, connect, ledger, tls)
     if as_json:
@@ -71,17 +74,17 @@ def _source(
         files, name = read_credentials(tls)
         return lambda: ask_progress(connect, name, files)
     if site is None:
-        raise UsageError("whose status? give a dataset DIR or URL, or --connect ENDPOINT")
+        raise UsageError("the dataset is missing: give DIR or URL, or --connect ENDPOINT")
     return lambda: progress_of(site, ledger)
 
 
 def watch_progress(source: Callable[[], Progress], pause_s: float = _PAUSE_S, patience_s: float = _PATIENCE_S) -> None:
-    """Shows where a run stands until it is finished, through a restart of its coordinator.
+    """Shows the progress of a run until it has finished; tolerates a restart of its coordinator.
 
     Args:
-        source: tells where it stands; a `TransientError` means that nobody answered.
-        pause_s: between two questions, seconds.
-        patience_s: silence after which the error is passed on, seconds.
+        source: returns the progress; raises `TransientError` if the coordinator does not answer.
+        pause_s: time between two requests, seconds.
+        patience_s: time without an answer after which the error is raised, seconds.
     """
     progress = source()
     heard = time.monotonic()
@@ -94,7 +97,7 @@ def watch_progress(source: Callable[[], Progress], pause_s: float = _PAUSE_S, pa
                 silence_s = time.monotonic() - heard
                 if silence_s > patience_s:
                     raise
-                remark = Text(f"no answer for {say_duration(silence_s)}; asking again", style="yellow")
+                remark = Text(f"no answer for {say_duration(silence_s)}; retrying", style="yellow")
                 live.update(Group(draw_progress(progress), remark), refresh=True)
             else:
                 heard = time.monotonic()
@@ -102,15 +105,15 @@ def watch_progress(source: Callable[[], Progress], pause_s: float = _PAUSE_S, pa
 
 
 def draw_progress(progress: Progress) -> Group:
-    """Returns the status page of a run."""
+    """Returns the progress of a run as text and tables."""
     done = progress.jobs.get("archived", 0)
     rate = "-" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f}/h"
     head = f"{progress.run}: {done} of {progress.planned} episodes archived, {rate}, ETA {say_duration(progress.eta_s)}"
     tries = ", ".join(f"{count} {name}" for name, count in progress.failures.items()) or "none"
-    back = f"; given back: {progress.given_back}" if progress.given_back else ""
-    foot = f"failed attempts: {tries}{back}; redrawn: {progress.redrawn}"
+    back = f"; returned jobs: {progress.given_back}" if progress.given_back else ""
+    foot = f"failed attempts: {tries}{back}; redrawn targets: {progress.redrawn}"
     kept = ", ".join(f"{count} at {gateway}" for gateway, count in progress.by_gateway.items())
-    away = [Text(f"of these {kept}; `factory gather` brings them together")] if kept else []
+    away = [Text(f"stored at gateways: {kept}; copy them into one dataset with `factory gather`")] if kept else []
     groups = {"scene": progress.by_scene, "tier": progress.by_tier, "split": progress.by_split}
     states = [state for state in _COLUMNS if state in _ALWAYS or progress.jobs.get(state)]
     tables = [_group_table(name, rows, states) for name, rows in groups.items()]
@@ -128,10 +131,10 @@ def _describe_sandbox(layers: tuple[str, ...]) -> list[Text]:
 
 
 def _describe_host(host: HostStatus) -> Text:
-    """Returns why a host gets no jobs, or one at a time, and what to do."""
+    """Returns why a host receives no jobs, or one at a time, and what to do."""
     why = f"{host.strikes} failures, last: {' '.join(host.reason[:_REASON_CHARS].split())}"
     if host.barred_at is None:
-        return Text(f"host {host.host} gets one job at a time, with pauses: {why}", style="yellow")
+        return Text(f"host {host.host} is throttled to one job at a time, with pauses: {why}", style="yellow")
     since = f"{host.barred_at:%H:%M:%S}"
     remedy = f"repair the host, then run `factory jobs release DIR {host.host}`"
     return Text(f"host {host.host} is barred since {since}: {why}; {remedy}", style="bold red")
@@ -152,7 +155,7 @@ def _workers(progress: Progress) -> FittedTable:
 
 
 def _state_of(worker: WorkerStatus, is_finished: bool) -> str:
-    """Returns a worker's state in words; those of a finished run are told to leave, and say nothing when they do."""
+    """Returns the displayed state of a worker; workers of a finished run are shown as `left`."""
     if is_finished:
         return "left"
     return "alive" if worker.alive else f"silent since {worker.last_beat:%H:%M:%S}"

@@ -1,4 +1,4 @@
-"""`factory verify`: every hash, shape, bound and kinematic check of a dataset."""
+"""`factory verify`: checks the hashes, shapes, bounds and kinematics of a dataset."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ __all__ = ["command"]
 
 @click.command("verify")
 @place_argument
-@click.option("--deep", is_flag=True, help="Decode every frame; recompute digests, statistics and motion.")
-@workers_option("Number of processes with --deep")
+@click.option(
+    "--deep", is_flag=True, help="Also decode every frame and recompute digests, statistics and kinematics. Slow."
+)
+@workers_option("Number of processes, used with --deep")
 @json_option
 def command(root: Place, deep: bool, workers: int | None, as_json: bool) -> int:
     """Check the files, tables and hashes of a dataset.
 
-    Exits with 1 when something is damaged.
+    Exits with 1 if anything is damaged.
     """
     configure_logs()
     with Bars(transient=True) as bar:
@@ -54,7 +56,7 @@ def _plain(report: VerifyReport) -> dict[str, Any]:
 def _print(report: VerifyReport) -> None:
     for finding in report.findings:
         click.echo(f"{finding.kind}: {finding.file}: {finding.text}")
-    how = "every byte" if report.deep else "files and tables; --deep looks inside"
-    verdict = "sound" if report.ok else f"{len(report.findings)} findings"
-    state = "complete" if report.complete else "not complete"
+    how = "all bytes checked" if report.deep else "files and tables checked; --deep checks the content of episodes"
+    verdict = "valid" if report.ok else f"{len(report.findings)} findings"
+    state = "complete" if report.complete else "incomplete"
     click.echo(f"{report.root}: {verdict} ({how}); {report.episodes} episodes, {state}, digest {report.digest}")

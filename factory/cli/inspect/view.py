@@ -1,4 +1,4 @@
-"""`factory view`: one episode in the Rerun viewer."""
+"""`factory view`: shows one episode in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["command"]
     "--out",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Recording to write, .rrd; without it the viewer is opened.",
+    help="Write a Rerun recording (.rrd) to this file instead of opening the viewer.",
 )
 @former_option("--save", "out", "--out", type=click.Path(path_type=Path))
 @click.option(
@@ -39,14 +39,14 @@ __all__ = ["command"]
     default=2,
     show_default=True,
     metavar="N",
-    help="Show every N-th frame.",
+    help="Show every Nth frame.",
 )
 @json_option
 def command(root: Place, episode: str, out: Path | None, stride: int, as_json: bool) -> None:
     """Open one episode in the Rerun viewer.
 
-    EPISODE is ep_000001 or 1. Shows colour, depth and ids, the robot and its trajectory on the map, the actions and the
-    instruction. Needs the extra `view`.
+    EPISODE is a name or number: ep_000001 or 1. Shows colour, depth and instance ids, the map with the robot and its
+    trajectory, the actions and the instruction. Requires the extra `view`.
     """
     require_package("rerun", "factory view")
     dataset = Dataset(root)

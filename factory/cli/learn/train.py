@@ -1,4 +1,4 @@
-"""`factory train`: fit the baselines that ship with the product to a dataset."""
+"""`factory train`: trains the built-in baseline policies on a dataset."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["command"]
 
 @click.group("train", cls=CommandGroup)
 def command() -> None:
-    """Train the baseline policies; needs the extra `train`."""
+    """Train baseline policies. Requires the extra `train`."""
 
 
 @command.command("bc")
@@ -42,14 +42,14 @@ def command() -> None:
     type=click.Path(path_type=Path),
     required=True,
     metavar="DIR",
-    help="Directory of the training. An interrupted training of the same options is continued.",
+    help="Output directory. An interrupted training with the same options is continued.",
 )
 @click.option(
     "--split",
     type=click.Choice([str(split) for split in Split]),
     default=str(Split.TRAIN_ID),
     show_default=True,
-    help="Split to learn from.",
+    help="Split to train on.",
 )
 @scene_filter()
 @tier_filter()
@@ -59,13 +59,13 @@ def command() -> None:
     default=30,
     show_default=True,
     metavar="N",
-    help="Number of passes over all frames.",
+    help="Number of epochs, that is passes over all frames.",
 )
 @click.option(
     "--minutes",
     type=click.FloatRange(0.01),
     metavar="MINUTES",
-    help="Start no epoch that would end later; default: no limit.",
+    help="Time limit, minutes: no epoch is started that would end later. Default: no limit.",
 )
 @click.option(
     "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, metavar="N", help="Random seed."
@@ -75,18 +75,18 @@ def command() -> None:
     type=click.Choice(["continuous", "tokens"]),
     default="continuous",
     show_default=True,
-    help="Output head: v and w, or tokens of the action grid.",
+    help="Output head. continuous: linear and angular velocity; tokens: tokens of the action grid.",
 )
-@click.option("--ablate-language", is_flag=True, help="Replace every instruction by one constant token.")
+@click.option("--ablate-language", is_flag=True, help="Replace each instruction with one constant token.")
 @click.option(
     "--size",
     type=click.Choice([str(size) for size in SIZES]),
     default="128",
     show_default=True,
-    help="Side of the input picture, pixels.",
+    help="Width and height of the input image, pixels.",
 )
 @click.option(
-    "--batch", type=click.IntRange(1, 4096), default=32, show_default=True, metavar="N", help="Frames in a batch."
+    "--batch", type=click.IntRange(1, 4096), default=32, show_default=True, metavar="N", help="Batch size, frames."
 )
 @click.option(
     "--rate",
@@ -102,12 +102,16 @@ def command() -> None:
     default=1.0,
     show_default=True,
     metavar="WEIGHT",
-    help="Weight of the loss on the place of the named object in the picture; 0: imitation only.",
+    help="Weight of the auxiliary loss, which locates the target in the image. 0: imitation loss only.",
 )
 @click.option(
-    "--device", default="auto", show_default=True, metavar="DEVICE", help="PyTorch device: auto, cpu, cuda, cuda:1, ..."
+    "--device",
+    default="auto",
+    show_default=True,
+    metavar="DEVICE",
+    help="PyTorch device: cpu, cuda, cuda:1, ...; auto: cuda if available, else cpu.",
 )
-@click.option("--resume", is_flag=True, hidden=True, expose_value=False, help="Former; no longer needed.")
+@click.option("--resume", is_flag=True, hidden=True, expose_value=False, help="Former option without effect.")
 @json_option
 def bc(
     root: Place,
@@ -129,8 +133,8 @@ def bc(
 ) -> int:
     """Train a policy by behaviour cloning.
 
-    The policy maps a picture and an instruction to (v, w), or to tokens of the action grid.
-    After Ctrl-C or --minutes the same command continues the training, with the same result as without the interruption.
+    The policy maps an image and an instruction to velocities (v, w), or to tokens of the action grid.
+    After Ctrl-C or --minutes, the same command continues the training; the result is the same as without interruption.
 
     \b
     Then:  factory eval DIR --split test_id --policy bc:OUT
@@ -155,7 +159,7 @@ def bc(
     else:
         _print(report)
     if not report.finished:
-        click.echo(f"{len(report.epochs)} of {epochs} epochs done; the same command continues", err=True)
+        click.echo(f"{len(report.epochs)} of {epochs} epochs done; run the same command again to continue", err=True)
         return 130 if stop.is_set() else 0
     return 0
 
@@ -168,7 +172,7 @@ def _options(**chosen: Any) -> BcOptions:
 
 
 class _TrainBar(Closing):
-    """The bars of a training on stderr, and a line an epoch."""
+    """Progress bars of a training on stderr, and one line per epoch."""
 
     def __init__(self, epochs: int) -> None:
         self._epochs = epochs
@@ -182,25 +186,25 @@ class _TrainBar(Closing):
         self._bar.stop()
 
     def caching(self, done: int, of: int) -> None:
-        """Shows episodes being decoded."""
+        """Updates the number of decoded episodes."""
         if self._decoding is None or done == 1:
             self._decoding = self._bar.add_task("decoding", total=of)
         self._bar.update(self._decoding, completed=done)
 
     def learning(self, epochs: int, done: int, of: int, loss: float) -> None:
-        """Shows batches done in this epoch."""
+        """Updates the number of batches and the loss of this epoch."""
         if self._task is None:
-            self._task = self._bar.add_task("learning", total=of)
+            self._task = self._bar.add_task("training", total=of)
         note = f"epoch {epochs + 1} of {self._epochs}, loss {loss:.3f}"
         self._bar.update(self._task, total=of, completed=done, note=note)
 
     def measured(self, epoch: EpochMeasures) -> None:
-        """Prints the epoch's measures."""
+        """Prints the measures of an epoch."""
         self._bar.console.print(f"epoch {epoch.epoch}: {_describe(epoch)}")
 
 
 def _describe(epoch: EpochMeasures) -> str:
-    names = {"val_v_mps": "v err", "val_w_rps": "w err", "pointing": "points right"}
+    names = {"val_v_mps": "v error m/s", "val_w_rps": "w error rad/s", "pointing": "pointing accuracy"}
     pairs = [
         (names.get(name, name.replace("_", " ")), value) for name, value in epoch.model_dump(exclude={"epoch"}).items()
     ]

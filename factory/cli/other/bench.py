@@ -1,10 +1,10 @@
-"""`factory bench`: how fast the loop, its rendering, the coordinator and the reader are on this machine."""
+"""`factory bench`: measures collection, rendering, memory, coordinator and reader on this machine."""
 
 from __future__ import annotations
 
 import os
 
-# read when numpy and Mesa are imported: what is measured is one process on one core
+# numpy and Mesa read these when they are imported; the benchmarks measure one process on one core
 os.environ.setdefault("LP_NUM_THREADS", "0")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -52,19 +52,19 @@ __all__ = ["command"]
 _PLAIN_FRAMES = 24
 _SAMPLE_PLAN = "demo"
 _MEMORY_JOBS = 25
-"""Different jobs of each scene; they are run in turn."""
+"""Number of different jobs of each scene; they are repeated in turn."""
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Report = TypeVar("Report", bound=Model)
 
-_repeats_option = count_option("--repeats", 3, "Number of timed runs.")
+_repeats_option = count_option("--repeats", 3, "Number of timed runs; the result is their median.")
 
 
 @click.group("bench", cls=CommandGroup)
 def command() -> None:
     """Measure the performance of this machine.
 
-    Every figure is a median over repeated runs of the same work.
+    Each result is the median over repeated runs of the same work.
     """
     configure_logs(verbose=False)
 
@@ -75,7 +75,7 @@ def command() -> None:
 @scene_filter()
 @count_option("--episodes", 8, "Number of episodes of each scene.")
 @_repeats_option
-@click.option("--against", type=click.Choice(["plain"]), help="Also measure the plain PyBullet pipeline.")
+@click.option("--against", type=click.Choice(["plain"]), help="Also measure a plain PyBullet pipeline for comparison.")
 @count_option("--frames", _PLAIN_FRAMES, "Number of frames of the plain pipeline.", least=2)
 @renderer_option
 @json_option
@@ -89,16 +89,16 @@ def rollout(
     renderer: str,
     as_json: bool,
 ) -> None:
-    """Time collection on one core, from physics to the bundle.
+    """Measure the speed of collection on one core.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Physics, control, rendering,
-    encoding and writing the bundle are timed. `frames_per_s_per_core` is wall-clock time, `frames_per_cpu_s` is CPU
-    time of the process, which does not depend on the load of the machine.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Includes physics, control,
+    rendering, encoding and writing of the bundle. `frames_per_s_per_core` uses wall-clock time. `frames_per_cpu_s` uses
+    CPU time of the process, which does not depend on the load of the machine.
     """
     plan = narrow(load_plan(plan_name), scenes or (), episodes)
     machine, watch = describe_machine(), ProcessWatch()
-    with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _nowhere() as nowhere:
-        catalog = open_catalog(plan, nowhere, scene_cache())
+    with _bar("rollout", len(plan.scenes) * (1 + episodes * repeats)) as tell, _temporary_folder() as folder:
+        catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
             with SceneRenderer(cast(RendererKind, renderer), watch) as stage:
@@ -117,11 +117,14 @@ def rollout(
 @renderer_option
 @json_option
 def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: str, as_json: bool) -> None:
-    """Time rendering at the same random poses of each scene."""
+    """Measure the speed of rendering.
+
+    All runs render the same random poses of each scene.
+    """
     plan = narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1)
     machine, watch = describe_machine(), ProcessWatch()
-    with _bar("render", len(plan.scenes)) as tell, _nowhere() as nowhere:
-        catalog = open_catalog(plan, nowhere, scene_cache())
+    with _bar("render", len(plan.scenes)) as tell, _temporary_folder() as folder:
+        catalog = open_catalog(plan, folder, scene_cache())
         results = {}
         for name, entry in catalog.items():
             with SceneRenderer(cast(RendererKind, renderer), watch) as stage:
@@ -134,17 +137,17 @@ def render(scenes: tuple[str, ...] | None, frames: int, repeats: int, renderer: 
 
 @command.command("memory")
 @scene_filter()
-@count_option("--episodes", 200, "Number of episodes of all scenes together; most are cut short.", least=20)
+@count_option("--episodes", 200, "Total number of episodes; most are ended early.", least=20)
 @renderer_option
 @json_option
 def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json: bool) -> None:
     """Measure the memory of a simulation over many episodes.
 
-    The scenes take turns.
+    The process switches to another scene after each episode.
     """
     plan = narrow(load_plan("paper"), scenes or (), _MEMORY_JOBS)
-    with _bar("memory", episodes) as tell, _nowhere() as nowhere:
-        catalog = open_catalog(plan, nowhere, scene_cache())
+    with _bar("memory", episodes) as tell, _temporary_folder() as folder:
+        catalog = open_catalog(plan, folder, scene_cache())
         turns = zip(*(first_attempts(plan, catalog, name) for name in catalog), strict=True)
         jobs = [job for turn in turns for job in turn]
         command = WorkerSettings(connect=(), renderer=cast(RendererKind, renderer)).simulation_command
@@ -154,29 +157,29 @@ def memory(scenes: tuple[str, ...] | None, episodes: int, renderer: str, as_json
 
 @command.command("coordinator")
 @count_option("--jobs", 100_000, "Number of jobs in the ledger.", least=1000, most=5_000_000)
-@count_option("--workers", 64, "Number of simulated workers that send requests.", most=64)
-@count_option("--sessions", 2000, "Number of sessions connected at once.", most=4000)
+@count_option("--workers", 64, "Number of concurrent simulated workers.", most=64)
+@count_option("--sessions", 2000, "Number of concurrent network sessions.", most=4000)
 @count_option("--bundle-mb", 32, "Size of each worker's bundle, MB.", most=256)
 @_repeats_option
 @json_option
 def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats: int, as_json: bool) -> None:
-    """Time a coordinator with a large ledger.
+    """Measure a coordinator with a large ledger.
 
-    Leases and submissions are timed directly and over the network, with real bundles. The memory is that of a separate
-    coordinator process with all sessions connected, and while all workers deliver a bundle at the same time.
+    Measures leases and submissions of real bundles, by direct calls and over the network. The memory is that of a
+    separate coordinator process with all sessions connected, and while all workers send a bundle at the same time.
     """
     sample_plan = narrow(load_plan(_SAMPLE_PLAN), ("office",), 2)
     part = sample_plan.scenes[0].model_copy(update={"episodes": jobs})
     plan = load_plan("paper").model_copy(update={"scenes": (part,)})
-    with _bar("coordinator", 2) as tell, _nowhere() as nowhere:
-        catalog = open_catalog(sample_plan, nowhere, scene_cache())
+    with _bar("coordinator", 2) as tell, _temporary_folder() as folder:
+        catalog = open_catalog(sample_plan, folder, scene_cache())
         with SceneRenderer() as stage:
-            samples = make_sample(nowhere / "sample", sample_plan, catalog, stage, tell)
+            samples = make_sample(folder / "sample", sample_plan, catalog, stage, tell)
         report = bench_coordinator(
             plan,
             catalog,
             samples,
-            nowhere,
+            folder,
             workers=workers,
             sessions=sessions,
             bundle_bytes=bundle_mb * 1_000_000,
@@ -188,39 +191,39 @@ def coordinator(jobs: int, workers: int, sessions: int, bundle_mb: int, repeats:
 @command.command("read")
 @click.argument("root", metavar="[DIR|URL]", required=False, type=PLACE)
 @scene_filter()
-@count_option("--frames", 500, "Number of random frames of a run.")
-@workers_option("Number of worker processes of the PyTorch loader.", default=2, least=0)
+@count_option("--frames", 500, "Number of random frames per run.")
+@workers_option("Number of worker processes of the PyTorch DataLoader.", default=2, least=0)
 @_repeats_option
 @json_option
 def read(
     root: Place | None, scenes: tuple[str, ...] | None, frames: int, workers: int, repeats: int, as_json: bool
 ) -> None:
-    """Time random access to the frames of a dataset.
+    """Measure random access to the frames of a dataset.
 
-    Without DIR or URL a few episodes of every scene are made first.
+    Without DIR or URL, a few episodes of each scene are generated first.
     """
-    with _nowhere() as nowhere:
+    with _temporary_folder() as folder:
         if root is None:
-            root = made = nowhere / "sample"
-            _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), nowhere)
+            root = made = folder / "sample"
+            _make_sample(made, narrow(load_plan(_SAMPLE_PLAN), scenes or (), 1), folder)
         report = bench_read(Dataset(root).filter(**({"scene": scenes} if scenes else {})), frames, repeats, workers)
     _print(report, as_json, show_read)
 
 
-def _make_sample(root: Path, plan: Plan, nowhere: Path) -> None:
+def _make_sample(root: Path, plan: Plan, folder: Path) -> None:
     with _bar("sample", plan.episodes) as tell, SceneRenderer() as stage:
-        make_sample(root, plan, open_catalog(plan, nowhere, scene_cache()), stage, tell)
+        make_sample(root, plan, open_catalog(plan, folder, scene_cache()), stage, tell)
 
 
 @contextmanager
-def _nowhere() -> Iterator[Path]:
+def _temporary_folder() -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         yield Path(folder)
 
 
 @contextmanager
 def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
-    """Shows a bar and gives the function that moves it on by one."""
+    """Shows a progress bar; yields the function that advances it by one."""
     with Bars(refresh_per_second=1) as bar:
         task = bar.add_task(f"bench {name}", total=total)
         yield lambda: bar.advance(task)

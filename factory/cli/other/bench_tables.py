@@ -1,4 +1,4 @@
-"""How benchmarks are shown to people: tables of medians with their spread. Computes nothing."""
+"""Prints the results of benchmarks: tables of medians with their range. Computes nothing."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ __all__ = ["show_coordinator", "show_memory", "show_read", "show_render", "show_
 
 
 def show_rollout(report: RolloutBench) -> None:
-    """Prints the pace of the loop in every scene, where its time goes, and what it stores."""
+    """Prints the speed of collection in each scene, the time of each stage, and the size of the output."""
     _say_machine(report.machine, report.renderer)
     columns = (
         "scene",
         "frames/s",
-        "spread",
+        "range",
         "frames/CPU s",
-        "spread",
+        "range",
         "by episode",
         "episodes",
         "frames",
@@ -43,7 +43,7 @@ def show_rollout(report: RolloutBench) -> None:
         )
         for name, found in report.scenes.items()
     ]
-    print_table(f"The loop on one core, {report.repeats} runs of the same jobs of plan {report.plan}", columns, rows)
+    print_table(f"Collection on one core, {report.repeats} runs of the same jobs of plan {report.plan}", columns, rows)
     _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
     _print_stages("in the coordinator", {name: found.delivery for name, found in report.scenes.items()})
     kinds = list(dict.fromkeys(kind for found in report.scenes.values() for kind in found.kb_per_frame))
@@ -51,7 +51,7 @@ def show_rollout(report: RolloutBench) -> None:
         (name, *(found.kb_per_frame.get(kind, 0.0) for kind in kinds), sum(found.kb_per_frame.values()))
         for name, found in report.scenes.items()
     ]
-    print_table("\nkB a frame, by member", ("scene", *kinds, "all"), sizes)
+    print_table("\nkB per frame, by bundle member", ("scene", *kinds, "all"), sizes)
     memory = [
         (name, found.memory.start_mib, found.memory.end_mib, found.memory.peak_mib)
         for name, found in report.scenes.items()
@@ -60,7 +60,7 @@ def show_rollout(report: RolloutBench) -> None:
 
 
 def show_render(report: RenderBench) -> None:
-    """Prints the pace of rendering in every scene and where its time goes."""
+    """Prints the speed of rendering in each scene and the time of each stage."""
     _say_machine(report.machine, report.renderer)
     rows = [
         (
@@ -70,8 +70,8 @@ def show_render(report: RenderBench) -> None:
         for name, found in report.scenes.items()
     ]
     print_table(
-        f"Rendering alone, {report.repeats} runs",
-        ("scene", "frames/s", "spread", "frames", "triangles", "in view"),
+        f"Rendering only, {report.repeats} runs",
+        ("scene", "frames/s", "range", "frames", "triangles", "in view"),
         rows,
     )
     _print_stages("by stage", {name: found.stages for name, found in report.scenes.items()})
@@ -79,59 +79,63 @@ def show_render(report: RenderBench) -> None:
 
 
 def show_memory(report: MemoryBench) -> None:
-    """Prints what a simulation held over many short episodes."""
+    """Prints the memory of a simulation process over many short episodes."""
     _say_machine(report.machine, report.renderer)
     rows = [
         ("episodes", report.episodes),
-        ("driven to success, the others cut short", report.succeeded),
+        ("successful episodes, the others ended early", report.succeeded),
         ("frames", report.frames),
-        ("before the first, MiB", report.memory.start_mib),
-        ("second tenth, MiB", report.settled_mib),
-        ("last tenth, MiB", report.last_mib),
+        ("before the first episode, MiB", report.memory.start_mib),
+        ("second tenth of the episodes, MiB", report.settled_mib),
+        ("last tenth of the episodes, MiB", report.last_mib),
         ("peak, MiB", report.memory.peak_mib),
     ]
-    print_table(f"Resident memory, {', '.join(report.scenes)} by turns", ("what", "figure"), rows)
+    print_table(f"Resident memory, alternating scenes: {', '.join(report.scenes)}", ("quantity", "value"), rows)
 
 
 def show_coordinator(report: CoordinatorBench) -> None:
-    """Prints the coordinator's figures."""
+    """Prints the results of the coordinator benchmark."""
     _say_machine(report.machine)
     rows = [
         ("lease + announce + archive, cycles/s", report.cycles_per_s.median, _range(report.cycles_per_s)),
-        ("opening the ledger again, s", report.reopen_s.median, _range(report.reopen_s)),
-        ("a look at the progress, s", report.progress_s.median, _range(report.progress_s)),
-        ("validating, ms a frame", report.validate_ms_per_frame.median, _range(report.validate_ms_per_frame)),
+        ("reopening the ledger, s", report.reopen_s.median, _range(report.reopen_s)),
+        ("reading the progress, s", report.progress_s.median, _range(report.progress_s)),
+        ("validation, ms per frame", report.validate_ms_per_frame.median, _range(report.validate_ms_per_frame)),
         ("archiving, MB/s", report.archive_mb_per_s.median, _range(report.archive_mb_per_s)),
-        ("filling the ledger once, s", report.fill_s, ""),
+        ("filling the ledger, s", report.fill_s, ""),
         ("resident memory at the end, MiB", report.memory.end_mib, f"peak {report.memory.peak_mib:.0f}"),
     ]
     title = f"{report.jobs} jobs, {report.workers} requests in flight"
-    print_table(title, ("what", "median", "spread"), rows)
+    print_table(title, ("quantity", "median", "range"), rows)
     wire, crowd, rush = report.wire, report.wire.crowd, report.wire.rush
     rows = [
         ("claim + announcement over zenoh, cycles/s", wire.cycles_per_s.median, _range(wire.cycles_per_s)),
-        ("small bundles archived meanwhile, 1/s", wire.archived_per_s.median, _range(wire.archived_per_s)),
+        ("small bundles archived at the same time, 1/s", wire.archived_per_s.median, _range(wire.archived_per_s)),
         (
-            "the coordinator's CPU time, ms a cycle",
+            "CPU time of the coordinator, ms per cycle",
             _round(wire.coordinator_cpu_ms.median),
-            f"a core of its own: {1000 / wire.coordinator_cpu_ms.median:.0f} cycles/s",
+            f"on a dedicated core: {1000 / wire.coordinator_cpu_ms.median:.0f} cycles/s",
         ),
-        ("the workers' CPU time, ms a cycle", _round(wire.workers_cpu_ms.median), _range(wire.workers_cpu_ms)),
-        ("start until it listens, s", wire.start_s.median, _range(wire.start_s)),
+        ("CPU time of the workers, ms per cycle", _round(wire.workers_cpu_ms.median), _range(wire.workers_cpu_ms)),
+        ("start-up until it listens, s", wire.start_s.median, _range(wire.start_s)),
         (f"memory with {crowd.sessions} sessions, MiB", crowd.memory.end_mib, f"peak {crowd.memory.peak_mib:.0f}"),
         (
-            f"{rush.workers} workers deliver {rush.bundle_mb:.0f} MB each, MB/s",
+            f"{rush.workers} workers send {rush.bundle_mb:.0f} MB each, MB/s",
             rush.mb_per_s,
-            f"{rush.seconds:.1f} s in all",
+            f"{rush.seconds:.1f} s in total",
         ),
-        ("peak memory meanwhile, MiB", rush.memory.peak_mib, ""),
-        ("a bystander's claim meanwhile, p99 ms", rush.claim_p99_ms, f"p50 {rush.claim_p50_ms:.1f}, n {rush.claims}"),
+        ("peak memory during this, MiB", rush.memory.peak_mib, ""),
+        (
+            "claim of another worker during this, p99 ms",
+            rush.claim_p99_ms,
+            f"p50 {rush.claim_p50_ms:.1f}, n {rush.claims}",
+        ),
     ]
-    print_table("the same coordinator in a process of its own", ("what", "figure", "more"), rows)
+    print_table("the same coordinator in a separate process", ("quantity", "value", "details"), rows)
 
 
 def show_read(report: ReadBench) -> None:
-    """Prints the reader's figures."""
+    """Prints the results of the reader benchmark."""
     _say_machine(report.machine)
     rows = [
         (
@@ -139,22 +143,26 @@ def show_read(report: ReadBench) -> None:
             report.random_frames_per_s.median,
             _range(report.random_frames_per_s),
         ),
-        ("the same by CPU time", report.random_frames_per_cpu_s.median, _range(report.random_frames_per_cpu_s)),
+        (
+            "random frames, all three images, frames/CPU s",
+            report.random_frames_per_cpu_s.median,
+            _range(report.random_frames_per_cpu_s),
+        ),
         *((f"only {name}, frames/s", found.median, _range(found)) for name, found in report.by_image.items()),
         ("opening an episode, ms", report.open_ms.median, _range(report.open_ms)),
     ]
     loader, threads = report.loader_frames_per_s, report.threads_frames_per_s
     if loader is not None and threads is not None:
-        rows.append(("shuffled torch loader, threads on all cores", threads.median, _range(threads)))
-        rows.append((f"shuffled torch loader, {report.loader_workers} workers", loader.median, _range(loader)))
+        rows.append(("shuffled DataLoader, threads on all cores, frames/s", threads.median, _range(threads)))
+        rows.append((f"shuffled DataLoader, {report.loader_workers} workers, frames/s", loader.median, _range(loader)))
     title = f"{report.frames} random frames of {report.episodes} episodes, {report.repeats} runs"
-    print_table(title, ("what", "median", "spread"), rows)
+    print_table(title, ("quantity", "median", "range"), rows)
     if loader is None:
-        click.echo("torch is not installed: no figure for the loader", err=True)
+        click.echo("note: torch is not installed; the DataLoader was not measured", err=True)
 
 
 def _say_machine(machine: Machine, renderer: str | None = None) -> None:
-    click.echo(f"{machine.cpu}, {machine.cores} cores, {machine.memory_gib:g} GiB; load {machine.load_1m:g} before")
+    click.echo(f"{machine.cpu}, {machine.cores} cores, {machine.memory_gib:g} GiB; initial load {machine.load_1m:g}")
     if renderer is not None:
         click.echo(renderer)
     click.echo()
@@ -165,7 +173,7 @@ def _print_stages(where: str, scenes: dict[str, tuple[StageCost, ...]]) -> None:
     by_scene = [{cost.stage: cost.cpu_ms.median for cost in costs} for costs in scenes.values()]
     rows = [(name, *(found.get(name, 0.0) for found in by_scene)) for name in names]
     rows.append(("all", *(sum(found.values()) for found in by_scene)))
-    print_table(f"\nms of CPU time a frame, {where}", ("stage", *scenes), rows)
+    print_table(f"\nCPU time per frame, ms, {where}", ("stage", *scenes), rows)
 
 
 def _range(spread: Spread) -> str:

@@ -1,4 +1,4 @@
-"""`factory completion`: the shell's completion script on stdout."""
+"""`factory completion`: prints the completion script of a shell on stdout."""
 
 from __future__ import annotations
 

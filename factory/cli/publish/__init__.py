@@ -1,1 +1,1 @@
-"""Commands that write other formats and upload: `export`, `push`."""
+"""Commands that convert and upload datasets: `export`, `push`."""

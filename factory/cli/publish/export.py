@@ -1,4 +1,4 @@
-"""`factory export`: a dataset in a format that people train from."""
+"""`factory export`: converts a dataset to a training format."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _NAMED = 5
 
 
 class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click 8.2 only
-    """A format; of one that is made elsewhere it says where."""
+    """The name of an export format; for a format that another tool writes, the error names that tool."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Returns the name."""
+        """Returns the name, or raises `UsageError`."""
         check_format(str(value))
         return super().convert(value, param, ctx)
 
@@ -50,13 +50,15 @@ class FormatName(click.Choice):  # type: ignore[type-arg]  # generic since click
     required=True,
     metavar="DIR",
     type=click.Path(path_type=Path),
-    help="Directory of the export. An interrupted export of the same options is continued.",
+    help="Output directory. An interrupted export with the same options is continued.",
 )
 @split_filter()
-@click.option("--episode", "episodes", metavar="IDS", help="Only these episodes, e.g. 1-50,60 or ep_000060.")
+@click.option(
+    "--episode", "episodes", metavar="IDS", help="Episodes to include, e.g. 1-50,60 or ep_000060. Default: all."
+)
 @former_option("--episodes", "episodes", "--episode")
 @workers_option("Number of processes")
-@click.option("--dry-run", is_flag=True, help="Estimate size and time from one episode; write nothing.")
+@click.option("--dry-run", is_flag=True, help="Estimate size and time from one episode; write no files.")
 @format_options
 @json_option
 def command(
@@ -70,10 +72,10 @@ def command(
     as_json: bool,
     **chosen: Any,
 ) -> int:
-    """Write a dataset in another format.
+    """Convert a dataset to another format.
 
-    Exits with 1 when episodes are missing or were skipped. After Ctrl-C, a kill or a full disk the same command
-    continues the export. An option that ends with names of formats in brackets is valid for these formats only.
+    After Ctrl-C, a crash or a full disk, the same command continues the export. An option whose help ends with format
+    names in brackets is valid for these formats only. Exits with 1 if episodes are missing or were skipped.
     """
     configure_logs()
     order = ExportOrder(
@@ -94,9 +96,11 @@ def command(
     if report.absent:
         named, more = ", ".join(report.absent[:_NAMED]), len(report.absent) - _NAMED
         names = f"{named} and {more} more" if more > 0 else named
-        click.echo(f"not in the dataset: {names}; once its run has brought them, export to another --out", err=True)
+        click.echo(
+            f"missing in the dataset: {names}; to export them, finish the run and export to another --out", err=True
+        )
     if not report.finished:
-        click.echo(f"interrupted after {report.episodes} episodes; the same command goes on", err=True)
+        click.echo(f"interrupted after {report.episodes} episodes; run the same command again to continue", err=True)
         return 130
     if as_json:
         print_json(report.model_dump(mode="json"))
@@ -111,7 +115,7 @@ def _options(name: str, chosen: dict[str, Any]) -> Options:
     surplus = [f"--{key.replace('_', '-')}" for key in given if key not in model.model_fields]
     if surplus:
         known = ", ".join(f"--{key.replace('_', '-')}" for key in model.model_fields) or "none"
-        raise UsageError(f"format {name} has no {', '.join(surplus)}; its own options: {known}")
+        raise UsageError(f"{', '.join(surplus)} not valid for format {name}; valid format options: {known}")
     try:
         return model.model_validate(given)
     except ValidationError as error:
@@ -132,19 +136,19 @@ def _estimate(order: ExportOrder, as_json: bool) -> int:
 
 def _print_estimate(estimate: ExportEstimate) -> None:
     click.echo(f"{estimate.format}: {estimate.episodes} episodes, {estimate.frames} frames")
-    click.echo(f"size about {_megabytes(estimate.bytes)}, while it is made {_megabytes(estimate.peak_bytes)}")
-    click.echo(f"time about {say_duration(estimate.seconds)} with {estimate.workers} processes")
+    click.echo(f"size: about {_megabytes(estimate.bytes)}, during the export {_megabytes(estimate.peak_bytes)}")
+    click.echo(f"time: about {say_duration(estimate.seconds)} with {estimate.workers} processes")
     sample = f"{estimate.sample_frames} frames, {_megabytes(estimate.sample_bytes)}, {estimate.sample_seconds:.1f} s"
-    click.echo(f"measured on {estimate.sample}: {sample}")
+    click.echo(f"measured with {estimate.sample}: {sample}")
     fits = "enough" if estimate.fits else "NOT enough: free some space, or choose another --out"
-    click.echo(f"free now: {_megabytes(estimate.free_bytes)}, {fits}")
+    click.echo(f"free space: {_megabytes(estimate.free_bytes)}, {fits}")
 
 
 def _print(report: ExportReport) -> None:
-    resumed = f" ({report.resumed} from before)" if report.resumed else ""
+    resumed = f" ({report.resumed} exported earlier)" if report.resumed else ""
     speed = f", {report.frames_per_second:.0f} frames/s" if report.frames_per_second else ""
     what = f"{report.episodes} episodes{resumed}, {report.frames} frames, {_megabytes(report.bytes)}"
-    lacking = {"skipped": len(report.skipped), "not in the dataset": len(report.absent)}
+    lacking = {"skipped": len(report.skipped), "missing in the dataset": len(report.absent)}
     state = ", ".join(f"{count} episodes {what}" for what, count in lacking.items() if count) or "complete"
     click.echo(f"{report.out}: {report.format}, {what}, {say_duration(report.seconds)}{speed}; {state}")
 
@@ -154,14 +158,14 @@ def _megabytes(size: int) -> str:
 
 
 class _ExportBar(Bars):
-    """One line: episodes done, frames a second of this call, what it does now."""
+    """Progress bar of an export: episodes, frames per second, current stage."""
 
     def __init__(self, name: str) -> None:
         super().__init__(transient=True)
         self._task = self.add_task(name, total=None)
 
     def tell(self, progress: ExportProgress) -> None:
-        """Shows where the export stands."""
+        """Updates the bar."""
         elapsed = self.tasks[0].elapsed or 0.0
         rate = f"{progress.frames / elapsed:.0f} frames/s" if progress.frames and elapsed else ""
         note = rate if progress.stage == "episodes" else progress.stage

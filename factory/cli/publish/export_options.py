@@ -1,4 +1,4 @@
-"""The options of all formats as options of the command line, read off their models. Decides nothing."""
+"""Creates the command-line options of all formats from the fields of their option models."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def format_options(command: Command) -> Command:
-    """Adds an option for every field of every format's options; not given is `None`."""
+    """Adds one option for each field of each format's option model; the value is `None` if the option is not given."""
     for name, (info, formats) in reversed(_fields().items()):
         command = _option(name, info, formats)(command)
     return command
@@ -41,7 +41,7 @@ def _option(name: str, info: FieldInfo, formats: list[str]) -> Callable[[Command
         return click.option(flag, name, type=click.Choice([str(value) for value in get_args(kind)]), help=text)
     if kind in (int, float, str):
         return click.option(flag, name, type=kind, metavar="N" if kind is int else None, help=text)
-    raise TypeError(f"option {flag}: no option of the command line for {kind}")
+    raise TypeError(f"option {flag}: type {kind} is not supported on the command line")
 
 
 def _without_none(annotation: Any) -> Any:

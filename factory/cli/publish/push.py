@@ -1,4 +1,4 @@
-"""`factory push`: a dataset or an export to the Hugging Face Hub."""
+"""`factory push`: uploads a dataset or an export to the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ __all__ = ["command"]
 @click.command("push")
 @dataset_argument
 @click.argument("repository", metavar="OWNER/NAME")
-@click.option("--private", is_flag=True, help="Make the repository private if it is created.")
-@click.option("--endpoint", metavar="URL", help="URL of the Hub; default: HF_ENDPOINT, or huggingface.co.")
-@click.option("--dry-run", is_flag=True, help="Print what would be uploaded; use no network.")
+@click.option("--private", is_flag=True, help="If the repository does not exist, create it as private.")
+@click.option("--endpoint", metavar="URL", help="URL of the Hub. Default: HF_ENDPOINT, else https://huggingface.co.")
+@click.option("--dry-run", is_flag=True, help="Print what would be uploaded, without network access.")
 @json_option
 def command(root: Path, repository: str, private: bool, endpoint: str | None, dry_run: bool, as_json: bool) -> None:
     """Upload a dataset or an export to the Hugging Face Hub.
 
-    DIR is a dataset or the output of `factory export`; OWNER/NAME is a dataset repository.
-    The token is the Hub's: `hf auth login`, or HF_TOKEN in the environment.
+    DIR is a dataset or the output of `factory export`. OWNER/NAME is a dataset repository.
+    Log in with `hf auth login`, or set HF_TOKEN to a token with write access.
     The same command continues an interrupted upload.
     """
     require_repository(repository)
@@ -71,7 +71,9 @@ def _show_plan(plan: PushPlan, repository: str, as_json: bool) -> None:
     rows = [(name, len(sizes), _say_bytes(sum(sizes))) for name, sizes in folders.items()]
     print_table(f"{plan.kind} {plan.root} to {repository}", ("folder", "files", "size"), rows)
     tagged = f", tag {plan.tag}" if plan.tag else ""
-    click.echo(f"{len(plan.files)} files, {_say_bytes(plan.total_bytes)}, {commits} commits{tagged}; nothing was sent")
+    click.echo(
+        f"{len(plan.files)} files, {_say_bytes(plan.total_bytes)}, {commits} commits{tagged}; nothing was uploaded"
+    )
 
 
 def _say_bytes(count: int) -> str:

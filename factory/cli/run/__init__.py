@@ -1,1 +1,1 @@
-"""Commands that make datasets: `run`, `plan`, `gate`."""
+"""Commands that generate datasets: `run`, `plan`, `gate`."""

@@ -1,4 +1,4 @@
-"""`factory gate`: a pilot of first attempts in one scene; exit 1 when too few succeed."""
+"""`factory gate`: measures the success rate of first attempts in one scene; exits with 1 if it is too low."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ __all__ = ["command"]
     "--scene",
     required=True,
     metavar="SCENE",
-    help=f"Scene of the plan to measure. Built in: {', '.join(BUILTIN_CATEGORIES)}.",
+    help=f"Scene of the plan to measure. Built-in: {', '.join(BUILTIN_CATEGORIES)}.",
 )
 @click.option(
     "--episodes",
@@ -50,7 +50,7 @@ __all__ = ["command"]
     default=50,
     show_default=True,
     metavar="N",
-    help="Number of first attempts.",
+    help="Number of first attempts, one per episode.",
 )
 @click.option(
     "--min-success",
@@ -58,10 +58,10 @@ __all__ = ["command"]
     default=0.8,
     show_default=True,
     metavar="SHARE",
-    help="Least share of attempts that must succeed.",
+    help="Minimum success rate, 0 to 1; below it the command exits with 1.",
 )
 @expert_option
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root seed; default: the plan's.")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Root random seed. Default: the plan's.")
 @workers_option("Number of simulation processes")
 @renderer_option
 @json_option
@@ -81,7 +81,8 @@ def command(
     """Measure the success rate of first attempts in one scene.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: paper. Nothing is archived. Exits with
-    1 when fewer than --min-success succeed. The paper requires 80 % of 50 before it generates a scene.
+    1 if the success rate is below --min-success. The paper requires 80 % of 50 attempts before it generates episodes
+    in a scene.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory gate`")
@@ -90,7 +91,7 @@ def command(
     require_expert(plan.expert)
     report = _try(plan, cast(RendererKind, renderer), workers or os.cpu_count() or 1, min_success)
     if report is None:
-        click.echo("interrupted; nothing was kept", err=True)
+        click.echo("interrupted; no result", err=True)
         return 130
     if as_json:
         print_json(report.model_dump(mode="json"))
@@ -100,24 +101,23 @@ def command(
 
 
 def _try(plan: Plan, renderer: RendererKind, processes: int, min_success: float) -> GateReport | None:
-    with stop_on_signals() as (stop, _), tempfile.TemporaryDirectory(prefix="gate-") as nowhere:
-        catalog = open_catalog(
-            plan, Path(nowhere), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
-        )
+    with stop_on_signals() as (stop, _), tempfile.TemporaryDirectory(prefix="gate-") as folder:
+        catalog = open_catalog(plan, Path(folder), scene_cache(), lambda name: click.echo(f"building {name}", err=True))
         return try_scene(plan, catalog, min_success, renderer, processes, stop)
 
 
 def _print(report: GateReport) -> None:
     rows = [*((str(tier), share) for tier, share in report.by_tier.items()), ("all", report.success)]
     body = [(name, share.of, share.count, _percent(share), _interval(share)) for name, share in rows]
-    print_table("", ("tier", "attempts", "succeeded", "share", "95 % interval"), body)
+    print_table("", ("tier", "attempts", "succeeded", "success", "95 % interval"), body)
     if report.reasons:
-        click.echo("failed by: " + ", ".join(f"{count} {reason}" for reason, count in report.reasons.items()))
+        click.echo("failures: " + ", ".join(f"{count} {reason}" for reason, count in report.reasons.items()))
     for row in report.lost:
         click.echo(f"  {row.episode_id} {row.tier} {row.target_id}: {row.reason}: {row.detail}")
     verdict = "passed" if report.passed else "failed"
-    asked = f"{100 * report.min_success:g} % of first attempts asked for"
-    click.echo(f"{report.scene}, {report.expert} expert: {verdict}; {_percent(report.success)} succeeded, {asked}")
+    required = f"{100 * report.min_success:g} % required"
+    success = f"{_percent(report.success)} of first attempts succeeded"
+    click.echo(f"{report.scene}, {report.expert} expert: {verdict}; {success}, {required}")
 
 
 def _percent(share: Share) -> str:

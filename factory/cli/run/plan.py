@@ -1,4 +1,4 @@
-"""`factory plan`: what a plan expands to, and the nearest plan that its scenes can fulfil."""
+"""`factory plan`: shows the episodes of a plan, and finds the nearest plan that its scenes support."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["command"]
 
 @click.group("plan", cls=CommandGroup)
 def command() -> None:
-    """Show the episodes of a plan; find the nearest feasible plan."""
+    """Show a plan's episode counts; find the nearest feasible plan."""
 
 
 @command.command("show")
@@ -37,9 +37,9 @@ def command() -> None:
 @shrink_options
 @json_option
 def show(plan_name: str, as_json: bool, **changes: Any) -> None:
-    """Show how many episodes of each scene, split and tier a plan has.
+    """Show the number of episodes by scene, split and tier.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; the files that it names must exist.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Files named in the plan must exist.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
     require_files(plan)
@@ -53,17 +53,19 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     print_text(f"plan {plan.name}: {plan.episodes} episodes, seed {plan.seed}, expert {plan.expert}, run {plan.run}")
     for scene in plan.scenes:
         seen, held_out = scene.categories
-        print_text(f"  {scene.name}: seen {', '.join(seen)}; held out {', '.join(held_out) or 'none'}")
+        print_text(f"  {scene.name}: seen {', '.join(seen)}; held-out {', '.join(held_out) or 'none'}")
     _print_cells(plan)
     warn_of_empty_splits(plan)
     for line in mistakes or ():
         print_text(f"impossible: {line}")
     nearest = f"`factory plan nearest {shlex.quote(plan_name)}`"
     if mistakes:
-        print_text(f"{nearest} says what is possible instead")
+        print_text(f"find the nearest feasible plan with {nearest}")
     elif unknown:
         print_text(
-            f"note: not compared with what the scenes hold ({', '.join(unknown)} not built yet); {nearest} does", stderr
+            f"note: the plan was not checked against its scenes, because these are not built: {', '.join(unknown)}; "
+            f"{nearest} builds them and checks the plan",
+            stderr,
         )
 
 
@@ -74,26 +76,24 @@ def show(plan_name: str, as_json: bool, **changes: Any) -> None:
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="TOML file to write the plan to; default: none.",
+    help="TOML file to write the plan to. Default: no file.",
 )
 @shrink_options
 @json_option
 def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> None:
-    """Find the nearest plan that the scenes can fulfil.
+    """Find the nearest plan that the scenes support.
 
-    PLAN is a built-in plan (demo, paper, balanced) or a TOML file. Scenes that are not in the cache are built or
-    imported.
+    PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: demo. Scenes that are not in the cache are
+    built or imported.
     """
     plan = shrunk_plan(load_plan(plan_name), changes)
-    with tempfile.TemporaryDirectory(prefix="plan-") as nowhere:
+    with tempfile.TemporaryDirectory(prefix="plan-") as folder:
         catalog = collect_scenes(
-            plan, Path(nowhere), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
+            plan, Path(folder), scene_cache(), lambda name: click.echo(f"building {name}", err=True)
         )
     mistakes, found = find_impossible(plan, catalog), find_nearest(plan, catalog)
     if found.plan is None:
-        raise InvalidPlan(
-            f"plan {plan.name!r} asks for what its scenes do not have, and no plan near it does", mistakes
-        )
+        raise InvalidPlan(f"the scenes of plan {plan.name!r} support neither it nor any similar plan", mistakes)
     if out is not None:
         _write(out, spell_plan(found.plan))
     if as_json:
@@ -102,18 +102,19 @@ def nearest(plan_name: str, out: Path | None, as_json: bool, **changes: Any) -> 
         print_json(told | {"file": None if out is None else str(out)})
         return
     if not mistakes:
-        print_text(f"plan {plan.name} is possible as it is: {plan.episodes} episodes")
+        print_text(f"plan {plan.name} is feasible without changes: {plan.episodes} episodes")
     else:
         for line in mistakes:
             print_text(f"impossible: {line}")
         print_text(
-            f"nearest: {found.plan.episodes} of {plan.episodes} episodes, {found.moved} not in the cell asked for"
+            f"nearest plan: {found.plan.episodes} of {plan.episodes} episodes, {found.moved} of them moved to another "
+            "split or tier"
         )
         for line in found.changes:
             print_text(f"  {line}")
         _print_cells(found.plan)
     if out is not None:
-        print_text(f"written to {out}; make it with: factory run {out} --out DIR")
+        print_text(f"plan written to {out}; generate the dataset with: factory run {out} --out DIR")
 
 
 def _write(path: Path, text: str) -> None:
@@ -121,7 +122,7 @@ def _write(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise WorldError(f"cannot write {path} ({error.strerror}); choose another place with -o") from error
+        raise WorldError(f"cannot write {path} ({error.strerror}); choose another file with -o") from error
 
 
 def _print_cells(plan: Plan) -> None:

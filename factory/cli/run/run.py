@@ -1,4 +1,4 @@
-"""`factory run`: one machine, all of it; resumes."""
+"""`factory run`: generates a dataset with coordinator and workers on this machine; continues interrupted runs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = ["command"]
 @click.command("run")
 @plan_argument(default=None)
 @out_option
-@workers_option("Number of worker processes, one simulation each")
+@workers_option("Number of simulation processes")
 @renderer_option
 @gate_option("auto")
 @shrink_options
@@ -56,10 +56,11 @@ def command(
     verbose: bool,
     **changes: Any,
 ) -> int:
-    """Make a dataset from a plan, or continue an interrupted run.
+    """Generate a dataset from a plan, or continue an interrupted run.
 
     PLAN is a built-in plan (demo, paper, balanced) or a TOML file; default: the plan of the dataset in --out, or demo.
-    After Ctrl-C or a kill the same command continues the run; no episode is made twice.
+    After Ctrl-C or a crash, the same command continues the run; finished episodes are kept. Exits with 1 if episodes
+    are missing at the end.
     """
     configure_logs(verbose)
     require_package("pybullet", "`factory run`")
@@ -71,13 +72,13 @@ def command(
         catalog = open_catalog(plan, site.place, scene_cache(), lambda name: click.echo(f"building {name}", err=True))
         gate = hold_gate(plan, catalog, gate_mode if is_new else "skip", kind, processes, stop)
         if gate is None:
-            click.echo("interrupted at the gate; nothing was kept", err=True)
+            click.echo("interrupted during the gate; no result was kept", err=True)
             return 130
         run = LocalRun(plan, catalog, site.home, processes, kind, verbose, gate, site.store)
         with _RunBar(plan) as bar:
             progress = run_locally(run, CoordinatorSettings(), stop, bar.tell)
     if not progress.finished:
-        click.echo(f"interrupted; go on with: factory run --out {site}", err=True)
+        click.echo(f"interrupted; continue with: factory run --out {site}", err=True)
         return 130
     summary = summarise(site.place, progress)
     if as_json:
@@ -89,14 +90,14 @@ def command(
 
 
 class _RunBar(Bars):
-    """One line: what is done, how fast, what is left."""
+    """Progress bar of a run: episodes, rate, time left, running jobs and failed attempts."""
 
     def __init__(self, plan: Plan) -> None:
         super().__init__()
         self._task = self.add_task(plan.name, total=plan.episodes)
 
     def tell(self, progress: Progress) -> None:
-        """Shows where the run stands."""
+        """Updates the bar."""
         failures = sum(progress.failures.values())
         rate = "" if progress.episodes_per_hour is None else f"{progress.episodes_per_hour:.0f} episodes/h, "
         left = "" if progress.eta_s is None else f"{say_duration(progress.eta_s)} left, "

@@ -1,1 +1,1 @@
-"""Commands `scene ...`."""
+"""Subcommands of `factory scene`."""

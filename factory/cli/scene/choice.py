@@ -1,5 +1,6 @@
-"""How a verb is told which scene: a built-in name, built when the cache lacks it, the name of an imported scene, or the
-file of a compiled package.
+"""The SCENE|PACKAGE argument: the name of a built-in or imported scene, or the file of a scene package.
+
+A built-in scene that is not in the cache is built.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def _complete(context: click.Context, param: click.Parameter, word: str) -> list
 
 
 scene_argument = click.argument("scene", metavar="SCENE|PACKAGE", shell_complete=_complete)
-"""SCENE|PACKAGE: a built-in name, the name of an imported scene, or a compiled package (`*.scene.zip`)."""
+"""SCENE|PACKAGE: the name of a built-in or imported scene, or a scene package (`*.scene.zip`)."""
 
 seed_option = click.option(
     "--seed",
@@ -37,23 +38,26 @@ seed_option = click.option(
     default=0,
     show_default=True,
     metavar="N",
-    help="Layout seed of a built-in scene.",
+    help="Random seed of the layout of a built-in scene.",
 )
 
 
 def chosen_scene(scene: str, seed: int) -> CompiledScene:
-    """Returns the scene that a user named; of several packages imported under one name the last, and says so.
+    """Returns the scene with a name or in a file; if the name was imported several times, the last import.
 
     Raises:
-        UsageError: no such name or file, or a file that is not a package.
+        UsageError: the name or file does not exist, or the file is not a scene package.
     """
     path = Path(scene)
     if path.suffix.lower() in STAGE_SUFFIXES:
-        raise UsageError(f"{scene} is a stage; compile it with `factory scene import {scene}` and give the package")
+        raise UsageError(
+            f"{scene} is a USD stage, not a scene package; import it with `factory scene import {scene}` and give the "
+            "package"
+        )
     if path.suffix and not path.is_file():
-        raise UsageError(f"no file {scene}; give a compiled package (*.scene.zip) or the name of a scene")
+        raise UsageError(f"file {scene} does not exist; give a scene package (*.scene.zip) or the name of a scene")
     if path.is_file() and path.suffix.lower() != ".zip" and not zipfile.is_zipfile(path):
-        raise UsageError(f"{find_fault(path)}; compile the stage with `factory scene import` and give the package")
+        raise UsageError(f"{find_fault(path)}; import the stage with `factory scene import` and give the package")
     return open_scene(path if path.is_file() else _package_called(scene, seed))
 
 
@@ -73,13 +77,13 @@ def _package_called(name: str, seed: int) -> Path:
         raise UsageError(_say_unknown(name, imported))
     package, *older = imported[name]
     if older:
-        click.echo(f"{name} was imported {len(older) + 1} times; taking the last, {package}", err=True)
+        click.echo(f"note: {name} was imported {len(older) + 1} times; the last import is used: {package}", err=True)
     return package
 
 
 def _say_unknown(name: str, imported: Collection[str]) -> str:
     return (
-        f"no scene is called {name!r}, and no package lies there; built in: {', '.join(BUILTIN_CATEGORIES)}; "
-        f"imported: {', '.join(imported) or 'none'}; compile a stage of your own with "
+        f"{name!r} is neither a scene nor an existing file; built-in scenes: {', '.join(BUILTIN_CATEGORIES)}; "
+        f"imported scenes: {', '.join(imported) or 'none'}; import a USD stage with "
         f"`factory scene import FILE --name NAME`{did_you_mean(name, [*BUILTIN_CATEGORIES, *imported])}"
     )

@@ -1,4 +1,4 @@
-"""`factory scene`: build and import scenes; other verbs are files of their own."""
+"""`factory scene`: the group and its commands `build` and `import`; the other commands have their own modules."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["command"]
 
 @click.group("scene", cls=CommandGroup)
 def command() -> None:
-    """Build, import, inspect and draw scenes."""
+    """Build, import, inspect and render scenes."""
 
 
 command.add_command(scene_list.command)
@@ -39,7 +39,7 @@ command.add_command(scene_targets.command)
 
 
 def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
-    """`--rules --targets --out`: the categories of things, and where the package is written."""
+    """Adds `--rules --targets --out`: category rules, targets, and the folder of the package."""
     file = click.Path(path_type=Path)
     for option in (
         former_option("--cache", "cache", "--out", type=file),
@@ -49,12 +49,17 @@ def _edit_options(verb: Callable[..., None]) -> Callable[..., None]:
             "cache",
             type=file,
             metavar="DIR",
-            help="Folder of the package; default: the user's cache.",
+            help="Output folder of the scene package. Default: the user's cache.",
         ),
         click.option(
-            "--targets", type=file, metavar="FILE", help="Edited list of targets, written by `factory scene targets`."
+            "--targets",
+            type=file,
+            metavar="FILE",
+            help="List of targets, written by `factory scene targets` and edited. Default: all that the rules find.",
         ),
-        click.option("--rules", type=file, metavar="FILE", help="Table of category rules (YAML); default: built in."),
+        click.option(
+            "--rules", type=file, metavar="FILE", help="YAML file of category rules. Default: the built-in rules."
+        ),
     ):
         verb = option(verb)
     return verb
@@ -71,7 +76,7 @@ def build(
 ) -> None:
     """Build a built-in scene.
 
-    Does nothing when the scene is in the cache.
+    NAME is the name of a built-in scene; see `factory scene list`. A scene that is in the cache is not built again.
     """
     from factory.scenes.build import build_scene, load_edits
 
@@ -88,16 +93,16 @@ def build(
 
 @command.command("import")
 @click.argument("usd", type=click.Path(path_type=Path))
-@click.option("--name", metavar="NAME", help="Name of the scene; default: the name of the file.")
+@click.option("--name", metavar="NAME", help="Name of the scene. Default: the file name without suffix.")
 @click.option(
     "--max-triangles",
     type=click.IntRange(1),
     default=MAX_TRIANGLES,
     show_default=True,
     metavar="N",
-    help="Largest number of triangles; larger stages are refused.",
+    help="Maximum number of triangles; a larger stage is an error.",
 )
-@click.option("--allow-outside", is_flag=True, help="Also read textures outside the folder of the stage.")
+@click.option("--allow-outside", is_flag=True, help="Also read textures outside of the stage's folder.")
 @_edit_options
 @json_option
 @verbose_option
@@ -112,9 +117,9 @@ def import_(
     as_json: bool,
     verbose: bool,
 ) -> None:
-    """Compile a USD stage of your own.
+    """Import a USD stage as a scene package.
 
-    USD is a file .usd, .usda, .usdc or .usdz.
+    USD is a .usd, .usda, .usdc or .usdz file.
     """
     from factory.scenes.build import import_scene, load_edits  # needs usd-core
 

@@ -1,4 +1,4 @@
-"""`factory scene inspect`: what a scene holds, in words, as JSON and as a map."""
+"""`factory scene inspect`: prints the content of a scene as text or JSON, and draws its map."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _LISTED = ("categories", "targets", "no_target", "notes", "source_sha256", "boun
     "--out",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Also draw the map with targets and spawns to this PNG file.",
+    help="Also write a map with targets and start points to this PNG file.",
 )
 @json_option
 def command(scene: str, seed: int, out: Path | None, as_json: bool) -> None:
     """Print the categories, targets and extents of a scene.
 
-    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
     """
     from factory.scenes.inspection import describe_scene
     from factory.scenes.topdown import encode_topdown

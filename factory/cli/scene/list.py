@@ -1,4 +1,4 @@
-"""`factory scene list`: the scenes that verbs know by name, built-in and imported."""
+"""`factory scene list`: lists the built-in and imported scenes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,12 @@ def command(as_json: bool) -> None:
     if as_json:
         print_json([*built_in, *imported])
         return
-    _print("", ("scene", "summary", "seen", "held out"), built_in, ("name", "summary", "seen", "held_out"))
+    _print(
+        "",
+        ("scene", "summary", "seen categories", "held-out categories"),
+        built_in,
+        ("name", "summary", "seen", "held_out"),
+    )
     if imported:
         click.echo("")
         _print("", ("imported", "source", "targets", "package"), imported, ("name", "summary", "targets", "package"))

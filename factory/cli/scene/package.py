@@ -1,4 +1,4 @@
-"""What is told of a package that was just made: its size, what became a target, and of an own scene what did not."""
+"""Prints the content of a new scene package: its size, its targets, and the instances that are not targets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _IN_WORDS = ("targets", "instances", "no_target", "notes")
 
 
 def describe_package(path: Path) -> dict[str, Any]:
-    """Returns the facts of a package, fit for JSON."""
+    """Returns the facts of a scene package as JSON data."""
     from factory.scenes.inspection import list_other_things
 
     scene = open_scene(path)
@@ -39,7 +39,7 @@ def describe_package(path: Path) -> dict[str, Any]:
 
 
 def print_package(facts: dict[str, Any]) -> None:
-    """Prints the facts for people."""
+    """Prints the facts as text."""
     for key, value in facts.items():
         if key not in _IN_WORDS:
             print_text(f"{key}: {value}")
@@ -49,7 +49,7 @@ def print_package(facts: dict[str, Any]) -> None:
 
 
 def print_others(facts: dict[str, Any]) -> None:
-    """Prints which things became no target, and what to do about it."""
+    """Prints which instances are not targets, and how to make them targets."""
     for line in say_rest(facts["no_target"], facts["instances"]):
         print_text(line)
     if any(thing["category"] is None for thing in facts["no_target"]):

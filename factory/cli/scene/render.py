@@ -1,4 +1,4 @@
-"""`factory scene render`: map, views and contact sheets of a scene as pictures to look at."""
+"""`factory scene render`: writes the map, views and contact sheets of a scene as images."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["command"]
 @scene_argument
 @seed_option
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder of the pictures; default: ./SCENE."
+    "-o", "--out", type=click.Path(path_type=Path), metavar="DIR", help="Output folder of the images. Default: ./SCENE."
 )
 @count_option("--views", 6, "Number of views from 1.5 m above the floor.", least=0, most=64)
 @count_option("--robot-views", 4, "Number of views from the robot's camera.", least=0, most=64)
-@count_option("--colours", 0, "Number of targets to draw with their colour words.", least=0, most=500)
+@count_option("--colours", 0, "Number of targets to show with their colour names.", least=0, most=500)
 @renderer_option
 @json_option
 def command(
@@ -38,9 +38,9 @@ def command(
     renderer: str,
     as_json: bool,
 ) -> None:
-    """Draw the map, views and contact sheets of a scene.
+    """Render the map, views and contact sheets of a scene.
 
-    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
+    SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
     """
     from factory.scenes.pictures import Wanted, draw_scene
 
@@ -49,11 +49,11 @@ def command(
     folder = out or Path(compiled.info.name)
     paths: list[str] = []
     try:
-        with stderr.status(f"drawing {compiled.info.name}"):
+        with stderr.status(f"rendering {compiled.info.name}"):
             for path in draw_scene(compiled, folder, Wanted(views, robot_views, colours), cast(RendererKind, renderer)):
                 paths.append(str(path))
     except OSError as error:
-        raise WorldError(f"cannot write below {folder} ({error.strerror}); choose another --out") from error
+        raise WorldError(f"cannot write to {folder} ({error.strerror}); choose another --out") from error
     if as_json:
         print_json({"scene": compiled.info.name, "pictures": paths})
     else:

@@ -1,4 +1,4 @@
-"""What to do with a scene that was just imported: look at it, measure it, plan with it."""
+"""Suggests the next commands after an import: inspect the scene, measure it, and plan a dataset."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ __all__ = ["Steps", "next_steps", "print_steps"]
 
 @dataclass(frozen=True)
 class Steps:
-    """What to do next."""
+    """Suggested next steps."""
 
     next: tuple[str, ...]
     """Commands."""
     plan: str | None
-    """A first plan as TOML; `None` when no start is possible for any target."""
+    """A first plan as TOML; `None` if no target has a feasible start."""
 
 
 def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, str | bool]) -> Steps:
-    """Returns what to do with a package.
+    """Returns the next steps for a scene package.
 
     Args:
-        package: its file.
+        package: file of the scene package.
         usd: the stage's root layer.
-        is_in_cache: whether it lies where its name is known.
-        files: what it was imported with, as a plan's scene has it.
+        is_in_cache: True if the package is in the cache, where it is found by name.
+        files: files and flags of the import, as in the scene of a plan.
     """
     entry = read_entry(package)
     name = entry.info.name
@@ -44,9 +44,9 @@ def next_steps(package: Path, usd: Path, is_in_cache: bool, files: dict[str, str
 
 
 def print_steps(steps: Steps) -> None:
-    """Prints them for people."""
+    """Prints the next steps as text."""
     *looks, last = steps.next
     for number, step in enumerate(looks if steps.plan else steps.next):
         click.echo(f"{'next:' if number == 0 else '':<8} {step}")
     if steps.plan is not None:
-        click.echo(f"{'':<8} {last}, when this first plan stands in that file:\n\n{steps.plan}", nl=False)
+        click.echo(f"{'':<8} {last}, after saving this plan to that file:\n\n{steps.plan}", nl=False)

@@ -1,4 +1,4 @@
-"""`factory scene survey`: are there start points enough, and are they spread?"""
+"""`factory scene survey`: measures the number and the distribution of the start points of a scene."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ __all__ = ["command", "say_survey"]
     default=2.0,
     show_default=True,
     metavar="METRES",
-    help="Distance from a start point within which floor counts as covered, metres.",
+    help="Floor within this distance of a start point counts as covered, metres.",
 )
 @json_option
 def command(scene: str, seed: int, within: float, as_json: bool) -> int:
     """Measure the start points of a scene.
 
-    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
-    Exits with 1 when there are too few start points.
+    SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
+    Exits with 1 if there are too few start points.
     """
     from factory.scenes.survey.report import report_survey
 
@@ -45,27 +45,32 @@ def command(scene: str, seed: int, within: float, as_json: bool) -> int:
         for line in say_survey(report):
             print_text(line)
         click.echo("")
-        print_table("", ("spawn", "x m", "y m", "targets in sight", "categories"), map(_row, count(), report.sights))
+        print_table(
+            "", ("start point", "x m", "y m", "visible targets", "categories"), map(_row, count(), report.sights)
+        )
     for reason in report.shortcomings:
         click.echo(f"error: {reason}", err=True)
     return 1 if report.shortcomings else 0
 
 
 def say_survey(report: SurveyReport) -> Iterator[str]:
-    """Yields what was measured, a line each with what it means."""
+    """Yields the measures, one line each."""
     from factory.scenes.survey.reach import SEE_RANGE_M
 
     low, high = SEE_RANGE_M
-    yield f"spawns (start points of the far tier): {report.spawns}"
-    yield f"connected floor: {report.free_area_m2:g} m2, where the robot fits and gets to from everywhere else"
-    yield f"next spawn: {report.nearest_median_m:g} m away in the median, {report.nearest_min_m:g} m at least"
+    yield f"start points (spawns of the far tier): {report.spawns}"
+    yield f"connected free floor: {report.free_area_m2:g} m2 that the robot can reach"
     yield (
-        f"floor within {report.within_m:g} m of a spawn: {100 * report.share_within:.1f} %; the spot farthest from all "
-        f"spawns is {report.farthest_floor_m:g} m away"
+        f"distance to the nearest other start point: median {report.nearest_median_m:g} m, minimum "
+        f"{report.nearest_min_m:g} m"
     )
-    yield f"spawns without a target in sight: {report.blind}; only the planner expert starts there"
-    yield f"targets in sight of no spawn: {', '.join(report.unseen) or 'none'}"
-    yield f"in sight: {low:g} to {high:g} m away, nothing between, and a straight way there that is free"
+    yield (
+        f"floor within {report.within_m:g} m of a start point: {100 * report.share_within:.1f} %; largest distance of "
+        f"free floor to a start point: {report.farthest_floor_m:g} m"
+    )
+    yield f"start points without a visible target: {report.blind}; only the planner expert uses them"
+    yield f"targets visible from no start point: {', '.join(report.unseen) or 'none'}"
+    yield f"visible: at {low:g} to {high:g} m, not occluded, with a free straight path"
 
 
 def _row(number: int, sight: SpawnSight) -> tuple[object, ...]:

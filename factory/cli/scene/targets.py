@@ -1,4 +1,4 @@
-"""`factory scene targets`: writes the list of a scene's targets for a person to edit."""
+"""`factory scene targets`: writes the list of a scene's targets for editing."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ __all__ = ["command"]
     "--out",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="File to write; default: targets_SCENE.yaml; - prints to stdout.",
+    help="Output file; - prints to stdout. Default: targets_SCENE.yaml.",
 )
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @json_option
 def command(scene: str, seed: int, out: Path | None, force: bool, as_json: bool) -> None:
     """Write the targets of a scene to a YAML file for editing.
 
-    SCENE is the name of a scene, PACKAGE a compiled scene (*.scene.zip).
-    Give the edited file to `factory scene build` or `factory scene import` with --targets FILE.
+    SCENE is the name of a scene; PACKAGE is a scene package (*.scene.zip).
+    Pass the edited file to `factory scene build` or `factory scene import` with --targets FILE.
     """
-    from factory.scenes.targets.target_list import list_file_name, format_target_list
+    from factory.scenes.targets.target_list import format_target_list, list_file_name
 
     info = chosen_scene(scene, seed).info
     path = out or Path(list_file_name(info.name))
     if str(path) == "-":
         if as_json:
-            raise UsageError("-o - prints the list itself: leave out --json, or give a file")
+            raise UsageError("-o - and --json cannot be combined: remove --json, or give a file with -o")
         click.echo(format_target_list(info), nl=False)
         return
     if path.exists() and not force:
-        raise UsageError(f"{path} is there already and may hold your edits; give --force to replace it")
+        raise UsageError(f"{path} exists and may contain your edits; replace it with --force")
     try:
         path.write_text(format_target_list(info), encoding="utf-8")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""In words: how many things of which category, and what in a scene is no target. Prints nothing."""
+"""Describes in text how many targets each category has, and which instances are not targets. Prints nothing."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ _MOST_NAMES = 12
 
 
 def say_counts(categories: Mapping[str, int]) -> str:
-    """Returns `6 shelf, 1 trash_can`, in the order of the names; `none` where there is nothing."""
+    """Returns counts such as `6 shelf, 1 trash_can`, ordered by name; `none` if there are none."""
     return ", ".join(f"{categories[name]} {name}" for name in sorted(categories)) or "none"
 
 
 def say_rest(others: Sequence[Mapping[str, str | None]], instances: int) -> Iterator[str]:
-    """Yields lines on the things that are no target, some of them by name.
+    """Yields lines about the instances that are not targets, with the names of some of them.
 
     Args:
-        others: those things, as `list_other_things` returns them.
-        instances: how many things the scene has.
+        others: these instances, as returned by `list_other_things`.
+        instances: number of instances in the scene.
     """
-    yield f"no target: {len(others)} of {instances} instances"
+    yield f"not targets: {len(others)} of {instances} instances"
     nameless = [str(one["prim_path"]) for one in others if one["category"] is None]
     named = [f"{one['prim_path']} ({one['category']})" for one in others if one["category"] is not None]
-    for names, why in ((nameless, "of no known category"), (named, "of a category, but out of reach or left out")):
+    for names, why in ((nameless, "without a category"), (named, "with a category, but unreachable or excluded")):
         if names:
             yield f"  {len(names)} {why}: {_some(names)}"
 
 
 def say_rules() -> str:
-    """Returns how a thing of no known category becomes a target."""
+    """Returns how to make an instance without a category a target."""
     from factory.scenes.rules import BUILTIN_RULES
 
     return (
-        f"to name a category: copy {BUILTIN_RULES}, add to it, and import again with --rules FILE; for a few prims "
-        "list them in the file of `factory scene targets` and give --targets FILE"
+        f"to assign a category: copy {BUILTIN_RULES}, add rules, and import again with --rules FILE; for a few prims, "
+        "add them to the file of `factory scene targets` and import again with --targets FILE"
     )
 
 

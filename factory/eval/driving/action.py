@@ -43,7 +43,7 @@ def read_actions(answer: Any, kind: str, max_v_mps: float, max_w_rps: float) -> 
     if isinstance(answer, Mapping):
         answer, kind = _unwrap(answer)
     if kind not in ACTION_KINDS:
-        raise _invalid(f"a policy's actions are {' or '.join(ACTION_KINDS)}, this one says {kind[:40]!r}")
+        raise _invalid(f"{kind[:40]!r} is not a valid action kind; valid kinds: {', '.join(ACTION_KINDS)}")
     numbers = _numbers(answer)
     if kind == "tokens":
         numbers = actions_of(_tokens(numbers)).astype(np.float64)
@@ -63,7 +63,7 @@ def _numbers(answer: Any) -> NDArray[np.float64]:
     try:
         numbers = np.asarray(answer, np.float64)
     except (TypeError, ValueError) as error:
-        raise _invalid(f"expected two numbers, found {type(answer).__name__} that is none: {error}") from error
+        raise _invalid(f"expected two numbers, found a {type(answer).__name__} that is not numeric: {error}") from error
     if numbers.shape == (2,):
         numbers = numbers[None]
     if numbers.ndim != 2 or numbers.shape[1] != 2 or not 1 <= len(numbers) <= MAX_CHUNK:

@@ -65,7 +65,7 @@ class Simulator(Closing):
         if not is_spawn_firm(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
             raise NoFirmStand(
-                f"{spec.spec_id}: the robot does not stand firm in {spec.scene} at {where}; make new specs"
+                f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"
             )
         self._stage.renderer.load(scene, job.camera)
         self._loop = ClosedLoop(job, self.target, world, self._stage.renderer)
@@ -119,7 +119,7 @@ class Simulator(Closing):
     @property
     def _running(self) -> ClosedLoop:
         if self._loop is None:
-            raise RuntimeError("there is no episode; call reset() first")
+            raise RuntimeError("no episode is running; call reset() first")
         return self._loop
 
     def _within_bounds(self, wanted: Twist) -> Twist:
@@ -135,5 +135,5 @@ def _target(spec: EvalSpec, place: LoadedScene) -> Target:
         return place.scene.info.target(spec.target_id)
     except KeyError as error:
         raise WorldError(
-            f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; make new specs"
+            f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; create new specs"
         ) from error

@@ -87,7 +87,7 @@ class EvalReport(Model):
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
         if (self.kind is EvalReportKind.RESULT) != (self.result is not None):
-            raise ValueError("a result, and nothing else, carries a result")
+            raise ValueError("the field `result` is required for a message of kind result and not allowed for others")
         return self
 
 

@@ -116,7 +116,7 @@ class SpecSet(Model):
         names = [spec.spec_id for spec in self.specs]
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
-            raise ValueError(f"specs stand twice: {', '.join(twice[:5])}")
+            raise ValueError(f"duplicate specs: {', '.join(twice[:5])}")
         return self
 
     @property
@@ -139,7 +139,9 @@ class SpecSet(Model):
         specs = [specs[place] for place in spread(len(specs), episodes)]
         if not specs:
             there = ", ".join(sorted({spec.split for spec in self.specs}))
-            raise UsageError(f"the specs have no episodes in {', '.join(sorted(splits or ()))}; splits there: {there}")
+            raise UsageError(
+                f"the specs have no episodes in {', '.join(sorted(splits or ()))}; splits of the specs: {there}"
+            )
         source = self.source if len(specs) == len(self.specs) else f"{self.source}; {len(specs)} of {len(self.specs)}"
         return SpecSet(source=source, run=self.run, settings=self.settings, specs=tuple(specs))
 

@@ -23,17 +23,17 @@ def read_specs(path: Path) -> SpecSet:
     """
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise UsageError(f"{path} is larger than {_MOST_BYTES >> 20} MiB: no file of specs")
+            raise UsageError(f"{path} is larger than {_MOST_BYTES >> 20} MiB, so it is not a specs file")
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path} cannot be read ({error}); `factory eval specs` writes such a file") from error
+        raise UsageError(f"{path} cannot be read ({error}); create a specs file with `factory eval specs`") from error
     _refuse_newer(path, text)
     try:
         return SpecSet.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the beginning"
-        raise UsageError(f"{path} is no file of specs: at {where}: {first['msg']}") from error
+        raise UsageError(f"{path} is not a valid specs file: at {where}: {first['msg']}") from error
 
 
 def write_specs(specs: SpecSet, path: Path) -> None:
@@ -58,5 +58,5 @@ def _refuse_newer(path: Path, text: str) -> None:
     version = found.get("format") if isinstance(found, dict) else None
     if isinstance(version, int) and version > SPECS_FORMAT:
         raise UsageError(
-            f"{path} has format {version}, this software reads up to {SPECS_FORMAT}: upgrade minivla-factory"
+            f"{path} has format {version}, this software reads formats up to {SPECS_FORMAT}: upgrade minivla-factory"
         )

@@ -91,7 +91,7 @@ def find_policy(name: str) -> PolicyEntry:
         return POLICIES[kind]
     if ":" not in name or not all(part.isidentifier() for part in name.replace(":", ".").split(".")):
         known = ", ".join(entry.usage for entry in (*POLICIES.values(), _FOREIGN))
-        raise UsageError(f"no policy {name!r}; there are {known}{did_you_mean(kind, POLICIES)}")
+        raise UsageError(f"unknown policy {name!r}; built-in policies: {known}{did_you_mean(kind, POLICIES)}")
     return _FOREIGN
 
 
@@ -177,4 +177,4 @@ def _expert_name(rest: str) -> ExpertName:
         return ExpertName(rest or ExpertName.PROPORTIONAL)
     except ValueError as error:
         known = f"{', '.join(ExpertName)}{did_you_mean(rest, ExpertName)}"
-        raise UsageError(f"no expert {rest!r}; there are {known}") from error
+        raise UsageError(f"unknown expert {rest!r}; valid experts: {known}") from error

@@ -34,10 +34,10 @@ def bc_file(name: str) -> Path:
         UsageError: there is none.
     """
     if not name:
-        raise UsageError("write bc:OUT, with the folder of `factory train bc -o OUT`")
+        raise UsageError("policy bc needs a folder: write bc:OUT with the OUT of `factory train bc -o OUT`")
     path = checkpoint_path(Path(name))
     if not path.is_file():
-        raise UsageError(f"no checkpoint {path}; `factory train bc DIR -o OUT` makes OUT/{POLICY}")
+        raise UsageError(f"checkpoint {path} does not exist; `factory train bc DIR -o OUT` creates OUT/{POLICY}")
     return path
 
 
@@ -64,7 +64,7 @@ class BcPolicy:
         except (KeyError, RuntimeError, AttributeError) as error:
             first = (str(error).splitlines() or ["no reason given"])[0]
             raise UsageError(
-                f"the weights of {name} do not fit its own description ({first}): train it again"
+                f"the weights of {name} do not match the model that it describes ({first}): train it again"
             ) from error
         self._network.eval()
         self._scale = np.array((self.meta.max_speed_mps, self.meta.max_yaw_rate_rps), np.float32)
@@ -78,8 +78,9 @@ class BcPolicy:
         mine, found = (self.meta.control_hz, self.meta.fov_deg), (info.control_hz, info.fov_deg)
         if mine != found:
             raise UsageError(
-                f"learned at {mine[0]} Hz with a camera of {mine[1]:g} degrees, asked to drive at {found[0]} Hz with "
-                f"{found[1]:g} degrees: train on episodes like those to be driven"
+                f"the policy was trained at {mine[0]} Hz with a camera of {mine[1]:g} degrees, but the episodes have "
+                f"{found[0]} Hz and "
+                f"{found[1]:g} degrees: train on episodes with the same rate and camera"
             )
         words = encode(instruction, self.meta.words, self.meta.options.ablate_language)
         self._words = self._torch.from_numpy(words[None])

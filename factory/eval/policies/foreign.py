@@ -44,7 +44,7 @@ def load_class(name: str) -> Policy:
     except Exception as error:
         if isinstance(error, ModuleNotFoundError) and _is_part(error.name, module_name):
             raise UsageError(_say_absent(name, error.name or module_name)) from error
-        raise UsageError(f"policy {name} cannot be made: {_say_with_place(error)}") from error
+        raise UsageError(f"policy {name} cannot be created: {_say_with_place(error)}") from error
     return policy
 
 
@@ -95,7 +95,7 @@ def _is_part(absent: str | None, module_name: str) -> bool:
 
 def _say_absent(name: str, absent: str) -> str:
     looked = f"looked in {Path.cwd()}, on PYTHONPATH and among the packages of {sys.prefix}"
-    remedy = "run the command in the folder that holds it, or name that folder in PYTHONPATH"
+    remedy = "run the command in the folder of the module, or add that folder to PYTHONPATH"
     return f"policy {name}: no module {absent!r}; {looked}: {remedy} ({_EXAMPLE})"
 
 

@@ -17,7 +17,7 @@ class _Recorded:
     def enter(self, situation: PrivilegedState) -> None:
         """Takes the actions."""
         if situation.actions is None:
-            raise UsageError(f"{situation.simulator.spec.spec_id} was not taken from an archived episode")
+            raise UsageError(f"{situation.simulator.spec.spec_id} does not come from an archived episode")
         self._actions = situation.actions
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:

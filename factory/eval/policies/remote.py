@@ -52,7 +52,7 @@ class RemotePolicy:
         message = {**self._fixed, **{key: value for key, value in observation.items() if key != "instruction"}}
         answer = self._ask(pack(message))
         if isinstance(answer, str):
-            lines = answer.strip().splitlines() or ["without a word"]
+            lines = answer.strip().splitlines() or ["no text"]
             raise PolicyFailure(PolicyFault.RAISED, f"the server reports an error: {lines[-1][:300]}")
         try:
             return unpack(answer)
@@ -118,7 +118,7 @@ class RemotePolicy:
             except bad as error:
                 raise UsageError(f"policy server {self._address}: {error}; write ws://HOST:PORT") from error
             except (WireError, TypeError) as error:
-                what = f"{self._address} is no policy server of openpi's kind"
+                what = f"{self._address} is not an openpi policy server"
                 raise UsageError(f"{what}: its greeting {error}") from error
             except closed as error:
                 raise OSError(str(error)) from error

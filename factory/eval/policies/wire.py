@@ -47,7 +47,7 @@ def unpack(data: bytes) -> Any:
     except WireError:
         raise
     except Exception as error:  # the extension raises a dozen types of its own
-        raise WireError(f"is no msgpack message: {type(error).__name__}: {error}") from error
+        raise WireError(f"is not a valid msgpack message: {type(error).__name__}: {error}") from error
 
 
 def _pack_numpy(value: Any) -> Any:
@@ -62,9 +62,9 @@ def _unpack_numpy(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
         dtype, shape, data = _dtype(found), tuple(found.get(b"shape", ())), found.get(b"data", b"")
         if not all(isinstance(side, int) and side >= 0 for side in shape) or not isinstance(data, bytes):
-            raise WireError(f"holds an array of shape {shape!r}")
+            raise WireError(f"contains an array of shape {shape!r}")
         if math.prod(shape) * dtype.itemsize != len(data):
-            raise WireError(f"holds an array {dtype.str} {shape} in {len(data)} bytes")
+            raise WireError(f"contains an array {dtype.str} {shape} in {len(data)} bytes")
         return np.frombuffer(data, dtype).reshape(shape)
     if b"__npgeneric__" in found:
         return _dtype(found).type(found.get(b"data"))
@@ -78,7 +78,7 @@ def _dtype(found: dict[Any, Any]) -> np.dtype[Any]:
     except TypeError:
         dtype = None
     if dtype is None or dtype.kind not in _KINDS:
-        raise WireError(f"holds an array of dtype {name!r}")
+        raise WireError(f"contains an array of dtype {name!r}")
     return dtype
 
 

@@ -43,7 +43,7 @@ def main() -> int:
         prog="factory.eval.process.child", description="Drives policies for an evaluation."
     )
     parser.add_argument("sheet", type=int, help="File descriptor of the sheet.")
-    parser.add_argument("--render-apart", action="store_true", help="Render in a process of its own.")
+    parser.add_argument("--render-apart", action="store_true", help="Render in a separate process.")
     arguments = parser.parse_args()
     faulthandler.enable()
     sheet = SharedStatus(arguments.sheet)

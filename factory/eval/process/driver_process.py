@@ -170,7 +170,7 @@ class DriverProcess:
     def _reap(self) -> DriverEnded:
         process, sheet = self._process, self._sheet
         if process is None or sheet is None:
-            raise RuntimeError("no process to bury")
+            raise RuntimeError("no process to close")
         state, words = sheet.read(), self._last_output()
         try:
             status = process.wait(_REAP_S)
@@ -188,7 +188,7 @@ class DriverProcess:
         end = self._stderr.seek(0, os.SEEK_END)
         self._stderr.seek(max(0, end - _TAIL_BYTES))
         lines = self._stderr.read().decode(errors="replace").strip().splitlines()
-        return f"; last words: {lines[-1].strip()[:300]}" if lines else ""
+        return f"; last output: {lines[-1].strip()[:300]}" if lines else ""
 
 
 def _environment() -> dict[str, str]:

@@ -120,10 +120,10 @@ class _Round:
         if report.kind is EvalReportKind.REFUSED:
             raise UsageError(report.detail) if report.exit_code == 2 else WorldError(report.detail)
         if report.kind is EvalReportKind.AWAY:
-            kept = f"results so far are kept in {self._store.root}"
+            kept = f"the results so far are in {self._store.root}"
             raise WorldError(f"{report.detail}; {kept}: start the server and run the same command again")
         if report.kind is EvalReportKind.DEFECT:
-            raise RuntimeError(f"a driving process broke: {report.detail}")
+            raise RuntimeError(f"a simulation process failed: {report.detail}")
         return report.result
 
     def _after_end(self, seat: DriverProcess, ended: DriverEnded, waiting: deque[EvalOrder]) -> EpisodeResult | None:
@@ -134,7 +134,7 @@ class _Round:
             task = self._campaign.specs.settings.task
             return result_of_end(order, ended.detail, ended.fault, ended.state, task)
         if ended.fault is not None:
-            raise WorldError(f"policy {order.policy} cannot be made: {ended.detail}")
+            raise WorldError(f"policy {order.policy} cannot be created: {ended.detail}")
         self._deaths[order.number] = self._deaths.get(order.number, 0) + 1
         if self._deaths[order.number] >= _TRIES:
             raise WorldError(f"{order.question.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")

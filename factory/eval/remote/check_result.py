@@ -37,7 +37,7 @@ def result_findings(result: EpisodeResult, order: EvalOrder, settings: EvalSetti
     """
     asked = describe_question(order)
     found = [
-        f"{name} is {getattr(result, name)!r}, asked for {wanted!r}"
+        f"{name} is {getattr(result, name)!r}, expected {wanted!r}"
         for name, wanted in asked.items()
         if getattr(result, name) != wanted
     ]
@@ -54,7 +54,7 @@ def _of_the_end(result: EpisodeResult, settings: EvalSettings) -> Iterator[str]:
     if result.success != (result.end == "success"):
         yield f"success is {result.success}, and the end {result.end}"
     if result.success and not result.any_instance:
-        yield "success at the target is none at any instance"
+        yield "success is true, but any_instance is false"
     if result.num_steps > task.max_steps:
         yield f"{result.num_steps} steps, more than the {task.max_steps} of the task"
     if result.end == "timeout" and result.num_steps < task.max_steps:
@@ -98,7 +98,7 @@ def _of_the_track(result: EpisodeResult, order: EvalOrder, settings: EvalSetting
     gaps = [math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(track)]
     most_m = _SPEED_SLACK * settings.robot.max_speed_mps * every / hz + _PUSH_M
     if max(gaps, default=0.0) > most_m:
-        yield f"{max(gaps):.3f} m between two poses of the track, at most {most_m:.3f} m can be driven"
+        yield f"{max(gaps):.3f} m between two poses of the track, at most {most_m:.3f} m is possible"
     if sum(gaps) > result.trajectory_length_m + len(track) * _TRACK_SLACK_M:
         yield f"driven {result.trajectory_length_m:.3f} m, the track alone is {sum(gaps):.3f} m long"
     goal = target.centroid_m[:2]

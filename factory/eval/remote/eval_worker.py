@@ -115,7 +115,7 @@ def _result(
     if isinstance(heard, DriverEnded):
         if heard.fault is not None and drive.policy in seat.made:
             return result_of_end(drive, heard.detail, heard.fault, heard.state, errand.setup.settings.task)
-        where = "" if heard.fault is None else f"policy {drive.policy} cannot be made: "
+        where = "" if heard.fault is None else f"policy {drive.policy} cannot be created: "
         return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
     if heard.result is not None:
         return heard.result

@@ -145,6 +145,6 @@ def _require_whole(root: Path, store: Store) -> None:
     if failed:
         reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)
         raise WorldError(
-            f"some episodes could not be driven; the others are kept in {store.root}. Put right what is wrong and run "
+            f"some episodes could not be run; the others are in {store.root}. Correct the cause and run "
             f"the same command again:\n{reasons}"
         )

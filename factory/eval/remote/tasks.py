@@ -44,9 +44,9 @@ def catalog_of(orders: Mapping[int, EvalOrder]) -> Catalog:
         spec = order.question.spec
         entry = found.get(spec.scene) or found.setdefault(spec.scene, read_entry(order.package))
         if entry.sha256 != spec.scene_sha256:
-            raise UsageError(f"the specs name two packages of {spec.scene}; make new specs")
+            raise UsageError(f"the specs refer to two different packages of scene {spec.scene}; create new specs")
         if all(target.target_id != spec.target_id for target in entry.info.targets):
-            raise UsageError(f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; make new specs")
+            raise UsageError(f"{spec.spec_id}: scene {spec.scene} has no target {spec.target_id}; create new specs")
     return found
 
 
@@ -62,7 +62,7 @@ def attachments_of(campaign: Campaign) -> Attached:
         if path is not None:
             size = path.stat().st_size
             if not 0 < size <= MAX_ATTACHMENT_BYTES:
-                raise UsageError(f"{path} has {size} bytes; 1 to {MAX_ATTACHMENT_BYTES} can be sent to workers")
+                raise UsageError(f"{path} has {size} bytes; workers accept 1 to {MAX_ATTACHMENT_BYTES} bytes")
             with path.open("rb") as file:
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             found[policy] = Attachment(sha256=sha256, size=size), path
@@ -87,7 +87,7 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], att
     )
     strange = counts.keys() - {scene.name for scene in scenes}
     if strange:
-        raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; make new specs of it")
+        raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; create new specs from it")
     settings = campaign.specs.settings
     numbers = {name: getattr(settings, name) for name in type(settings).model_fields}
     name = f"{EVALUATION_PREFIX}{_digest(campaign, orders, attached)}"

@@ -32,7 +32,7 @@ _HEAD = (
     "policy failure, %",
 )
 _MAIN_HEAD = ("SR, %", "SPL", "NE, m", "collision, %", "n")
-_ABLATION_HEAD = ("words", "episodes", "n", "SR, %", "gap to the true words", "McNemar p")
+_ABLATION_HEAD = ("instruction", "episodes", "n", "SR, %", "difference to the original", "McNemar p")
 _DASH = "–"
 
 
@@ -105,7 +105,7 @@ def _badges(evaluation: Evaluation) -> Iterator[str]:
     yield _count(evaluation.episodes, "episode")
     yield _count(len(evaluation.policies), "policy", "policies")
     yield f"success radius {evaluation.success_radius_m:g} m"
-    yield "complete" if evaluation.complete else "not complete"
+    yield "complete" if evaluation.complete else "incomplete"
 
 
 def _count(n: int, one: str, many: str = "") -> str:
@@ -146,8 +146,10 @@ def _ablations(policies: Sequence[PolicyScores]) -> Iterator[_Table]:
         )
     if groups:
         deaf = ", ".join(deaf_policies(policies))
-        note = f"Gap 0 by construction, as they read no instruction: {deaf}." if deaf else ""
-        yield _Table("words", "Other words", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
+        note = (
+            f"Difference 0 by construction, because these policies do not use the instruction: {deaf}." if deaf else ""
+        )
+        yield _Table("words", "Instruction ablation", ("policy", *_ABLATION_HEAD), list(groups.items()), note)
 
 
 def _film(failure: FailureExample) -> dict[str, object]:

@@ -38,12 +38,13 @@ def deaf_policies(policies: Sequence[PolicyScores]) -> list[str]:
 def ends_of(policy: PolicyScores) -> str:
     """Returns how the episodes of a policy ended, and how long it thought."""
     ends = ", ".join(f"{count} {end}" for end, count in policy.ends.items())
-    return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms an answer"
+    return ends if policy.act_ms is None else f"{ends}; {policy.act_ms:.1f} ms per action"
 
 
 def faults_in_words(policy: PolicyScores) -> list[str]:
     """Returns a line for each way in which a policy failed as a program, with what it said first."""
     return [
-        f"{policy.policy}: {fault.drives} of {fault.of} ended by {fault.end}, first in {fault.first}: {fault.detail}"
+        f"{policy.policy}: {fault.drives} of {fault.of} episodes ended with {fault.end}, first {fault.first}: "
+        f"{fault.detail}"
         for fault in policy.faults
     ]

@@ -49,7 +49,9 @@ def publish(
         page = write_page(evaluation, _failures(campaign, store, videos, tell))
         _write(store.root / PAGE_FILE, page.encode())
     except OSError as error:
-        raise WorldError(f"cannot write to {store.root}: {error.strerror}; free space and run it again") from error
+        raise WorldError(
+            f"cannot write to {store.root}: {error.strerror}; free some space and run the same command again"
+        ) from error
     return evaluation
 
 
@@ -90,7 +92,7 @@ def evaluation_of(campaign: Campaign, store: Store) -> Evaluation:
         results = [row for row in store.results(name) if row.variant in campaign.variants]
         note = store.note_of(name)
         if note is None:
-            raise WorldError(f"{store.root} has no note of policy {name}; run the same command again")
+            raise WorldError(f"{store.root} has no description of policy {name}; run the same command again")
         expected = len(campaign.specs.specs) * (len(campaign.variants) if note.reads_instruction else 1)
         is_complete = is_complete and len(results) >= expected
         scores.append(score_policy(name, results, note))
@@ -117,9 +119,9 @@ def _remarks(campaign: Campaign) -> list[str]:
             "the software collected them; replay need not succeed there"
         )
     if ways:
-        remarks.append(f"{ways} of {len(specs)} episodes have no way along the floor and are left out of SPL")
+        remarks.append(f"{ways} of {len(specs)} episodes have no path on the floor and are excluded from SPL")
     if Variant.WRONG in campaign.variants:
-        remarks.append("policies that read no instruction are not driven again under other words")
+        remarks.append("policies that do not use the instruction are not evaluated with other instructions")
     return remarks
 
 

@@ -78,7 +78,9 @@ class Store(Closing):
             log.flush()
             os.fsync(log.fileno())
         except OSError as error:
-            raise WorldError(f"cannot write to {self.root}: {error.strerror}; free space and run it again") from error
+            raise WorldError(
+                f"cannot write to {self.root}: {error.strerror}; free some space and run the same command again"
+            ) from error
 
     def folder_of(self, policy: str) -> Path:
         """Returns where the results of a policy are kept; without that folder it is driven anew."""
@@ -108,7 +110,7 @@ class Store(Closing):
     def _agree(self, manifest: EvalManifest) -> None:
         if not (self.root / _MANIFEST).exists():
             if any(self.root.iterdir()):
-                raise UsageError(f"{self.root} is not empty and holds no evaluation; give another -o")
+                raise UsageError(f"{self.root} is not empty and not an evaluation; choose another -o")
             self._begin(manifest)
             return
         found = read_manifest(self.root)
@@ -118,7 +120,7 @@ class Store(Closing):
             if name != "format" and getattr(found, name) != getattr(manifest, name)
         ]
         if different and self._has_results():
-            raise UsageError(f"{self.root} holds another evaluation ({'; '.join(different)}); give another -o")
+            raise UsageError(f"{self.root} contains another evaluation ({'; '.join(different)}); choose another -o")
         if different:
             self._begin(manifest)
 
@@ -148,13 +150,14 @@ def read_manifest(root: Path) -> EvalManifest:
         found = EvalManifest.model_validate_json(path.read_bytes())
     except FileNotFoundError as error:
         raise WorldError(
-            f"{root} holds no evaluation ({_MANIFEST} is missing): give the -o of `factory eval`"
+            f"{root} is not an evaluation: {_MANIFEST} is missing; give the -o of `factory eval`"
         ) from error
     except (OSError, ValidationError) as error:
         raise WorldError(f"{path} is damaged: {error}") from error
     if found.format > RESULTS_FORMAT:
         raise WorldError(
-            f"{path} has format {found.format}, this software reads up to {RESULTS_FORMAT}: upgrade minivla-factory"
+            f"{path} has format {found.format}, this software reads formats up to {RESULTS_FORMAT}: upgrade "
+            "minivla-factory"
         )
     return found
 
@@ -174,15 +177,15 @@ def read_policy_folder(path: Path) -> tuple[str, list[EpisodeResult]]:
         folders = sorted(entry.parent for entry in (path / _POLICIES).glob(f"*/{_LOG}"))
         if len(folders) != 1:
             there = ", ".join(str(entry) for entry in folders) or "none"
-            raise UsageError(f"{path} holds {len(folders)} policies; name one of them: {there}")
+            raise UsageError(f"{path} contains {len(folders)} policies; give the folder of one of them: {there}")
         folder = folders[0]
     if not (folder / _LOG).exists():
-        raise UsageError(f"{path} holds no results; give OUT or OUT/{_POLICIES}/NAME of `factory eval`")
+        raise UsageError(f"{path} contains no results; give OUT or OUT/{_POLICIES}/NAME of `factory eval`")
     out = folder.parent.parent
     read_manifest(out)
     results = _in_order(_read_log(folder / _LOG, cut=False), read_specs(out / _SPECS))
     if not results:
-        raise UsageError(f"{path} holds no finished episode yet")
+        raise UsageError(f"{path} contains no finished episode")
     return results[0].policy, results
 
 
@@ -211,7 +214,7 @@ def _read_log(path: Path, cut: bool) -> Iterator[EpisodeResult]:
             yield EpisodeResult.model_validate_json(line)
         except ValidationError as error:
             raise WorldError(
-                f"{path} is damaged in line {number}; take the line out and run the command again"
+                f"{path} is damaged in line {number}; delete the line and run the same command again"
             ) from error
 
 

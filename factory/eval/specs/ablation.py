@@ -52,7 +52,9 @@ def donors(specs: SpecSet) -> dict[str, str]:
     """
     recorded = [spec for spec in specs.specs if spec.source_episode is not None]
     if len({spec.source_episode for spec in recorded}) < 2:
-        raise UsageError("playback needs specs of at least two archived episodes; give more of --split or --episodes")
+        raise UsageError(
+            "policy playback needs specs of at least two archived episodes; increase --episodes, or add a --split"
+        )
     rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _DONOR_STREAM)))
     ring = [recorded[int(number)] for number in rng.permutation(len(recorded))]
     found: dict[str, str] = {}
@@ -64,7 +66,9 @@ def donors(specs: SpecSet) -> dict[str, str]:
 
 def _shuffled(specs: SpecSet) -> dict[str, str]:
     if len({spec.instruction for spec in specs.specs}) < 2:
-        raise UsageError("all episodes have one instruction, so that there is nothing to shuffle; take more episodes")
+        raise UsageError(
+            "all episodes have the same instruction, so it cannot be shuffled; increase --episodes, or add a --split"
+        )
     rng = np.random.default_rng(np.random.SeedSequence((int(specs.digest[:8], 16), _SHUFFLE_STREAM)))
     ring = [specs.specs[int(number)] for number in rng.permutation(len(specs.specs))]
     found: dict[str, str] = {}
@@ -78,12 +82,14 @@ def _wrong(spec: EvalSpec, scene: SceneInfo) -> str:
     """The same template with another category: one in view at the start where there is one."""
     there = sorted({target.category for target in scene.targets} - {spec.category})
     if not there:
-        raise UsageError(f"scene {spec.scene} has targets of {spec.category} only: no wrong category to name")
+        raise UsageError(
+            f"scene {spec.scene} has targets of category {spec.category} only, so there is no wrong category"
+        )
     rng = np.random.default_rng(np.random.SeedSequence((spec.seed, _WRONG_STREAM)))
     in_view = [category for category in there if category in spec.categories_in_view]
     category = str(rng.choice(in_view or there))
     if spec.template_id not in TEMPLATES:
-        raise UsageError(f"{spec.spec_id}: no template {spec.template_id!r}; make new specs")
+        raise UsageError(f"{spec.spec_id}: unknown template {spec.template_id!r}; create new specs")
     return instruction(spec.template_id, category, _colour(spec, scene, category, rng))
 
 

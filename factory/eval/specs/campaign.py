@@ -86,7 +86,7 @@ def require_recordings(policy: str, specs: SpecSet) -> None:
     """
     lacking = [spec.spec_id for spec in specs.specs if spec.source_episode is None]
     if lacking:
-        raise UsageError(f"policy {policy} needs specs of archived episodes; {lacking[0]} is freshly drawn")
+        raise UsageError(f"policy {policy} needs specs of archived episodes; {lacking[0]} was newly sampled")
 
 
 def _recordings(policy: str, specs: SpecSet) -> dict[str, str]:

@@ -90,7 +90,7 @@ def _plan(plan: Plan, splits: Collection[Split], episodes: int, seed: int) -> Pl
             shares = _shares(plan.splits_of(scene), possible)
             scenes.append(scene.model_copy(update={"splits": shares}))
     if not scenes:
-        raise UsageError(f"no scene of {plan.run} holds out a category, so that test_ood_obj has no episodes")
+        raise UsageError(f"no scene of {plan.run} has held-out categories, so test_ood_obj has no episodes")
     splits_in_force = scenes[0].splits
     changed = plan.model_copy(update={"scenes": tuple(scenes), "splits": splits_in_force, "expert": ExpertName.PLANNER})
     return shrink(changed, episodes=episodes, seed=seed)
@@ -126,8 +126,9 @@ def _spec(plan: Plan, catalog: Catalog, job: PlannedJob, place: LoadedScene, sim
             )
         job = redraw(plan, catalog, job)
     raise WorldError(
-        f"no free start for {job.target_id} and {_REDRAWS} others in scene {job.scene}, tier {job.tier}; leave the "
-        "split out, or change the scene"
+        f"no free start pose for {job.target_id} and {_REDRAWS} other targets in scene {job.scene}, tier {job.tier}; "
+        "exclude the "
+        "split, or change the scene"
     )
 
 

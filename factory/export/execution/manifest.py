@@ -88,11 +88,13 @@ def require_same_export(root: Path, wanted: ExportManifest) -> ExportManifest | 
     found = read_manifest(root) if root.is_dir() else None
     if found is None:
         if root.exists() and (not root.is_dir() or _entries(root)):
-            raise WorldError(f"{root} is there and holds no export ({MANIFEST_FILE} is missing): choose another --out")
+            raise WorldError(f"{root} exists and is not an export ({MANIFEST_FILE} is missing): choose another --out")
         return None
     differences = [text for text in _differences(found, wanted) if text]
     if differences:
-        raise WorldError(f"{root} holds another export: {'; '.join(differences)}; delete it, or choose another --out")
+        raise WorldError(
+            f"{root} contains another export: {'; '.join(differences)}; delete it, or choose another --out"
+        )
     return found
 
 
@@ -116,7 +118,7 @@ def _differences(found: ExportManifest, wanted: ExportManifest) -> list[str]:
         texts.append(_differ("episodes", _selection(one), _selection(two)))
     if not any(texts) and not found.complete:
         versions = (f"version {found.format_version}", _format_pairs(found.software))
-        texts.append(_differ("unfinished, begun with", ", ".join(versions), _versions(wanted)))
+        texts.append(_differ("unfinished, started with", ", ".join(versions), _versions(wanted)))
     return texts
 
 
@@ -129,7 +131,7 @@ def _selection(source: Source) -> str:
 
 
 def _differ(what: str, found: str, wanted: str) -> str:
-    return "" if found == wanted else f"{what} {found}, asked for {wanted}"
+    return "" if found == wanted else f"{what} {found}, requested {wanted}"
 
 
 def _format_pairs(values: dict[str, Any]) -> str:

@@ -48,8 +48,8 @@ def run_tasks(
     try:
         yield from _feed(pool, function, iter(tasks), workers * _AHEAD, stop)
     except BrokenProcessPool as error:
-        died = "a process of the export died (killed, or out of memory?); finished episodes are kept"
-        raise WorldError(f"{died}: run the command again, with fewer --workers if memory is short") from error
+        died = "a process of the export died (it was killed, or is out of memory); finished work is kept"
+        raise WorldError(f"{died}: run the same command again, with fewer --workers if memory is short") from error
     finally:
         ours.close()  # ends processes that still run
         pool.shutdown(wait=True, cancel_futures=True)

@@ -142,7 +142,10 @@ def plan_manifest(order: ExportOrder, exporter: AnyExporter) -> tuple[Dataset, E
     if isinstance(order.root, Path):
         one, two = order.root.resolve(), order.out.resolve()
         if one == two or one in two.parents or two in one.parents:
-            raise UsageError(f"--out {order.out}: the export must be outside of the dataset; choose another folder")
+            raise UsageError(
+                f"--out {order.out}: the export cannot be inside the dataset, or the dataset inside the export; "
+                "choose another folder"
+            )
     dataset = select(whole, order.splits, order.episodes)
     order.options.check(dataset.meta)
     source = Source(

@@ -41,19 +41,19 @@ def select(dataset: Dataset, splits: Iterable[str] = (), episodes: Iterable[str]
         if missing:
             rest = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
             names = ", ".join(missing[:3]) + rest
-            raise UsageError(f"{dataset.root} has no {names}; it holds {len(dataset)} episodes")
+            raise UsageError(f"{dataset.root} has no {names}; it has {len(dataset)} episodes")
         dataset = dataset.filter(episode=wanted)
     held = sorted(set(dataset.metadata["split"].to_pylist()))
     if wanted_splits:
         dataset = dataset.filter(split=wanted_splits)
     if not len(dataset):
-        asked = f"of {', '.join(wanted_splits)} " if wanted_splits else ""
-        raise UsageError(f"no episodes {asked}in {dataset.root}; there are {', '.join(held) or 'none at all'}")
+        asked = f" in {', '.join(wanted_splits)}" if wanted_splits else ""
+        raise UsageError(f"{dataset.root} has no episodes{asked}; splits with episodes: {', '.join(held) or 'none'}")
     return dataset
 
 
 def _number(text: str, whole: str) -> int:
     digits = text.strip().removeprefix("ep_")
     if not digits.isascii() or not digits.isdigit() or not 1 <= int(digits[:12]) <= MAX_EPISODES:
-        raise UsageError(f"--episode {whole}: {text!r} names no episode; write e.g. 1-50,60 or ep_000060")
+        raise UsageError(f"--episode {whole}: {text!r} is not a valid episode or range; examples: 1-50,60 or ep_000060")
     return int(digits)

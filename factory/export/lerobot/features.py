@@ -51,8 +51,8 @@ _IMAGE_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 class LeRobotOptions(Decimated):
     """Options of both LeRobot versions."""
 
-    depth: bool = Field(default=False, description="Also metric depth, as lossless 12-bit video.")
-    ids: bool = Field(default=False, description="Also instance ids, as 16-bit PNG images in the data files.")
+    depth: bool = Field(default=False, description="Also write metric depth, as lossless 12-bit video. Default: no.")
+    ids: bool = Field(default=False, description="Also write instance ids, as 16-bit PNG images. Default: no.")
 
 
 def video_keys(options: LeRobotOptions) -> tuple[str, ...]:

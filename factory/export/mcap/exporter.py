@@ -73,12 +73,12 @@ One MCAP file an episode, `episodes/ep_000001.mcap`, of profile `ros2` (CDR), ch
 class McapOptions(Decimated):
     """Options of format `mcap`. The rate applies to images; all other topics keep the recorded rate."""
 
-    ros2: bool = Field(default=False, description="ROS 2 messages instead of Foxglove's; needs the extra `ros2`.")
+    ros2: bool = Field(default=False, description="Write ROS 2 messages (extra `ros2`). Default: Foxglove messages.")
     start_time: int | None = Field(
         default=None,
         ge=1,
         le=_LATEST_S,
-        description=f"Time of frame 0 of the first episode with --ros2, seconds since 1970; default: {START_TIME_S}.",
+        description=f"Unix time of frame 0 of the first episode, seconds; with --ros2 only. Default: {START_TIME_S}.",
     )
 
     @model_serializer(mode="wrap")
@@ -91,7 +91,7 @@ class McapOptions(Decimated):
         """Validates the rate, the start time (ROS 2 only, 32 bits) and the package for ROS 2."""
         super().check(meta)
         if self.start_time is not None and not self.ros2:
-            raise UsageError("--start-time needs --ros2: the times of Foxglove's messages count from frame 0")
+            raise UsageError("--start-time requires --ros2: the times of Foxglove messages start at 0")
         latest = _LATEST_S - _SPACING_S * meta.planned
         if self.ros2 and self.start_s > latest:
             raise UsageError(
@@ -111,7 +111,7 @@ class McapExporter(Exporter[McapOptions, EpisodeFacts]):
     """Exporter of format `mcap`. Memory use is one chunk and one frame."""
 
     name = "mcap"
-    about = "one MCAP file an episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
+    about = "one MCAP file per episode, for Foxglove and Rerun, with --ros2 for ROS 2; lossless"
     version = 2
     requires = ("mcap", "mcap_protobuf", "foxglove_schemas_protobuf")
     options = McapOptions

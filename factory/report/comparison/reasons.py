@@ -34,7 +34,7 @@ def explain_length(facts: RunFacts, published_tl_m: float, published_ne_m: float
     implied = published_tl_m + published_ne_m
     return (
         f"Starts are {facts.spawn_m:.2f} m from the target on average, in the paper {implied:.2f} m (its TL + NE, if "
-        f"driven straight): {_signed(facts.spawn_m - implied)} m. The way driven here is {abs(facts.detour_m):.2f} m "
+        f"driven straight): {_signed(facts.spawn_m - implied)} m. The trajectory is {abs(facts.detour_m):.2f} m "
         f"{'longer' if facts.detour_m >= 0 else 'shorter'} than the straight line."
     )
 
@@ -51,15 +51,15 @@ def explain_standardised(statistics: Statistics) -> str:
     for tier, said in paper.TIERS.items():
         mean = means.get(tier)
         if mean is None or said.share is None:
-            return f" No {tier} episodes, so it cannot be weighted by the paper's tiers."
+            return f" There are no {tier} episodes, so the mean cannot be weighted by the paper's tiers."
         total += said.share * mean
-    return f" Weighted by the paper's tiers it is {total:.2f} m."
+    return f" Weighted by the paper's tiers, the mean is {total:.2f} m."
 
 
 def explain_steps(facts: RunFacts, said: Published) -> str:
     """Explains the number of steps by length and speed."""
     here = facts.steps_per_m
-    text = f"{facts.tl_m:.2f} m at {here:.1f} steps a metre here" if here else f"{facts.tl_m:.2f} m here"
+    text = f"{facts.tl_m:.2f} m at {here:.1f} steps per metre" if here else f"{facts.tl_m:.2f} m here"
     if said.tl_mean_m is None:
         return f"{text}."
     if said.steps_mean is None:
@@ -75,7 +75,7 @@ def explain_floor(material: ReportInput, scene: str) -> str:
     text = f" {material.maps[scene].free_area_m2:.0f} m² of free floor"
     straight = facts.spawn_m - material.statistics.success_radius_m
     if facts.geodesic_m is not None and straight > 0:
-        text += f"; the shortest way is {facts.geodesic_m / straight:.2f} times the straight line"
+        text += f"; the shortest path is {facts.geodesic_m / straight:.2f} times the straight line"
     return f"{text}."
 
 
@@ -86,31 +86,32 @@ def explain_error(statistics: Statistics) -> str:
     worst = max(rows, key=lambda row: abs((row.mean or 0.0) - published))
     lowest, highest = worst.quantiles.get("p00", 0.0), worst.quantiles.get("p100", 0.0)
     text = (
-        f"Farthest off is {_scene(worst.group)}: mean {worst.mean:.3f} m, {lowest:.3f} to {highest:.3f} m (N {worst.n})"
+        f"The largest difference is in {_scene(worst.group)}: mean {worst.mean:.3f} m, {lowest:.3f} to {highest:.3f} m "
+        f"(N {worst.n})"
     )
     if statistics.success_radius_m != 1:
-        text += f"; the success radius here is {statistics.success_radius_m:g} m"
+        text += f"; the success radius is {statistics.success_radius_m:g} m"
     return f"{text}."
 
 
 def explain_planned(statistics: Statistics, group: Tier | Split, asked: float, published_n: int | None) -> str:
     """Explains a share by the plan; with few episodes, the cells cannot meet the planned shares exactly."""
     if not statistics.complete:
-        state = f"{statistics.episodes} of {statistics.planned} made so far"
+        state = f"{statistics.episodes} of {statistics.planned} generated so far"
     else:
         exact = all(cell.planned == cell.archived for cell in statistics.cells)
-        state = "filled exactly" if exact else "which the cells here do not meet"
+        state = "filled exactly" if exact else "but the cells are not filled exactly"
     counted = "" if published_n is None else f"; the paper counts {published_n} of {paper.OVERALL.n} successes"
     mine = sum(cell.planned for cell in statistics.cells if group in {cell.tier, cell.split})
     quota = _percent(mine / max(1, sum(cell.planned for cell in statistics.cells)))
     cut = "" if quota == _percent(asked) else f" in all, {quota} of its {statistics.planned} episodes"
-    return f"The plan asks for {_percent(asked)}{cut}, {state}{counted}."
+    return f"The plan has {_percent(asked)}{cut}, {state}{counted}."
 
 
 def explain_largest(statistics: Statistics) -> str:
     """Lists the most frequent categories."""
     names = [f"{say_category(row.group)} {_percent(row.share or 0)}" for row in statistics.categories[:3]]
-    return f"Here they are {', '.join(names)}; in the paper monitor 29 %, rack 22 %, crate 11 %."
+    return f"In this dataset: {', '.join(names)}; in the paper: monitor 29 %, rack 22 %, crate 11 %."
 
 
 def explain_category_share(material: ReportInput, category: str) -> str:
@@ -118,13 +119,13 @@ def explain_category_share(material: ReportInput, category: str) -> str:
     homes = {row.scene for row in material.episodes if row.target_category == category}
     if not homes:
         offered = [scene.name for scene in material.meta.plan.scenes if category in sum(scene.categories, ())]
-        where = f"{', '.join(map(_scene, offered))} would have it" if offered else "no scene of the plan has it"
-        return f"None of {len(material.episodes)} episodes names one; {where}."
+        where = f"{', '.join(map(_scene, offered))} could have it" if offered else "no scene of the plan has it"
+        return f"None of {len(material.episodes)} episodes has this category; {where}."
     here = sum(row.scene in homes for row in material.episodes) / len(material.episodes)
     counted = [scene.n for name, scene in paper.SCENES.items() if name in homes and scene.n is not None]
     there = sum(counted) / (paper.OVERALL.n or 1)
-    text = f"Scenes that have it hold {_percent(here)} of the episodes here, {_percent(there)} in the paper"
-    drawn = "categories first" if material.meta.plan.balance == "categories" else "evenly over instances"
+    text = f"Scenes with this category have {_percent(here)} of the episodes, {_percent(there)} in the paper"
+    drawn = "by category first" if material.meta.plan.balance == "categories" else "uniformly over instances"
     return f"{text}; targets are drawn {drawn}."
 
 
@@ -134,7 +135,7 @@ def explain_correlation(facts: RunFacts | None) -> str:
         return ""
     return (
         f"Detours spread by {facts.detour_std_m:.2f} m (standard deviation) while start distances spread by "
-        f"{facts.spawn_std_m:.2f} m: the smaller the former against the latter, the nearer r is to 1."
+        f"{facts.spawn_std_m:.2f} m: the smaller the first is relative to the second, the closer r is to 1."
     )
 
 
@@ -153,8 +154,8 @@ def explain_colours(material: ReportInput) -> str:
     coloured = sum(row.colour != "unknown" for row in material.episodes)
     used = len({row.template_id for row in material.episodes if needs_colour(row.template_id)})
     return (
-        f"Colours come from the scenes' materials here: {coloured} of {len(material.episodes)} targets have one, "
-        f"which unlocks {used} templates that the paper could not use."
+        f"Colours come from the materials of the scenes: {coloured} of {len(material.episodes)} targets have one, "
+        f"which allows {used} templates that the paper could not use."
     )
 
 
@@ -165,10 +166,10 @@ def explain_success(material: ReportInput, row: AttemptRow) -> str:
     text = f"{row.success.count} of {row.attempts} attempts succeeded ({reasons})."
     spawn, expert = material.meta.plan.spawn, material.meta.plan.expert
     if expert is ExpertName.PLANNER:
-        return f"{text} The planner drives around what the paper's controller stalls at."
+        return f"{text} The planner avoids obstacles at which the paper's controller stalls."
     return (
         f"{text} Starts are drawn until the straight line to the success circle is free by "
-        f"{spawn.approach_clearance_m:.2f} m, rather where the way is wider; the paper draws blindly and "
+        f"{spawn.approach_clearance_m:.2f} m, preferably with more clearance; the paper draws starts at random and "
         "discards failures."
     )
 

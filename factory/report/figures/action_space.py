@@ -22,17 +22,17 @@ _MOST = 8
 def draw(material: ReportInput) -> Figure:
     """Returns the heat map and the most frequent tokens."""
     drives = material.drives
-    title, source = "Action space and its use", "Fig. 1; the paper shows the grid alone"
+    title, source = "Action space and its use", "Fig. 1; the paper shows the grid only"
     if not drives.steps:
         return Figure("action_space", title, source, "No steps to show: no episode could be read.")
     used = int((drives.tokens > 0).sum())
     read = f"{len(drives.tracks)} of {count(len(material.episodes), 'episode')}"
     caption = (
         f"Each square is one of the {GRID_POINTS}×{GRID_POINTS} = {GRID_POINTS**2} tokens of speed v and yaw rate ω; "
-        f"its tone (logarithmic) and number give the share of {drives.steps:,} recorded steps of {read} whose action "
-        f"is nearest to it. {used} of {GRID_POINTS**2} occur. Positive ω turns left."
+        f"its shade (logarithmic) and number show the share of {drives.steps:,} recorded steps of {read} whose action "
+        f"is nearest to the token. {used} of {GRID_POINTS**2} tokens occur. Positive ω turns left."
     )
-    alt = f"Grid of {GRID_POINTS} speeds by {GRID_POINTS} yaw rates, {used} squares toned by use"
+    alt = f"Grid of {GRID_POINTS} speeds by {GRID_POINTS} yaw rates, {used} squares shaded by use"
     panel = draw_panel("action_space", alt, lambda axes: _paint(axes, drives.tokens), height_in=3.9)
     return Figure("action_space", title, source, caption, (panel,), (_table(drives.tokens),))
 
@@ -75,6 +75,4 @@ def _table(tokens: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> Table:
             rows.append(
                 (f"({v}, {w})", number(float(V_GRID_MPS[v])), number(float(W_GRID_RPS[w])), f"{tokens[v, w]:,}", share)
             )
-    return Table(
-        ("token", "v, m/s", "ω, rad/s", "steps", "share"), tuple(rows), "Most frequent tokens, per cent of steps"
-    )
+    return Table(("token", "v, m/s", "ω, rad/s", "steps", "share"), tuple(rows), "Most frequent tokens")

@@ -21,19 +21,19 @@ def draw(material: ReportInput) -> Figure:
     title, source = "Attempts and success", "Sec. V-A; no figure in the paper"
     rows = material.statistics.attempts
     if rows is None:
-        return Figure("attempts", title, source, "Not shown: the record of attempts cannot be read.")
+        return Figure("attempts", title, source, "Not shown: the table of attempts cannot be read.")
     by_scene = [row for row in rows if row.group in material.scenes]
     everything = next(row for row in rows if row.group == "all")
     if not everything.attempts:
         return Figure("attempts", title, source, "No attempts to show.")
     uncounted = sum(Counter(everything.reasons).values()) - (everything.attempts - everything.success.count)
     beside = material.statistics.beside_paper
-    marks = ", and the range of the paper as a pink band" if beside else ""
+    marks = ", and the range in the paper as a pink band" if beside else ""
     caption = (
         f"{count(everything.attempts, 'attempt')} for {count(everything.success.count, 'episode')}. Above: attempts "
-        "by scene and outcome. Below: the share that succeeded with its 95 % Wilson interval, first attempts of an "
+        "by scene and outcome. Below: the success rate with its 95 % Wilson interval, first attempts of an "
         f"episode as hollow dots{marks}. "
-        f"Crashes and lost leases are not simulated attempts and are not counted ({uncounted})."
+        f"Attempts that ended with a crash or a lost lease are not counted ({uncounted})."
     )
     height = 1.3 + 0.42 * len(by_scene)
     outcomes = draw_panel("attempts", "Attempts by scene and outcome", lambda axes: _outcomes(axes, by_scene), height)
@@ -108,7 +108,7 @@ def _rates(axes: Axes, rows: list[AttemptRow]) -> None:
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xlim(0, 104)
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel("attempts that succeed, %")
+    axes.set_xlabel("success rate of attempts, %")
     write_legend(axes)
 
 
@@ -125,7 +125,7 @@ def _table(shown: list[AttemptRow], rows: tuple[AttemptRow, ...]) -> Table:
         for row in (*shown, *groups)
     )
     return Table(
-        ("scene / tier", "attempts", "succeed (95 %)", "first attempts", "failed by"), body, "By scene and tier"
+        ("scene / tier", "attempts", "success (95 %)", "first attempts", "failures"), body, "By scene and tier"
     )
 
 

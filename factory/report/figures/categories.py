@@ -23,10 +23,10 @@ def draw(material: ReportInput) -> Figure:
         return Figure("categories", title, source, "No episodes to show.")
     rows = material.statistics.categories
     held_out = sum(row.n for row in rows if row.kind == "held out")
-    beside = " Diamonds are the three shares that the paper prints." if material.statistics.beside_paper else ""
+    beside = " Diamonds show the three shares in the paper." if material.statistics.beside_paper else ""
     caption = (
-        f"Categories that {count(len(material.episodes), 'episode')} name, most frequent first, stacked by scene; "
-        f"a star marks held-out ones ({count(held_out, 'episode')}), which occur in test_ood_obj alone.{beside}"
+        f"Target categories of {count(len(material.episodes), 'episode')}, most frequent first, stacked by scene; "
+        f"a star marks held-out categories ({count(held_out, 'episode')}), which occur in test_ood_obj only.{beside}"
     )
     panel = draw_panel(
         "categories", "Bars of the categories by scene", lambda axes: _paint(axes, material), 1.2 + 0.27 * len(rows)

@@ -27,7 +27,7 @@ def draw(material: ReportInput) -> Figure:
     caption = (
         f"Share of {count(everything.n, 'episode')} whose planar distance to the target at the end (NE) is at most x. "
         f"The dashed line is the success radius, {material.statistics.success_radius_m:g} m: {within.count} of "
-        f"{within.of} end within.{said if material.statistics.beside_paper else ''}"
+        f"{within.of} episodes end within it.{said if material.statistics.beside_paper else ''}"
     )
     panel = draw_panel("ne_cdf", "Cumulative navigation error by scene", lambda axes: _paint(axes, material), 3.3)
     return Figure("errors", title, source, caption, (panel,), (_table(material),))
@@ -73,4 +73,6 @@ def _table(material: ReportInput) -> Table:
         )
         for row in material.statistics.navigation_error
     )
-    return Table(("scene", "N", "mean", "std", "5 %", "50 %", "95 %", "largest", "inside"), rows, "NE by scene, metres")
+    return Table(
+        ("scene", "N", "mean", "std", "5 %", "50 %", "95 %", "largest", "within radius"), rows, "NE by scene, metres"
+    )

@@ -40,7 +40,7 @@ def _describe_fit(fit: Fit) -> str:
     if fit.r is None or fit.slope is None or fit.low is None or fit.high is None:
         return f"No line is fitted: {fit.remark}."
     return (
-        f"Dashed, least squares: slope {number(fit.slope)} m/m, intercept {number(fit.intercept_m)} m; Pearson "
+        f"Dashed line, least squares: slope {number(fit.slope)} m/m, intercept {number(fit.intercept_m)} m; Pearson "
         f"r = {number(fit.r, 3)}, 95 % interval {number(fit.low, 3)} to {number(fit.high, 3)}."
     )
 

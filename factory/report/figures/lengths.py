@@ -25,7 +25,7 @@ def draw(material: ReportInput) -> Figure:
     said = f"{number(paper.OVERALL.tl_mean_m)} m over {paper.OVERALL.n} episodes"
     beside = f"; the dashed line is the paper's mean, {said}" if material.statistics.beside_paper else ""
     caption = (
-        f"Length driven (TL) of {count(everything.n, 'episode')}, stacked by scene in bins of {_BIN_M:g} m; the "
+        f"Trajectory lengths (TL) of {count(everything.n, 'episode')}, stacked by scene in bins of {_BIN_M:g} m; the "
         f"outline is the sum. Mean {number(everything.tl_mean_m)} m, median {number(everything.tl_median_m)} m{beside}."
     )
     panel = draw_panel(

@@ -32,8 +32,8 @@ def draw(material: ReportInput) -> Figure:
     scenes = len({sample.row.scene for sample in samples})
     caption = (
         f"Front RGB frames, 640 × 640 pixels as recorded, of {count(len(samples), 'episode')} in "
-        f"{count(scenes, 'scene')}; the selection alternates between scenes and categories. The yellow outline shows "
-        "the target's pixels in the recorded ids; it is not part of the frames."
+        f"{count(scenes, 'scene')}, selected in turn from each scene and category. The yellow outline shows the "
+        "target's pixels in the recorded instance ids; it is not part of the recorded frames."
     )
     rows = -(-len(samples) // _COLUMNS)
     height = WIDTH_IN * rows * (_TILE_PX + _TEXT_PX) / (_COLUMNS * (_TILE_PX + _GAP_PX))

@@ -16,12 +16,13 @@ __all__ = ["draw"]
 def draw(material: ReportInput) -> Figure:
     """Returns one panel per scene."""
     surveyed = ", ".join(f"{name(scene)} {len(floor.surveyed_m)}" for scene, floor in material.maps.items())
-    beside = "; the paper has 40 a scene" if material.statistics.beside_paper else ""
+    beside = "; 40 per scene in the paper" if material.statistics.beside_paper else ""
     caption = (
-        f"Starts of {count(len(material.episodes), 'episode')} by tier on the map of each scene: pale floor is "
-        "reachable, grey obstacles do not occlude, dark grey obstacles do. Small crosses are the "
-        f"surveyed spawn points from which far starts are drawn ({surveyed or 'no map could be read'}{beside}); "
-        "hollow diamonds are all targets, filled ones those that an instruction names."
+        f"Starts of {count(len(material.episodes), 'episode')} by tier, over the map of each scene: pale is the "
+        "reachable "
+        "floor, grey are low objects, dark grey are objects that occlude the view. Small crosses are the "
+        f"surveyed spawn points, from which far starts are drawn ({surveyed or 'no map could be read'}{beside}); "
+        "hollow diamonds are all targets, filled diamonds those of episodes."
     )
     return Figure(
         "spawn_maps",

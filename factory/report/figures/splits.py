@@ -20,8 +20,8 @@ def draw(material: ReportInput) -> Figure:
     if not material.episodes:
         return Figure("splits", title, source, "No episodes to show.")
     caption = (
-        f"{count(len(material.episodes), 'episode')} by scene and split, in per cent of the scene; numbers are "
-        "episodes. Blue and green: in distribution; yellow: new phrases; red: held-out categories."
+        f"{count(len(material.episodes), 'episode')} by scene and split, in per cent of each scene; numbers are "
+        "episodes. Blue and green: splits like training; yellow: new templates; red: held-out categories."
     )
     panel = draw_panel(
         "splits",
@@ -69,4 +69,4 @@ def _overlap(material: ReportInput) -> Table:
         if row.scene == "all"
     )
     columns = ("split", "instances", "also in train_id", "share")
-    return Table(columns, rows, f"Instances that {name('train_id')} names too")
+    return Table(columns, rows, f"Target instances that {name('train_id')} has too")

@@ -23,7 +23,7 @@ def draw(material: ReportInput) -> Figure:
     beside = " Diamonds are the paper's medians." if material.statistics.beside_paper else ""
     caption = (
         f"Steps of {count(len(material.episodes), 'episode')} at {material.meta.plan.task.control_hz} Hz. Box: "
-        "quartiles with the median; whiskers: 1.5 times the quartiles' distance; dots: outliers; the white dot is the "
+        "quartiles with the median; whiskers: 1.5 times the interquartile range; dots: outliers; the white dot is the "
         f"mean μ.{beside}"
     )
     panel = draw_panel(
@@ -95,10 +95,10 @@ def _geometry(material: ReportInput) -> Table:
     columns = (
         "scene",
         "start, m",
-        "shortest, m",
+        "shortest path, m",
         "TL, m",
         "detour, m",
         "steps/m",
         "floor, m²",
     )
-    return Table(columns, tuple(rows), "Means of the geometry")
+    return Table(columns, tuple(rows), "Geometry by scene, means")

@@ -20,10 +20,10 @@ def draw(material: ReportInput) -> Figure:
         return Figure("templates", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.templates}
     coloured = sum(row.n for row in rows.values() if row.group in TEMPLATES and needs_colour(row.group))
-    beside = "; in the paper these have no episodes" if material.statistics.beside_paper else ""
+    beside = "; none in the paper" if material.statistics.beside_paper else ""
     caption = (
-        f"Templates of the instructions of {count(len(material.episodes), 'episode')}. T1 to T18 are used in training "
-        f"and its tests, O1 to O12 in test_paraphrase_ood only. Yellow bars have a slot for a colour "
+        f"Instruction templates of {count(len(material.episodes), 'episode')}. T1 to T18 are for training "
+        f"and its tests, O1 to O12 for test_paraphrase_ood only. Yellow bars are templates with a colour "
         f"({count(coloured, 'episode')}){beside}."
     )
     pools = (

@@ -25,9 +25,9 @@ def draw(material: ReportInput) -> Figure:
         return Figure("tiers", title, source, "No episodes to show.")
     rows = {row.group: row for row in material.statistics.tiers}
     counts = ", ".join(f"{rows[tier].n} {tier}" for tier in Tier)
-    beside = " and the shares in the paper" if material.statistics.beside_paper else ""
+    beside = " and that of the paper" if material.statistics.beside_paper else ""
     caption = (
-        f"Above: share of each tier among {count(total, 'episode')} ({counts}), with what the plan asks for{beside}. "
+        f"Above: share of each tier among {count(total, 'episode')} ({counts}), with the share in the plan{beside}. "
         "Below: planar distance of the start from the target's centroid; the dotted lines are "
         "the tiers' limits at 1.5, 3.5 and 7.0 m (far starts are surveyed points and have none)."
     )

@@ -1,4 +1,4 @@
-"""Figure of driven trajectories by tier on the map of each scene; the paper has no such figure."""
+"""The driven trajectories, by tier, over the map of each scene; the paper has no such figure."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def draw(material: ReportInput) -> Figure:
     tracks = material.drives.tracks
     title, source = "Driven trajectories", "not in the paper"
     if not tracks:
-        return Figure("tracks", title, source, "No tracks to show: no episode could be read.")
+        return Figure("tracks", title, source, "No trajectories to show: no episode could be read.")
     read = f"{len(tracks)} of {count(len(material.episodes), 'episode')}"
     caption = (
-        f"Tracks of base_link in {read} on the maps, from the dot at the start to within "
-        f"{material.statistics.success_radius_m:g} m of a target (filled diamond). The tracks of an expert without a "
-        "planner are straight; a planner or a start that faces away adds turns."
+        f"Trajectories of base_link in {read} over the maps, from the start (dot) to within "
+        f"{material.statistics.success_radius_m:g} m of a target (filled diamond). The proportional expert drives "
+        "straight; curves show a planner or a start that faces away from the target."
     )
     return Figure(
         "tracks", title, source, caption, tuple(_panel(material, scene) for scene in material.scenes), wide=True

@@ -25,9 +25,10 @@ __all__ = ["write_page"]
 _SAMPLE_PX = 360
 _JPEG_QUALITY = 84
 _ABOUT_PAPER = (
-    "The paper is MiniVLA-Nav v1 (1174 episodes). It prints no start distances: where a reason needs one, it is "
-    "TL + NE, which holds for straight drives. A difference needs a reason from 5 % in lengths and steps, 5 mm in "
-    "NE (1 mm in its spread) and 2 percentage points in shares on."
+    "The paper is MiniVLA-Nav v1 (1174 episodes). It has no start distances: an explanation that needs one uses "
+    "TL + NE, which is valid for straight trajectories. A difference is explained from 5 % in lengths and steps, 5 "
+    "mm in "
+    "NE (1 mm in its standard deviation) and 2 percentage points in shares."
 )
 
 
@@ -109,14 +110,14 @@ def _tiles(material: ReportInput) -> Sequence[tuple[str, str, str]]:
 
 def _verdict(material: ReportInput, comparisons: Sequence[PaperComparison]) -> str:
     if not material.statistics.episodes:
-        return "There are no episodes yet."
-    means = "Means of NE, TL and steps; the tables give the rest."
+        return "The dataset has no episodes."
+    means = "NE, TL and steps are means."
     if not comparisons:
         return means
     away = [row for row in comparisons if row.reason]
     return (
-        f"{len(comparisons)} numbers of the paper are compared with this dataset; {len(away)} differ noticeably, each "
-        f"with its reason beside the figure. {means}"
+        f"{len(comparisons)} numbers of the paper are compared with this dataset; {len(away)} differ noticeably; their "
+        f"reasons are next to the figures. {means}"
     )
 
 
@@ -172,10 +173,11 @@ def _method(material: ReportInput) -> Sequence[str]:
     return (
         "All numbers come from the dataset's own tables (metadata.parquet, attempts.parquet) and equal those of "
         "`factory stats`. Tracks, actions and frames are read from the episodes.",
-        "NE is the planar distance between base_link and the target's centroid at the end, TL the length driven; the "
-        "distance of a start is planar too. Detour is TL less the straight line from start to end; the shortest way is "
+        "NE is the planar distance between base_link and the target's centroid at the end, TL the trajectory length; "
+        "the "
+        "start distance is planar too. Detour is TL minus the straight line from start to end; the shortest path is "
         "measured along the floor to the success circle.",
         *((_ABOUT_PAPER,) if material.statistics.beside_paper else ()),
-        f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Made with {software}.",
-        "The same dataset gives the same page, byte for byte, with the same software.",
+        f"Plan {meta.plan.name}, digest {meta.plan_digest[:16]}; rendered by {renderers}. Software: {software}.",
+        "The page is reproducible: the same dataset and software give the same bytes.",
     )

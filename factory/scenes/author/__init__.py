@@ -79,7 +79,7 @@ def author_scene(name: str, seed: int, directory: Path) -> Path:
     """
     scene = BUILTIN_SCENES.get(name)
     if scene is None:
-        raise UsageError(f"no built-in scene is called {name!r}; known scenes: {', '.join(BUILTIN_SCENES)}")
+        raise UsageError(f"{name!r} is not a built-in scene; known scenes: {', '.join(BUILTIN_SCENES)}")
     from factory.scenes.author.usd_writer import write_scene  # 200 MB of USD, only when a scene is written
 
     plan = lay_out_scene(scene, seed)

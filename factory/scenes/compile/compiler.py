@@ -161,12 +161,16 @@ def _without_outliers(file: str, extraction: Extraction, notes: list[str]) -> tu
     parts = [part for part in extraction.parts if len(part.triangles)]
     if not any(not part.is_collider for part in parts):
         noted = "; ".join(extraction.notes[-4:])
-        raise WorldError(f"{file} shows no mesh ({noted}); check payloads, references, visibility and purpose")
+        raise WorldError(
+            f"{file} contains no visible mesh ({noted}); check payloads, references, visibility and purpose"
+        )
     middles = np.array([part.triangles.mean(axis=(0, 1)) for part in parts])
     centre = np.median(middles, axis=0)
     if np.abs(centre).max() > _FARTHEST_M:
         x, y, z = centre
-        raise WorldError(f"{file} lies around ({x:.0f}, {y:.0f}, {z:.0f}) m; move it near the origin of its stage")
+        raise WorldError(
+            f"{file} is far from the origin, around ({x:.0f}, {y:.0f}, {z:.0f}) m; move it near the origin of its stage"
+        )
     off = np.abs(middles - centre).max(axis=1)
     limit = max(_SANE_RADIUS_M, _SANE_SPREAD * float(np.median(off)))
     for part, distance in zip(parts, off, strict=True):
@@ -188,7 +192,7 @@ def _show(
     if clear:
         notes.append(f"{clear} see-through parts are solid but not shown")
     if not visible:
-        raise WorldError(f"{file} shows no mesh but {clear} see-through ones; check their opacity")
+        raise WorldError(f"{file} contains no visible mesh except {clear} transparent ones; check their opacity")
     rules, chosen = wishes
     candidates = apply_candidate_edits(find_candidates(extraction, visible, rules), visible, chosen)
     owners = assign_objects(visible, [found.path for found in candidates], extraction.models)
@@ -247,8 +251,8 @@ def _why_no_target(file: str, shown: _Shown, terrain: Terrain, notes: list[str])
     if not counts:
         paths = sorted(set(shown.owners))
         return (
-            f"{file} has no thing of a known category among {len(paths)} objects (such as {', '.join(paths[:5])}); "
-            "name prims after their category or give your own --rules"
+            f"{file} has no instance of a known category among {len(paths)} objects (such as {', '.join(paths[:5])}); "
+            "name prims after their category or give category rules with --rules"
         )
     found = ", ".join(f"{count} {category}" for category, count in sorted(counts.items()))
     return (

@@ -45,7 +45,7 @@ def find_floor_height(triangles: Floats) -> float:
     largest = float(per_level.max(initial=0.0))
     if largest < _MIN_AREA_M2:
         raise WorldError(
-            f"no floor: the largest level surface has {largest:.2f} m2, a floor needs {_MIN_AREA_M2} m2; "
+            f"the stage has no floor: the largest level surface has {largest:.2f} m2, a floor needs {_MIN_AREA_M2} m2; "
             "check the stage's upAxis and metersPerUnit, and that the floor is visible and faces up"
         )
     lowest = levels[per_level >= _MIN_SHARE * largest].min()

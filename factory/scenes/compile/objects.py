@@ -29,7 +29,9 @@ def assign_objects(parts: Sequence[Part], things: Iterable[str], models: Iterabl
     while len(set(owners)) > MAX_INSTANCES:
         depth -= 1
         if depth < 1:
-            raise WorldError(f"more than {MAX_INSTANCES} targets; the id image has 16 bits, so split the scene")
+            raise WorldError(
+                f"the scene has more than {MAX_INSTANCES} instances, the limit of the 16-bit id image; split the scene"
+            )
         owners = [path if path in first else "/".join(path.split("/")[: depth + 1]) for path in owners]
     return tuple(owners)
 

@@ -76,7 +76,7 @@ def _frame_of(obstacles: Floats, floor: Floats) -> GridFrame:
     columns, rows = np.ceil((upper + _PAD_M - first) / RESOLUTION_M).astype(int)
     if rows * columns > _MAX_CELLS:
         raise WorldError(
-            f"the floor spans {columns * RESOLUTION_M:.0f} x {rows * RESOLUTION_M:.0f} m, more than the grid can hold "
+            f"the floor spans {columns * RESOLUTION_M:.0f} x {rows * RESOLUTION_M:.0f} m, more than the grid allows "
             f"({_MAX_CELLS} cells of {RESOLUTION_M} m); check metersPerUnit or import a smaller stage"
         )
     return GridFrame((round(float(first[0]), 6), round(float(first[1]), 6)), RESOLUTION_M, (int(rows), int(columns)))

@@ -170,7 +170,8 @@ def _require_room(work: _Extractor, path: str, more: int) -> None:
     counts.update({part.path: len(part.triangles) for part in work.parts})
     largest = ", ".join(f"{prim} ({count})" for prim, count in counts.most_common(3))
     raise WorldError(
-        f"{work.file} has more than {work.max_triangles} triangles, passed at {path}; the largest prims so far are "
+        f"{work.file} has more than {work.max_triangles} triangles, exceeded at prim {path}; the largest prims so "
+        "far are "
         f"{largest}; "
         "decimate or deactivate them, split the stage, or raise --max-triangles if memory allows"
     )

@@ -98,8 +98,8 @@ def open_stage(path: Path, notes: list[str]) -> SceneStage:
     metres = float(UsdGeom.GetStageMetersPerUnit(stage))
     if not (np.isfinite(metres) and _SANE_METRES[0] <= metres <= _SANE_METRES[1]):
         raise WorldError(
-            f"{path.name} says metersPerUnit = {metres:g}; author the length of its unit on the root layer, "
-            "such as 1 (metres), 0.01 (centimetres) or 0.0254 (inches)"
+            f"{path.name} has metersPerUnit = {metres:g}; set the length of its unit on the root layer, "
+            "e.g. 1 (metres), 0.01 (centimetres) or 0.0254 (inches)"
         )
     if not UsdGeom.StageHasAuthoredMetersPerUnit(stage):
         notes.append(

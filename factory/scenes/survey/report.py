@@ -100,5 +100,5 @@ def _shortcomings(scene: CompiledScene) -> tuple[str, ...]:
             "piece or enlarge it"
         )
     if len(scene.spawns) and not scene.spawn_sees.any():
-        found.append("no spawn has a free straight way to any target; clear the floor around the targets")
+        found.append("no start point has a free straight path to a target; clear the floor around the targets")
     return tuple(found)

@@ -36,13 +36,12 @@ def apply_candidate_edits(
     paths = [entry.prim_path for entry in chosen.targets]
     inner = [(a, b) for a in paths for b in paths if a.startswith(b + "/")]
     if inner:
-        raise UsageError(f"targets file: {inner[0][0]} is inside {inner[0][1]}; list only one of them")
+        raise UsageError(f"targets file: prim {inner[0][0]} is inside prim {inner[0][1]}; list only one of them")
     groups = [[part for part in parts if _is_in(part.path, path)] for path in paths]
     unknown = [path for path, group in zip(paths, groups, strict=True) if not group]
     if unknown:
         raise UsageError(
-            f"targets file: the scene shows no prim {', '.join(unknown)}; "
-            "`factory scene targets` lists those that it has"
+            f"targets file: the scene has no visible prim {', '.join(unknown)}; `factory scene targets` lists its prims"
         )
     listed = [
         Candidate(entry.prim_path, entry.category, _box(group))

@@ -19,7 +19,7 @@ from schemas.errors import UsageError
 from schemas.scene import SceneInfo
 from schemas.terms import COLOUR_NAMES
 
-__all__ = ["TargetEntry", "TargetList", "list_file_name", "load_target_list", "format_target_list"]
+__all__ = ["TargetEntry", "TargetList", "format_target_list", "list_file_name", "load_target_list"]
 
 _HEAD = """\
 # The targets of {scene}. Set `enabled: false` to leave one out, change its category, colour or id, delete what is to
@@ -45,7 +45,7 @@ class TargetEntry(Model):
     @classmethod
     def _is_a_colour(cls, colour: str) -> str:
         if colour not in (*COLOUR_NAMES, "unknown"):
-            raise ValueError(f"not a basic colour; known are {', '.join(COLOUR_NAMES)}, unknown")
+            raise ValueError(f"not a valid colour; valid colours: {', '.join(COLOUR_NAMES)}, unknown")
         return colour
 
 
@@ -62,7 +62,7 @@ class TargetList(Model):
             if twice:
                 raise ValueError(f"{what} is listed twice: {', '.join(twice)}")
         if not any(entry.enabled for entry in self.targets):
-            raise ValueError("no target is enabled; a scene needs at least one")
+            raise ValueError("all targets are disabled; enable at least one")
         return self
 
     @property
@@ -111,11 +111,11 @@ def load_target_list(path: Path, scene: str = "SCENE") -> TargetList:
     except OSError as error:
         command = f"factory scene targets {scene} -o {shlex.quote(str(path))}"
         raise UsageError(
-            f"cannot read targets file {path} ({say_absence(error)}); omit it to use all targets that the rules find, "
-            f"or write one with `{command}`"
+            f"cannot read targets file {path} ({say_absence(error)}); use all targets without --targets, or create "
+            f"the file with `{command}`"
         ) from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not a valid targets file: its text is not UTF-8") from error
+        raise UsageError(f"{path} is not a valid targets file: it is not UTF-8 text") from error
     except yaml.YAMLError as error:
         raise UsageError(f"{path} is not valid YAML: {error}") from error
     except ValidationError as error:

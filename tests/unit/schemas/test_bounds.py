@@ -147,7 +147,7 @@ def test_a_refusal_is_short_whatever_was_wrong(verb: str, payload: bytes) -> Non
 def test_a_host_of_no_such_name_is_refused_without_its_name_in_full(host: str) -> None:
     refusal = parse("claim", host, b"{}")
     assert isinstance(refusal, Refusal)
-    assert "no name for a host" in refusal.error
+    assert "not a valid host name" in refusal.error
     assert len(refusal.error) < 200
 
 

@@ -104,7 +104,7 @@ def test_missing_member_is_named() -> None:
 
 
 def test_surplus_member_is_named() -> None:
-    assert "1 surplus members, first 'notes.txt'" in refused(pack(members_of(bundle_bytes()) | {"notes.txt": b""}))
+    assert "1 unexpected members, first 'notes.txt'" in refused(pack(members_of(bundle_bytes()) | {"notes.txt": b""}))
 
 
 def test_members_in_another_order_are_refused() -> None:
@@ -123,7 +123,7 @@ def test_newer_format_is_refused_by_number() -> None:
         (lambda meta: meta.pop("job"), "meta.json: job: Field required"),
         (lambda meta: meta.update(extra=1), "meta.json: extra: Extra inputs are not permitted"),
         (lambda meta: meta["rollout"].update(num_steps=0), "meta.json: rollout.num_steps"),
-        (lambda meta: meta["rollout"].update(num_steps=11), "3 surplus members"),
+        (lambda meta: meta["rollout"].update(num_steps=11), "3 unexpected members"),
         (lambda meta: meta["rollout"].update(num_steps=10**9), "meta.json: rollout.num_steps"),
         (lambda meta: meta["rollout"].update(final_ne_m=float("nan")), "meta.json"),
         (lambda meta: meta.update(content_digest="x"), "meta.json: content_digest"),
@@ -142,7 +142,7 @@ def test_metadata_that_is_no_json_is_refused(text: bytes) -> None:
     ("name", "array", "text"),
     [
         ("poses", np.zeros((11, 7), np.float32), "shape (11, 7)"),
-        ("poses", np.full((12, 7), np.nan, np.float32), "poses: holds NaN"),
+        ("poses", np.full((12, 7), np.nan, np.float32), "poses: contains NaN"),
         ("actions_tokens", np.full((12, 2), 7, np.int16), "maximum 7 is above 6"),
         ("actions_continuous", np.full((12, 2), 1.2, np.float32), "maximum 1.2"),
         ("actions_continuous", np.zeros((12, 2), np.float64), "dtype float64"),

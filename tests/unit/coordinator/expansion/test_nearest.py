@@ -79,7 +79,7 @@ def test_a_scene_with_nothing_to_start_for_is_left_out_and_the_others_stay() -> 
     found = find_nearest(plan, {**hospital((), ()), "office": make_catalog(plan)["office"]})
     assert found.plan is not None
     assert found.plan.scenes == scenes[1:]
-    assert found.changes == ("hospital: left out, 20 episodes; nothing there can be reached",)
+    assert found.changes == ("hospital: removed, 20 episodes; no target of these categories is reachable",)
     assert find_nearest(plan_of(), hospital((), ())).plan is None
 
 
@@ -88,7 +88,7 @@ def test_a_scene_with_no_category_asked_for_is_left_out_for_that_reason() -> Non
     plan = Plan(name="x", scenes=scenes)
     other = make_entry("hospital", [make_target("shelf", 1, 1)])
     found = find_nearest(plan, {"hospital": other, "office": make_catalog(plan)["office"]})
-    assert found.changes == ("hospital: left out, 20 episodes; it has none of the categories asked for",)
+    assert found.changes == ("hospital: removed, 20 episodes; it has none of the requested categories",)
 
 
 @pytest.mark.parametrize("seen", [(Tier.NEAR,), NEAR_AND_MID, (Tier.FAR,)])

@@ -56,7 +56,7 @@ def test_a_file_that_is_not_there_is_called_so(reference, said):
 
 
 def test_a_misspelt_scene_is_told_the_nearest_of_the_plan():
-    with pytest.raises(UsageError, match=r"has no scene 'hospitl'; it has .*; did you mean 'hospital'"):
+    with pytest.raises(UsageError, match=r"has no scene 'hospitl'; its scenes: .*; did you mean 'hospital'"):
         shrink(load_plan("demo"), scenes=["hospitl"])
 
 

@@ -123,7 +123,7 @@ def test_what_the_gate_said_outlives_later_writing(tmp_path: Path) -> None:
 
 
 def test_directory_without_a_dataset_is_named(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"holds no dataset \(dataset_meta.json is missing\)"):
+    with pytest.raises(WorldError, match=r"is not a dataset: dataset_meta.json is missing"):
         read_dataset_meta(tmp_path)
 
 

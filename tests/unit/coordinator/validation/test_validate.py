@@ -116,7 +116,7 @@ FRAMES = {
     "strange id below others": (lambda p: with_image(p, 3, 2, slice(400, 401), 5), "seg_front shows ids [5]"),
     "hollow": (lambda p: with_image(p, 3, 1, slice(400, 405), 0.0), "frame 3: depth and ids disagree"),
     "too deep": (lambda p: with_image(p, 3, 1, slice(400, 405), 31.0), "frame 3: depth_front: maximum 31.0"),
-    "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: holds NaN"),
+    "not a number": (lambda p: with_image(p, 3, 1, slice(400, 405), np.nan), "frame 3: depth_front: contains NaN"),
     "unseen": (lambda p: with_image(p, 3, 2, slice(280, 360), TARGET_ID - 5), "steps_visible 12, but 11 frames"),
 }
 

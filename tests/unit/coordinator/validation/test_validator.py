@@ -71,7 +71,7 @@ def test_zip_bomb_is_refused(validator: Validator, tmp_path: Path) -> None:
 
 def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> None:
     with Validator(limits=ValidatorLimits(wall_s=0.001)) as validator:
-        with pytest.raises(InvalidBundle, match="2 children died of it"):
+        with pytest.raises(InvalidBundle, match="2 validating processes died"):
             validator.check(bundle, job_for())
         with pytest.raises(InvalidBundle, match="validation crashed"):
             validator.check(bundle, job_for())
@@ -80,7 +80,7 @@ def test_child_out_of_time_is_replaced_and_the_bundle_refused(bundle: Path) -> N
 def test_children_that_die_one_after_another_fill_no_log(bundle: Path) -> None:
     with Validator(limits=ValidatorLimits(wall_s=0.001), clock=lambda: 0.0) as validator, capture_logs() as lines:
         for _ in range(2):
-            with pytest.raises(InvalidBundle, match="2 children died of it"):
+            with pytest.raises(InvalidBundle, match="2 validating processes died"):
                 validator.check(bundle, job_for())
     assert [line["event"] for line in lines].count("validator_died") == 1
 

@@ -57,7 +57,7 @@ def test_a_plan_is_narrowed_to_scenes_with_the_same_number_of_episodes_each() ->
 def test_a_scene_or_number_that_the_plan_does_not_have_is_refused_by_name() -> None:
     with pytest.raises(UsageError, match="no scene 'garage'"):
         narrow(load_plan("paper"), ("garage",), 1)
-    with pytest.raises(UsageError, match="fewer of hospital 52"):
+    with pytest.raises(UsageError, match="fewer episodes of hospital 52"):
         narrow(load_plan("paper"), ("hospital", "office"), 53)
 
 

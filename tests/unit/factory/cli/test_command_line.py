@@ -67,7 +67,7 @@ def test_the_shell_completes_folders_plans_scenes_and_formats(words: tuple[str, 
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("lerobt", "unknown format 'lerobt'; formats: paper, .*; did you mean 'lerobot'"),
+        ("lerobt", "unknown format 'lerobt'; valid formats: paper, .*; did you mean 'lerobot'"),
         ("rlds", "TFDS builds it .*docs/formats/rlds/README.md"),
     ],
 )
@@ -87,7 +87,7 @@ def test_ctrl_c_anywhere_says_how_to_go_on(
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == 130
-    assert "run the same command again to go on" in capsys.readouterr().err
+    assert "run the same command again to continue" in capsys.readouterr().err
 
 
 def test_the_shell_completes_the_names_of_imported_scenes() -> None:

@@ -194,7 +194,7 @@ def test_a_former_spelling_sets_the_same(former: tuple[str, ...], now: tuple[str
 
 
 def test_both_spellings_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(click.UsageError, match="--data is the former spelling of DIR: give only DIR"):
+    with pytest.raises(click.UsageError, match="--data is the former spelling of DIR; give DIR only"):
         cli.main(["eval", "one", "--data", "two", "--policy", "stop"], standalone_mode=False)
 
 

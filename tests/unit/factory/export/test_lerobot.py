@@ -271,7 +271,7 @@ def places(output: Output, name: str) -> tuple[Path, Path]:
 
 
 def test_rate_that_does_not_divide_is_refused(varied: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--fps 25: the dataset has 60 frames a second, which can become 1, 2, 3"):
+    with pytest.raises(UsageError, match="--fps 25: the dataset has 60 frames per second; valid values: 1, 2, 3"):
         export(varied, tmp_path / "out", "lerobot", fps=25)
     assert not (tmp_path / "out").exists()
 

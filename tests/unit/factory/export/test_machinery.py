@@ -130,7 +130,7 @@ def test_failed_write_leaves_the_former_file(tmp_path: Path) -> None:
 
 
 def test_two_exports_never_work_on_one_directory(tmp_path: Path) -> None:
-    with Output(tmp_path), pytest.raises(WorldError, match="another export works on"):
+    with Output(tmp_path), pytest.raises(WorldError, match="another export is writing to"):
         Output(tmp_path)
 
 
@@ -164,7 +164,7 @@ def test_selection_keeps_the_order_of_the_plan(varied: Path) -> None:
     data = Dataset(varied)
     names = [episode.episode_id for episode in select(data, ["train_id", "test_id"], ["ep_000004", "ep_000003"])]
     assert names == ["ep_000003", "ep_000004"]
-    with pytest.raises(UsageError, match="has no ep_000009; it holds 4 episodes"):
+    with pytest.raises(UsageError, match="has no ep_000009; it has 4 episodes"):
         select(data, episodes=["ep_000009"])
     with pytest.raises(
         UsageError, match=r"no episodes of val_id in .*; there are test_id, test_paraphrase_ood, train_id"
@@ -216,15 +216,15 @@ def test_command_names_what_the_dataset_lacks_of_its_plan_and_ends_with_one(tmp_
     for _ in range(2):  # the second time all is there already
         done = CliRunner().invoke(command, words, standalone_mode=False)
         assert done.return_value == 1
-        assert "not in the dataset: ep_000002, ep_000003, ep_000004, ep_000005, ep_000006 and 1 more" in done.stderr
-        assert "6 episodes not in the dataset" in done.stdout
+        assert "missing in the dataset: ep_000002, ep_000003, ep_000004, ep_000005, ep_000006 and 1 more" in done.stderr
+        assert "6 episodes missing in the dataset" in done.stdout
     chosen = [*words[:4], str(tmp_path / "one"), "--episodes", "1"]
     assert CliRunner().invoke(command, chosen, standalone_mode=False).return_value == 0
 
 
 def test_option_of_another_format_is_refused(varied: Path, tmp_path: Path) -> None:
     words = [str(varied), "--to", "paper", "-o", str(tmp_path / "out"), "--depth"]
-    with pytest.raises(UsageError, match="format paper has no --depth; its own options: --split-names"):
+    with pytest.raises(UsageError, match="--depth not valid for format paper; valid format options: --split-names"):
         CliRunner().invoke(command, words, standalone_mode=False, catch_exceptions=False)
 
 
@@ -233,5 +233,5 @@ def test_dry_run_writes_nothing(varied: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(command, words, standalone_mode=False)
     assert done.return_value == 0
     assert "4 episodes, 60 frames" in done.stdout
-    assert "measured on ep_" in done.stdout
+    assert "measured with ep_" in done.stdout
     assert not (tmp_path / "out").exists()

@@ -62,7 +62,10 @@ def test_the_overall_length_is_weighted_by_the_papers_tiers() -> None:
 
 
 def test_a_missing_tier_is_said_instead_of_weighted() -> None:
-    assert "No mid episodes" in found([drive(1, 6.0, 5.0)], "TL mean, all").reason
+    assert (
+        "There are no mid episodes, so the mean cannot be weighted"
+        in found([drive(1, 6.0, 5.0)], "TL mean, all").reason
+    )
 
 
 def test_a_rate_within_the_papers_range_differs_by_nothing() -> None:
@@ -82,12 +85,12 @@ def test_a_rate_outside_the_papers_range_says_what_failed() -> None:
 def test_shares_follow_the_plan() -> None:
     row = found([episode_row(1, split=Split.TEST_ID)], "share of test_id")
     assert row.published == pytest.approx(121 / 1174)
-    assert row.reason.startswith("The plan asks for 10 %")
+    assert row.reason.startswith("The plan has 10 %")
 
 
 def test_the_share_of_a_small_plan_is_that_of_its_cells() -> None:
     row = found([episode_row(1)], "share of train_id")  # of two, one in each scene
-    assert row.reason.startswith("The plan asks for 60 % in all, 100 % of its 2 episodes, 1 of 2 made so far")
+    assert row.reason.startswith("The plan has 60 % in all, 100 % of its 2 episodes, 1 of 2 generated so far")
 
 
 def test_an_empty_dataset_is_compared_with_nothing() -> None:

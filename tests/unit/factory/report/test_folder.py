@@ -56,7 +56,7 @@ def test_a_file_is_refused(tmp_path: Path) -> None:
 
 def test_a_folder_within_a_dataset_is_refused(tmp_path: Path) -> None:
     (tmp_path / "dataset_meta.json").write_text("{}")
-    with pytest.raises(UsageError, match="inside a dataset"):
+    with pytest.raises(UsageError, match="is inside a dataset"):
         require_usable(tmp_path / "report", force=True)
 
 

@@ -159,9 +159,9 @@ def test_a_damaged_episode_is_left_out_and_said(own: Path) -> None:
     assert sorted(material.drives.tracks) == ["ep_000001", "ep_000003"]
     (remark,) = material.statistics.remarks
     assert (remark.is_damage, remark.file) == (True, "episodes/ep_000002.zip")
-    assert "left out of tracks" in remark.text
+    assert "skipped in trajectories" in remark.text
     text = render_report(material, draw_functions=(action_space.draw,))[0][PAGE_FILE].decode()
-    assert "What is left out, and why" in text
+    assert "Skipped data" in text
     assert "episodes/ep_000002.zip" in text
 
 
@@ -170,7 +170,7 @@ def test_a_missing_map_is_said_and_the_rest_is_drawn(own: Path) -> None:
         package.unlink()
     files, summary = render_report(gather(own), draw_functions=(spawn_maps.draw,))
     assert "figures/spawn_map_office.svg" in files
-    assert any("the map of office is left out" in remark.text for remark in summary.remarks)
+    assert any("the map of office is missing" in remark.text for remark in summary.remarks)
 
 
 def test_an_unreadable_record_of_attempts_is_said(own: Path) -> None:
@@ -178,7 +178,7 @@ def test_an_unreadable_record_of_attempts_is_said(own: Path) -> None:
     files, summary = render_report(gather(own), draw_functions=(attempts.draw,))
     assert "figures/attempts.svg" not in files
     assert [remark.file for remark in summary.remarks] == ["attempts.parquet"]
-    assert "the record of attempts cannot be read" in files[PAGE_FILE].decode()
+    assert "the table of attempts cannot be read" in files[PAGE_FILE].decode()
 
 
 def test_an_empty_dataset_has_a_page_that_says_so(tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_a_partial_dataset_says_how_far_it_is(tmp_path: Path) -> None:
 
 
 def test_no_dataset_and_no_table_are_errors(own: Path, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="holds no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         make_report(tmp_path / "nothing", tmp_path / "out")
     (own / "metadata.parquet").unlink()
     with pytest.raises(ArchiveCorrupt, match="missing"):

@@ -55,7 +55,7 @@ def test_absurd_units_are_refused_with_the_usual_ones(tmp_path: Path, value: str
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        ("", ["odd.usda", "shows no mesh", "/World", "payloads"]),
+        ("", ["odd.usda", "contains no visible mesh", "/World", "payloads"]),
         (TEXT.box("Ghost", (0, 0, 0), (9, 9, 1), more='token visibility = "invisible"'), ["/World/Ghost is invisible"]),
         (TEXT.box("Ghost", (0, 0, 0), (9, 9, 1), more='token purpose = "proxy"'), ["/World/Ghost has purpose proxy"]),
         (TEXT.group("Ghost", BOX, head="active = false"), ["/World/Ghost is not active"]),
@@ -75,7 +75,7 @@ def test_a_stage_without_mesh_or_floor_names_file_and_remedy(tmp_path: Path, bod
 def test_rules_that_match_nothing_name_some_prims_and_the_remedy(tmp_path: Path) -> None:
     rules = RuleBook(rules=(CategoryRule(category="dragon", include=("dragon",)),))
     path = TEXT.write(tmp_path / "room.usda", room_body(TEXT))
-    with pytest.raises(WorldError, match=r"room\.usda has no thing of a known category.*Floor.*--rules"):
+    with pytest.raises(WorldError, match=r"room\.usda has no instance of a known category.*Floor.*--rules"):
         compile_stage(path, "room", "test", rules)
 
 
@@ -106,7 +106,7 @@ def test_a_mesh_too_large_is_refused_before_it_is_cut_up(tmp_path: Path) -> None
         point3f[] points = [(0, 0, 0)]
     }}"""
     assert noted(extract(tmp_path, fan + BOX), "/World/Fan", "skipped")  # cut up, it shows itself as broken
-    with pytest.raises(WorldError, match=r"more than 50 triangles, passed at /World/Fan.*/World/Fan \(58\)"):
+    with pytest.raises(WorldError, match=r"more than 50 triangles, exceeded at prim /World/Fan.*/World/Fan \(58\)"):
         extract(tmp_path, fan + BOX, StageLimits(max_triangles=50))
 
 

@@ -79,8 +79,9 @@ def test_a_table_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> N
 
 
 def test_a_missing_table_is_answered_with_the_command_that_begins_one(tmp_path: Path) -> None:
-    wanted = f"cannot read category rules .*`cp {BUILTIN_RULES} {tmp_path}/absent.yaml`"
-    with pytest.raises(UsageError, match=wanted) as caught:
+    with pytest.raises(
+        UsageError, match=f"cannot read category rules.*`cp {BUILTIN_RULES} {tmp_path}/absent.yaml`"
+    ) as caught:
         load_rules(tmp_path / "absent.yaml")
     assert "Errno" not in str(caught.value)
 

@@ -45,7 +45,7 @@ def test_other_versions_are_refused_by_number(changes: dict[str, int]) -> None:
 
 @pytest.mark.parametrize("text", [None, 7, "", "{}", '{"kind": "other"}'])
 def test_what_is_no_metadata_is_refused(text: object) -> None:
-    with pytest.raises(UsageError, match=r"policy\.pt is no checkpoint"):
+    with pytest.raises(UsageError, match=r"policy\.pt is not a checkpoint"):
         parse_meta(text, PATH)
 
 

@@ -255,5 +255,5 @@ def test_quota_of_the_plan_is_compared(data: Path) -> None:
 @pytest.mark.parametrize("prepare", [lambda root: None, lambda root: (root / "episodes").mkdir()])
 def test_directory_without_a_dataset_is_an_error(tmp_path: Path, prepare: Callable[[Path], None]) -> None:
     prepare(tmp_path)
-    with pytest.raises(WorldError, match="holds no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         verify(tmp_path)

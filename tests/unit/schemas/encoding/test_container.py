@@ -95,7 +95,7 @@ def test_member_that_stands_twice_is_refused() -> None:
 def test_writing_a_name_twice_is_refused() -> None:
     with ContainerWriter(io.BytesIO()) as out:
         out.add("a", b"1")
-        with pytest.raises(ValueError, match="'a' stands in the container already"):
+        with pytest.raises(ValueError, match="'a' is already in the container"):
             out.add("a", b"2")
 
 

@@ -25,5 +25,5 @@ def test_a_directory_that_cannot_be_read_is_an_error_with_a_remedy(
 def test_a_new_directory_is_new_and_one_within_a_dataset_is_refused(tmp_path: Path) -> None:
     assert begin("demo", site_of(str(tmp_path / "new")), {}).is_new
     (tmp_path / "dataset_meta.json").write_text("{}")
-    with pytest.raises(UsageError, match=f"lies in the dataset {tmp_path}"):
+    with pytest.raises(UsageError, match=f"is inside the dataset {tmp_path}"):
         begin("demo", site_of(str(tmp_path / "new")), {})

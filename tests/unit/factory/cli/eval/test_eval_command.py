@@ -21,24 +21,24 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((), "give the dataset and a policy"),
-        (("--listen", "tcp/127.0.0.1:0"), "give -o OUT"),
-        (("--listen", "tcp/127.0.0.1:0", "-o", "out", "--workers", "2"), "start `factory worker`s"),
-        (("--tls", "pki"), "leave it out"),
-        (("--connect", "tcp/127.0.0.1:1"), "give -o OUT"),
+        ((), "--policy is missing"),
+        (("--listen", "tcp/127.0.0.1:0"), "require -o DIR"),
+        (("--listen", "tcp/127.0.0.1:0", "-o", "out", "--workers", "2"), "start `factory worker` on each host"),
+        (("--tls", "pki"), "give one of them, or remove --tls"),
+        (("--connect", "tcp/127.0.0.1:1"), "require -o DIR"),
         (("--connect", "tcp/10.0.0.1:1", "-o", "out"), "only loopback"),
         (("--connect", "tcp/127.0.0.1:1", "--tls", "pki", "-o", "out"), "write tls/127.0.0.1:1"),
         (("--connect", "tls/h:1", "--tls", "/nowhere", "-o", "out"), "lacks ca.pem"),
         (
             ("--connect", "tls/h:1", "--listen", "tls/h:2", "--tls", "pki", "-o", "out"),
-            "a certificate is for one of them",
+            "a certificate has one role: give one of them",
         ),
-        (("--policy", "oracle"), "no policy 'oracle'; there are expert"),
-        (("--policy", "expert:best"), "no expert 'best'"),
-        (("--policy", "expert:plannr"), "no expert 'plannr'; .*; did you mean 'planner'"),
+        (("--policy", "oracle"), "unknown policy 'oracle'; built-in policies: expert"),
+        (("--policy", "expert:best"), "unknown expert 'best'; valid experts: "),
+        (("--policy", "expert:plannr"), "unknown expert 'plannr'; .*; did you mean 'planner'"),
         (("--policy", "nowhere_pilot:Policy"), "no module 'nowhere_pilot'; looked in"),
-        (("--policy", "exprt"), "no policy 'exprt'; .*; did you mean 'expert'"),
-        (("--policy", "stop"), "has episodes for training only; give --split all"),
+        (("--policy", "exprt"), "unknown policy 'exprt'; .*; did you mean 'expert'"),
+        (("--policy", "stop"), "has no episodes in test splits; evaluate on its other splits with --split all"),
         (("--policy", "stop", "--split", "val_id"), "no episodes in val_id; splits with episodes: train_id"),
         (("--policy", "stop", "--specs", "/nowhere.json"), "factory eval specs"),
     ],
@@ -51,12 +51,12 @@ def test_mistakes_are_named(dataset: Path, words: tuple[str, ...], said: str) ->
 def test_a_split_that_is_none_is_a_mistake_of_usage(dataset: Path) -> None:
     import click
 
-    with pytest.raises(click.UsageError, match="no split 'test'; valid: train_id"):
+    with pytest.raises(click.UsageError, match="unknown split 'test'; valid values: train_id"):
         cli.main(["eval", "--data", str(dataset), "--policy", "stop", "--split", "test"], standalone_mode=False)
 
 
 def test_a_directory_that_is_no_dataset_is_named(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="holds no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         cli.main(["eval", "--data", str(tmp_path), "--policy", "stop"], standalone_mode=False)
 
 
@@ -65,5 +65,5 @@ def test_freshly_drawn_episodes_have_nothing_to_replay() -> None:
     from tests.builders.eval_results import spec_of, specs_of
 
     drawn = specs_of(spec_of(1, source_episode=None, spawn_source="drawn"))
-    with pytest.raises(UsageError, match="freshly drawn"):
+    with pytest.raises(UsageError, match="newly sampled"):
         require_recordings("replay", drawn)

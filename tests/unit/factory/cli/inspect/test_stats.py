@@ -174,14 +174,14 @@ def test_a_dataset_without_an_episode_says_so(tmp_path: Path) -> None:
         write_tables(archive, small_plan(3), {}, [], [], NOW)
     found = measure_dataset(tmp_path / "data")
     assert found.is_sound
-    assert found.remarks[-1].text == "no episodes; every mean is left out"
+    assert found.remarks[-1].text == "no episodes; there are no means"
 
 
 def test_missing_episodes_are_left_out_and_named(own: Path) -> None:
     (own / "episodes" / "ep_000002.zip").unlink()
     found = measure_dataset(own)
     assert (found.episodes, found.is_sound) == (2, False)
-    assert "1 episodes left out whose file is not there: ep_000002" in found.remarks[0].text
+    assert "1 episodes skipped, because the file is missing: ep_000002" in found.remarks[0].text
 
 
 def test_truncated_episodes_are_left_out_and_named(own: Path) -> None:
@@ -190,7 +190,7 @@ def test_truncated_episodes_are_left_out_and_named(own: Path) -> None:
     path.write_bytes(path.read_bytes()[:1000])
     found = measure_dataset(own)
     assert (found.episodes, found.is_sound) == (2, False)
-    assert f"whose file has another size: ep_000003 (1000 bytes, recorded {size})" in found.remarks[0].text
+    assert f"because the file has another size: ep_000003 (1000 bytes, recorded {size})" in found.remarks[0].text
 
 
 def test_cells_that_differ_from_the_plan_are_named(own: Path) -> None:
@@ -257,12 +257,12 @@ def test_without_a_record_of_attempts_the_rest_is_told(own: Path, damage: str) -
 
 def test_a_destroyed_table_of_episodes_is_refused_with_the_remedy(own: Path) -> None:
     (own / "metadata.parquet").write_bytes(b"rubbish")
-    with pytest.raises(ArchiveCorrupt, match="resumed run writes it anew"):
+    with pytest.raises(ArchiveCorrupt, match="resume the run to rewrite it"):
         measure_dataset(own)
 
 
 def test_a_directory_without_a_dataset_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="holds no dataset"):
+    with pytest.raises(WorldError, match="is not a dataset"):
         measure_dataset(tmp_path)
 
 
@@ -321,4 +321,4 @@ def test_command_ends_with_one_on_damage_and_says_what_is_left_out(own: Path) ->
     (own / "episodes" / "ep_000003.zip").unlink()
     done = CliRunner().invoke(command, [str(own)], standalone_mode=False)
     assert done.return_value == 1
-    assert "damage: episodes: 1 episodes left out" in done.stderr
+    assert "damage: episodes: 1 episodes skipped" in done.stderr

@@ -48,7 +48,7 @@ def telling(answers: Iterable[int | None]) -> Callable[[], Progress]:
 def test_jobs_given_back_are_no_failed_attempts(capsys: pytest.CaptureFixture[str]) -> None:
     tried = progress(1).model_copy(update={"attempts": {"success": 1, "released": 2, "timeout": 3}})
     stdout.print(draw_progress(tried))
-    assert "failed attempts: 3 timeout; given back: 2; redrawn: 0" in capsys.readouterr().out
+    assert "failed attempts: 3 timeout; returned jobs: 2; redrawn targets: 0" in capsys.readouterr().out
     assert (tried.failures, tried.given_back) == ({"timeout": 3}, 2)
     assert tried.model_dump()["attempts"] == {"success": 1, "released": 2, "timeout": 3}
 

@@ -15,14 +15,14 @@ def test_counts_are_words_in_the_order_of_names() -> None:
 def test_many_things_are_named_within_bounds() -> None:
     others = [{"prim_path": f"/W/{n:02d}", "category": None} for n in range(20)]
     head, line = say_rest([*others], 30)
-    assert head == "no target: 20 of 30 instances"
-    assert line.startswith("  20 of no known category: /W/00, ")
+    assert head == "not targets: 20 of 30 instances"
+    assert line.startswith("  20 without a category: /W/00, ")
     assert line.endswith("/W/11, and 8 more")
 
 
 def test_things_of_a_category_that_are_out_of_reach_are_told_apart() -> None:
     _, line = say_rest([{"prim_path": "/W/bin", "category": "bin"}], 3)
-    assert line == "  1 of a category, but out of reach or left out: /W/bin (bin)"
+    assert line == "  1 with a category, but unreachable or excluded: /W/bin (bin)"
 
 
 def test_targets_and_other_things_are_all_instances() -> None:

@@ -35,7 +35,7 @@ def test_a_part_is_spread_over_the_list_and_says_so() -> None:
     assert [spec.spec_id for spec in part.specs] == [f"ep_{n:06d}" for n in (1, 3, 5, 7, 9)]
     assert part.source.endswith("5 of 10")
     assert len(SET.only(frozenset({Split.TEST_ID})).specs) == 5
-    with pytest.raises(UsageError, match="no episodes in val_id; splits there: test_id, test_ood_obj"):
+    with pytest.raises(UsageError, match="no episodes in val_id; splits of the specs: test_id, test_ood_obj"):
         SET.only(frozenset({Split.VAL_ID}))
 
 
@@ -47,8 +47,8 @@ def test_two_specs_of_one_name_are_refused() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "no file of specs"),
-        ("{}", "no file of specs"),
+        ("{", "is not a valid specs file"),
+        ("{}", "is not a valid specs file"),
         (json.dumps({"format": SPECS_FORMAT + 1}), "upgrade minivla-factory"),
     ],
 )

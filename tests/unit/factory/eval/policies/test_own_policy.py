@@ -48,8 +48,8 @@ def test_a_missing_class_is_told_those_that_the_module_has(folder: Path) -> None
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("import nowhere_torch", r"cannot be made: ModuleNotFoundError: .*'nowhere_torch' \(broken_pilot.py:1\)"),
-        ("class Policy:\n  def act(self) return 1\n", r"cannot be made: SyntaxError: .*\(broken_pilot.py:2\)"),
+        ("import nowhere_torch", r"cannot be created: ModuleNotFoundError: .*'nowhere_torch' \(broken_pilot.py:1\)"),
+        ("class Policy:\n  def act(self) return 1\n", r"cannot be created: SyntaxError: .*\(broken_pilot.py:2\)"),
     ],
 )
 def test_a_module_that_cannot_be_imported_is_told_by_its_own_line(folder: Path, text: str, said: str) -> None:

@@ -22,8 +22,8 @@ def test_each_way_of_failing_is_told_once_with_its_first_message() -> None:
         result_of(5, success=False),
     ]
     assert faults_in_words(score_policy("m:P", rows, NOTE)) == [
-        "m:P: 2 of 5 ended by policy_raised, first in ep_000003: ZeroDivisionError: division by zero (p.py:3)",
-        "m:P: 1 of 5 ended by policy_invalid, first in ep_000002: NaN",
+        "m:P: 2 of 5 episodes ended with policy_raised, first ep_000003: ZeroDivisionError: division by zero (p.py:3)",
+        "m:P: 1 of 5 episodes ended with policy_invalid, first ep_000002: NaN",
     ]
 
 

@@ -47,7 +47,7 @@ def test_films_play_only_when_asked_and_can_be_paused() -> None:
         assert 'preload="none"' in film
         assert "autoplay" not in film
         assert "loop" not in film
-        assert 'aria-label="Film of ep_000001, policy ' in film
+        assert 'aria-label="Video of ep_000001, policy ' in film
 
 
 def test_tables_scroll_in_containers_that_the_keyboard_reaches() -> None:
@@ -65,7 +65,8 @@ def test_main_metrics_come_first_and_the_rest_is_folded() -> None:
     table = main[main.index("<table") :]
     assert re.findall(r'data-label="([^"]+)"', table)[:5] == ["SR, %", "SPL", "NE, m", "collision, %", "n"]
     assert "<details" not in table
-    for title in ("All episodes", "By split", "By scene", "By tier", "By category", "By template", "Other words"):
+    groups = ("By split", "By scene", "By tier", "By category", "By template")
+    for title in ("All episodes", *groups, "Instruction ablation"):
         assert f"<details><summary><h3>{title}</h3></summary>" in rest
 
 
@@ -74,7 +75,7 @@ def test_each_policy_stands_in_each_table_with_its_interval() -> None:
     for title in ("All episodes", "By split", "By scene", "By tier", "By category", "By template"):
         table = page.split(f"<h3>{title}</h3>")[1].split("</table>")[0]
         assert table.count('<th scope="row">expert</th>') == table.count('<th scope="row">stop</th>') >= 1, title
-    words = page.split("<h3>Other words</h3>")[1].split("</table>")[0]
+    words = page.split("<h3>Instruction ablation</h3>")[1].split("</table>")[0]
     assert words.count(">expert</th>") == words.count(">stop</th>") == 1
     assert "50.0 <small>19 to 81</small>" in page  # Wilson, 3 of 6
     assert "left:18.76%;width:62.48%" in page

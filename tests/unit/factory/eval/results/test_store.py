@@ -114,7 +114,7 @@ def test_a_comparison_takes_the_only_policy_or_asks_which(tmp_path: Path) -> Non
         store.add(result_of(1))
         assert read_policy_folder(tmp_path)[0] == "expert"
         store.add(result_of(1, policy="stop"))
-    with pytest.raises(UsageError, match="holds 2 policies; name one"):
+    with pytest.raises(UsageError, match="contains 2 policies; give the folder of one"):
         read_policy_folder(tmp_path)
     assert read_policy_folder(tmp_path / "policies" / "stop")[0] == "stop"
     with pytest.raises(UsageError, match="no results"):

@@ -53,10 +53,10 @@ def test_empty_words_are_empty_and_the_original_ones_the_specs_own() -> None:
 
 
 def test_what_cannot_be_shuffled_or_named_wrongly_is_said() -> None:
-    with pytest.raises(UsageError, match="one instruction"):
+    with pytest.raises(UsageError, match="the same instruction"):
         instructions(specs_of(spec_of(1), spec_of(2)), Variant.SHUFFLED, SCENES)
     alone = {"b" * 64: ROOM.model_copy(update={"targets": ROOM.targets[:1]})}
-    with pytest.raises(UsageError, match="targets of crate only"):
+    with pytest.raises(UsageError, match="targets of category crate only"):
         instructions(specs_of(spec_of(1, category="crate")), Variant.WRONG, alone)
 
 

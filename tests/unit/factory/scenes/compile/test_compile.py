@@ -166,9 +166,9 @@ def test_textures_reach_the_package_upright(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ('def Xform "Empty" {\n}\n', "shows no mesh"),
+        ('def Xform "Empty" {\n}\n', "contains no visible mesh"),
         (TEXT.box("Wall", (0, 0, 0), (5, 0.1, 3)), "no floor"),
-        (TEXT.box("Floor", (0, 0, -0.1), (8, 8, 0)), "no thing of a known category among 1 objects"),
+        (TEXT.box("Floor", (0, 0, -0.1), (8, 8, 0)), "no instance of a known category among 1 objects"),
         (TEXT.box("Floor", (0, 0, -0.1), (8, 8, 0)) + TEXT.box("Chair", (20, 20, 0), (20.5, 20.5, 1)), "no reachable"),
     ],
 )

@@ -51,7 +51,7 @@ def test_no_spawn_at_all_is_measured_too() -> None:
 
 def test_blind_spawns_are_a_shortcoming() -> None:
     blind = replace(ROOM, spawn_sees=np.zeros_like(ROOM.spawn_sees))
-    assert any("straight way" in reason for reason in report_survey(blind).shortcomings)
+    assert any("straight path" in reason for reason in report_survey(blind).shortcomings)
 
 
 def test_a_description_holds_extents_categories_and_targets() -> None:

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from factory.scenes.compile.compiler import compile_stage
-from factory.scenes.targets.target_list import TargetList, load_target_list, format_target_list
+from factory.scenes.targets.target_list import TargetList, format_target_list, load_target_list
 from schemas.errors import UsageError
 from schemas.scene import CompiledScene
 from tests.builders.stage import StageText, room_body
@@ -85,7 +85,7 @@ def test_unknown_prims_are_all_named(stage: Path, plain: CompiledScene) -> None:
 
 def test_a_prim_inside_another_is_refused(stage: Path, plain: CompiledScene) -> None:
     row = {"category": "seat", "prim_path": "/World/SM_Chair_01/Seat"}
-    with pytest.raises(UsageError, match="SM_Chair_01/Seat is inside /World/SM_Chair_01"):
+    with pytest.raises(UsageError, match="SM_Chair_01/Seat is inside prim /World/SM_Chair_01"):
         edited(stage, plain, seat_001=row)
 
 
@@ -98,11 +98,14 @@ ROW = "{id: a_1, category: chair, prim_path: /World/A}"
         ("targets: [", ["YAML"]),
         (
             "scene: room\ntargets:\n- id: a_1\n  category: chair\n  prim_path: /A\n  category: chair\n  prim_path: /B",
-            ["category, prim_path", "line 3", "is a line lost"],
+            ["category, prim_path", "line 3", "check for a missing line"],
         ),
         ("scene: room\ntargets: 7", ["targets"]),
         (f"scene: room\ntargets: [{ROW}, {ROW}]", ["id is listed twice: a_1"]),
-        ("scene: room\ntargets: [{id: a_1, category: chair, prim_path: /A, enabled: false}]", ["no target is enabled"]),
+        (
+            "scene: room\ntargets: [{id: a_1, category: chair, prim_path: /A, enabled: false}]",
+            ["all targets are disabled"],
+        ),
         (
             "scene: room\ntargets: [{id: a_1, category: chair, prim_path: /A, colour: teal}]",
             ["targets[0].colour", "red"],
