@@ -167,7 +167,7 @@ def test_selection_keeps_the_order_of_the_plan(varied: Path) -> None:
     with pytest.raises(UsageError, match="has no ep_000009; it has 4 episodes"):
         select(data, episodes=["ep_000009"])
     with pytest.raises(
-        UsageError, match=r"no episodes of val_id in .*; there are test_id, test_paraphrase_ood, train_id"
+        UsageError, match=r"has no episodes in val_id; splits with episodes: test_id, test_paraphrase_ood, train_id"
     ):
         select(data, ["val_id"])
 
