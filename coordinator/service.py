@@ -18,7 +18,7 @@ import structlog
 from coordinator.archive.opening import open_archive
 from coordinator.clock import ClockWatch, seconds_since_boot
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.evaluation import Errands
+from coordinator.expansion.evaluation import EvalJobs
 from coordinator.housekeeper import Housekeeper
 from coordinator.lease_limit import LeaseLimit
 from coordinator.ledger import claims
@@ -89,7 +89,7 @@ class Coordinator(Closing):
         elapsed: seconds that pass evenly, by which a clock that was set is noticed.
         gate: what a pilot found before a new run; goes into the dataset's description.
         store: where the dataset lies, when in object storage.
-        errands: jobs in the place of the plan's draws; what they bring is kept, and no tables of episodes are written.
+        evaluation: jobs instead of the plan's draws; their results are kept, and no tables of episodes are written.
         connect: endpoints of other coordinators, whose workers may work for this one too.
         nearby: where bundles of workers on this machine lie, which then need not come over the network.
 
@@ -113,7 +113,7 @@ class Coordinator(Closing):
         elapsed: Callable[[], float] = seconds_since_boot,
         gate: Sequence[GateOutcome] = (),
         store: ObjectPath | None = None,
-        errands: Errands | None = None,
+        evaluation: EvalJobs | None = None,
         connect: Sequence[str] = (),
         nearby: Nearby = nothing_nearby,
     ) -> None:
@@ -136,7 +136,7 @@ class Coordinator(Closing):
             retry_after_s=settings.retry_after_s,
             is_draining=self._draining.is_set,
             has_room=lambda: self._has_room,
-            errands=errands,
+            evaluation=evaluation,
         )
         url = ledger_url_of(root, ledger_url)
         self._checker = checker = checker or Validator(settings.pullers)
@@ -155,7 +155,7 @@ class Coordinator(Closing):
             self._lease_limit = LeaseLimit(self._reading, self._writer.call, self._terms, clock, limit_s)
             self._look_for_room()
             front = stack.enter_context(self._open_front())
-            files = errands.files if errands is not None else {}
+            files = evaluation.files if evaluation is not None else {}
             router = Router(plan.run, listen, catalog, settings, front.take, front.note_gone, guard, connect, files)
             self._router = stack.enter_context(router)
             stack.enter_context(self._open_housekeeper())
@@ -243,7 +243,7 @@ class Coordinator(Closing):
         self._url = url
         self._engine = open_writer(url)
         stack.callback(self._engine.dispose)
-        planned = terms.errands.planned if terms.errands is not None else None
+        planned = terms.evaluation.planned if terms.evaluation is not None else None
         is_new = open_run(self._engine, terms.plan, terms.catalog, terms.lease_ttl_s, self._clock(), planned)
         for name, entry in terms.catalog.items():
             self._archive.add_scene(entry.path, name, entry.sha256)
@@ -367,7 +367,7 @@ class Coordinator(Closing):
             )
 
     def _write_tables(self) -> None:
-        if self._changed.is_set() and self._terms.errands is None:
+        if self._changed.is_set() and self._terms.evaluation is None:
             self._changed.clear()
             try:
                 with self._reading() as connection:
@@ -384,7 +384,7 @@ class Coordinator(Closing):
 
     def _write_split_tables(self) -> None:
         """Runs once, at the end, as it reads a frame of each new episode; a run that is stopped limits its time."""
-        if self._terms.errands is not None or self._changed.is_set():
+        if self._terms.evaluation is not None or self._changed.is_set():
             return  # the tables that they are made from are not up to date
         try:
             limit_s = None if self.is_finished() else _THUMBNAILS_S

@@ -5,10 +5,10 @@
 >>> dataset[0].frame(0).rgb.shape  # doctest: +SKIP
 (640, 640, 3)
 
-Importing this package imports nothing heavy; each name is loaded at its first use. It keeps working when another
+Importing this package imports no large dependency; each name is loaded at its first use. It keeps working when another
 distribution overwrites `factory/__init__.py`, as factory_boy does. `minivla.gym` registers the Gymnasium environment.
-A foreign package named `factory`, `schemas`, `workers` or `coordinator` that hides the product's own one raises
-`ImportError`, which names it.
+Raises `ImportError` when a foreign package named `factory`, `schemas`, `workers` or `coordinator` hides the product's
+package of that name; the message names the foreign package.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ if "gymnasium" in sys.modules:  # then the id `minivla:MiniVLANav-v0` works too
 
 
 def __getattr__(name: str) -> Any:
-    """Loads a public name, or the version of the installed distribution.
+    """Loads a public name, or returns the version of the installed distribution.
 
     Raises:
-        ImportError: a foreign package hides one of the product's.
+        ImportError: a foreign package hides a package of the product.
     """
     if name == "__version__":
         return metadata.version("minivla-factory")

@@ -10,7 +10,10 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Runs the command line and exits with its code; exit code 2 when a foreign package hides one of the product's."""
+    """Runs the command line and exits with its code.
+
+    The exit code is 2 when a foreign package hides a package of the product.
+    """
     try:
         require_own_packages()
     except ImportError as error:

@@ -29,16 +29,16 @@ ENV_ID = "MiniVLANav-v0"
 
 
 def register() -> None:
-    """Registers the environment; calling it twice is harmless."""
+    """Registers the environment; further calls have no effect."""
     if ENV_ID not in registration.registry:
         registration.register(ENV_ID, entry_point="minivla.gym:make_env")
 
 
 def make_env(**options: Any) -> MiniVLANavEnv:
-    """Opens the environment; `factory.gym.env.MiniVLANavEnv` documents the options.
+    """Creates the environment; `factory.gym.env.MiniVLANavEnv` documents the options.
 
     Raises:
-        ImportError: a foreign package hides one of the product's.
+        ImportError: a foreign package hides a package of the product.
         UsageError: an option is not valid, or PyBullet is not installed.
     """
     require_own_packages()

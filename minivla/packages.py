@@ -1,6 +1,6 @@
-"""Checks that the product's packages are the ones Python imports, and not packages of the same name from elsewhere.
+"""Checks that Python imports the product's packages, and not packages of the same name from another distribution.
 
-Imports none of them, and changes neither `sys.path` nor `sys.modules`.
+Does not import them, and does not change `sys.path` or `sys.modules`.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ from pathlib import Path
 __all__ = ["NAMES", "require_own_packages"]
 
 NAMES = ("schemas", "coordinator", "workers", "factory")
+"""Names of the product's packages."""
 _ROOT = Path(__file__).resolve().parent.parent
 
 
 def require_own_packages(root: Path = _ROOT) -> None:
-    """Checks that each of `NAMES` is imported from the installation that this file belongs to.
+    """Checks that each package in `NAMES` is imported from the installation that contains this file.
 
-    A package whose `__init__.py` was overwritten in place (factory_boy does this to `factory`) passes: the modules
-    that the product imports are still there.
+    A package whose `__init__.py` was overwritten in place (factory_boy does this to `factory`) passes, because its
+    modules still exist.
 
     Args:
-        root: directory that holds the product's packages.
+        root: directory that contains the product's packages.
 
     Raises:
-        ImportError: another package or module of that name comes first; the message names it and the remedy.
+        ImportError: another package or module of that name is found first; the message names it and the remedy.
     """
     for name in NAMES:
         found = _locations(name)

@@ -1,6 +1,6 @@
-"""The words all sides share: models, array specs, wire messages and the bundle codec.
+"""Shared data models: configuration, array specs, wire messages, and the codecs of bundles and scenes.
 
-Imports nothing of ours from outside this package and touches no path. Import from the modules by name.
+Imports no other package of the product. Import from the modules by name.
 """
 
 __all__ = [

@@ -1,6 +1,6 @@
-"""The base of every shared model, and bounded kinds of numbers and text; nothing of the domain is defined here.
+"""Base class of every shared model, and bounded types of numbers and text. Defines no type of the domain.
 
-Whatever a peer sends is read into these kinds, so that no number, text or list of it can be larger than a bound.
+Messages of a peer are parsed into these types, so that every number, text and list in them is bounded.
 """
 
 from __future__ import annotations
@@ -29,47 +29,51 @@ __all__ = [
 ]
 
 MAX_COUNT = 2**31 - 1
-"""Largest number of an INTEGER column."""
+"""Largest value of an INTEGER column."""
 MAX_ROWS = 10**15 - 1
-"""Largest number of a row; it has 15 digits, as many as a selector may have."""
+"""Largest row id; it has 15 digits, which is the limit of a number in a selector."""
 _MOST = 1e9
 """Largest magnitude of a measured value, in its SI unit."""
 
 
 class Model(BaseModel):
-    """Frozen, closed to unknown fields, free of NaN and infinity: what crosses a process, file or package."""
+    """Base class of data that crosses a process, file or package: frozen, no unknown fields, no NaN, no infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null")
 
 
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
-"""A lower-case identifier of at most 64 characters."""
+"""Lower-case identifier of at most 64 characters."""
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
-"""A SHA-256 digest as 64 hexadecimal digits."""
+"""SHA-256 digest as 64 hexadecimal digits."""
 
 Line = Annotated[str, StringConstraints(max_length=500)]
-"""A name, a version or a sentence."""
+"""Text of one line, such as a name, a version or a sentence; at most 500 characters."""
 
 Text = Annotated[str, StringConstraints(max_length=10_000)]
-"""A message of several lines."""
+"""Text of several lines; at most 10 000 characters."""
 
 PrimPath = Annotated[str, StringConstraints(max_length=4096)]
 """Path of a USD prim."""
 
 Count = Annotated[int, Field(ge=0, le=MAX_COUNT)]
-"""How many."""
+"""Number of items, from 0."""
 
 Ordinal = Annotated[int, Field(ge=1, le=MAX_COUNT)]
-"""A number that begins at 1."""
+"""Number in a sequence, from 1."""
 
 RowId = Annotated[int, Field(ge=1, le=MAX_ROWS)]
-"""Number of a row in a database."""
+"""Id of a database row, from 1."""
 
 Bytes = Annotated[int, Field(ge=0, le=1 << 40)]
-"""Size of a file."""
+"""Size of a file, bytes; at most 1 TiB."""
 
 Finite = Annotated[float, Field(ge=-_MOST, le=_MOST)]
+"""Measured value of any sign."""
 Positive = Annotated[float, Field(gt=0, le=_MOST)]
+"""Measured value above 0."""
 NonNegative = Annotated[float, Field(ge=0, le=_MOST)]
+"""Measured value of at least 0."""
 Fraction = Annotated[float, Field(ge=0, le=1)]
+"""Value from 0 to 1."""

@@ -1,6 +1,6 @@
-"""The bundle: one attempt's frames, arrays and metadata in one file of stored members (docs/design/data.md#bundle).
+"""Writer and reader of bundles: frames, arrays and metadata of one episode in one file (docs/design/data.md#bundle).
 
-Writes and reads open binary files with deterministic bytes and bounded decoding; never touches a path.
+Works on open binary files, with deterministic bytes and bounded decoding. Opens no path.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ def _frame_names(t: int) -> tuple[str, str, str]:
 
 
 def member_names(frames: int) -> tuple[str, ...]:
-    """Returns the names a bundle of that many frames consists of, in the order of the file."""
+    """Returns the member names of a bundle with that number of frames, in the order of the file."""
     of_frames = (name for t in range(frames) for name in _frame_names(t))
     return (*of_frames, *(f"{spec.name}.npy" for spec in EPISODE_ARRAYS), _META)
 
 
 @dataclass(frozen=True)
 class EpisodeArrays:
-    """The arrays of an episode of T steps, as `schemas.encoding.arrays` specifies them."""
+    """Arrays of an episode of T steps, as `schemas.encoding.arrays` specifies them."""
 
     actions_continuous: NDArray[np.float32]
-    """(T, 2): v in m/s, w in rad/s."""
+    """(T, 2) commanded twist: v in m/s, w in rad/s."""
     actions_tokens: NDArray[np.int16]
-    """(T, 2): 0..6."""
+    """(T, 2) action tokens, 0..6."""
     poses: NDArray[np.float32]
-    """(T, 7): x, y, z, qw, qx, qy, qz of base_link in the world frame."""
+    """(T, 7) poses of base_link in the world frame: x, y, z in metres, qw, qx, qy, qz."""
 
     def in_order(self) -> tuple[NDArray[np.generic], ...]:
         """Returns the arrays in the order of `EPISODE_ARRAYS`."""
@@ -62,14 +62,14 @@ class EpisodeArrays:
 
 
 class BundleWriter:
-    """Streams frames into a file as they are made, so that memory does not grow with the episode."""
+    """Streaming writer of a bundle; memory does not grow with the length of the episode."""
 
     def __init__(self, file: BinaryIO, lap: StageTimer = no_stage_timer) -> None:
-        """Begins a bundle.
+        """Starts a bundle.
 
         Args:
-            file: seekable, opened for writing.
-            lap: told the end of the stages `png rgb`, `depth`, `png ids` and `bundle` of every frame.
+            file: seekable file, opened for writing.
+            lap: called at the end of the stages `png rgb`, `depth`, `png ids` and `bundle` of every frame.
         """
         self._out = ContainerWriter(file)
         self._lap = lap
@@ -91,18 +91,18 @@ class BundleWriter:
 
     @property
     def frame_digests(self) -> tuple[str, ...]:
-        """Digests of the frames so far."""
+        """Digests of the frames added so far."""
         return tuple(self._digests)
 
     def finish(self, arrays: EpisodeArrays, meta: EpisodeMeta) -> EpisodeMeta:
         """Appends arrays and metadata and closes the bundle.
 
         Args:
-            arrays: of as many steps as there are frames.
-            meta: the metadata; its digests are filled in here.
+            arrays: arrays of the episode; their length is the number of frames.
+            meta: metadata of the episode; this method fills in the digests.
 
         Returns:
-            The metadata as written, digests included.
+            The metadata as written, with digests.
         """
         digest = content_digest(self._digests, arrays.in_order(), meta.canonical())
         sealed = meta.model_copy(update={"frame_digests": tuple(self._digests), "content_digest": digest})
@@ -113,27 +113,27 @@ class BundleWriter:
         return sealed
 
     def abandon(self) -> None:
-        """Closes without finishing; the file is no bundle."""
+        """Closes an unfinished bundle; the file cannot be read."""
         self._out.close()
 
 
 class BundleReader(Closing):
-    """Random access to an episode in a seekable file; frames are decoded when asked for.
+    """Random access to an episode in a seekable file; frames are decoded on request.
 
     Args:
-        file: opened for reading.
-        steps: of the episode, where they are known from elsewhere; the metadata is then read, and checked, only when it
-            is asked for, so that opening takes half as long.
+        file: seekable file, opened for reading.
+        steps: number of steps of the episode, if known from another source. The metadata is then read and validated
+            at the first access only, which halves the time to open a bundle.
 
     Raises:
-        InvalidBundle: the file is no bundle, is incomplete, has surplus members, or is of a newer format.
+        InvalidBundle: the file is not a bundle, is incomplete, has surplus members, or has a newer format.
     """
 
     def __init__(self, file: BinaryIO, steps: int | None = None) -> None:
         _keep_freed_memory()
         self._in = ContainerReader(file, _LIMITS)
         self.length = self.meta.rollout.num_steps if steps is None else steps
-        if self.length > MAX_FRAMES:  # before as many names are made
+        if self.length > MAX_FRAMES:  # checked before the member names are generated
             raise InvalidBundle("bundle refused", [f"{self.length} steps; a bundle has at most {MAX_FRAMES}"])
         expected = member_names(self.length)
         if self._in.names != expected:
@@ -142,10 +142,10 @@ class BundleReader(Closing):
 
     @cached_property
     def meta(self) -> EpisodeMeta:
-        """All that is recorded beside the arrays.
+        """Metadata of the episode.
 
         Raises:
-            InvalidBundle: it is damaged or of a newer format.
+            InvalidBundle: the metadata is damaged or has a newer format.
         """
         return _read_meta(self._in)
 
@@ -174,7 +174,7 @@ class BundleReader(Closing):
         return cast(NDArray[np.uint16], decode_png(name, self._in.read(name), _IMAGE_SHAPE))
 
     def stored(self, name: str) -> bytes:
-        """Returns a member as it is stored, e.g. `rgb_front/000000.png`; its CRC has been checked."""
+        """Returns the encoded bytes of a member, e.g. `rgb_front/000000.png`, after a check of its CRC."""
         return self._in.read(name)
 
     def frame_digest(self, t: int) -> str:
@@ -191,11 +191,11 @@ class BundleReader(Closing):
         return frame_digest(rgb, depth, ids)
 
     def content_digest(self, frame_digests: tuple[str, ...]) -> str:
-        """Returns the content digest that these frame digests, the arrays and the metadata give."""
+        """Returns the content digest over these frame digests, the arrays and the metadata."""
         return content_digest(frame_digests, self.arrays.in_order(), self.meta.canonical())
 
     def member_bytes(self) -> dict[str, int]:
-        """Returns the bytes stored per kind of member, e.g. `rgb_front`."""
+        """Returns the stored size of each kind of member, e.g. `rgb_front`, bytes."""
         sizes: dict[str, int] = {}
         for name in self._in.names:
             kind = name.split("/")[0]
@@ -203,14 +203,15 @@ class BundleReader(Closing):
         return sizes
 
     def close(self) -> None:
-        """Does nothing: the file belongs to the caller and stays open."""
+        """Leaves the file open; the caller owns it."""
 
 
 def _keep_freed_memory() -> None:
-    """Lets glibc keep up to twice as much freed memory as the block it frees here (mallopt(3), M_MMAP_THRESHOLD).
+    """Raises glibc's thresholds for returning freed memory to the kernel (mallopt(3), M_MMAP_THRESHOLD).
 
-    Otherwise it may give the pages of every frame back to the kernel and fault them in anew for the next one: 900 to
-    1300 pages, a quarter of the time that a frame takes to decode. No page of the block itself is ever touched.
+    Freeing a block of this size lets glibc keep up to twice as much freed memory. Otherwise glibc may return the pages
+    of every frame to the kernel, and the next frame causes 900 to 1300 page faults, a quarter of the decoding time of
+    a frame. The pages of the block itself are never accessed.
     """
     np.empty(_KEPT_FREE_BYTES, np.uint8)
 

@@ -1,6 +1,6 @@
-"""Numbers of the task, the robot, the camera, the spawn and the expert; each with its unit and source.
+"""Parameters of the task, the robot, the camera, the spawn and the expert, with units and sources.
 
-Holds values only. A plan may override any of them; what was used is recorded in every episode.
+Contains values only. A plan may override each of them; every episode records the values it was made with.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["CameraConfig", "ExpertConfig", "PlannerConfig", "RobotConfig", "Spaw
 
 
 class TaskConfig(Model):
-    """When an episode ends and how it ends (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""
+    """Parameters of the end of an episode (paper Sec. II-A; docs/design/task.md#ends-of-an-episode)."""
 
     control_hz: Annotated[int, Field(ge=1, le=240)] = 60
     """Steps, frames and actions per second."""
@@ -34,98 +34,113 @@ class TaskConfig(Model):
     near_obstacle_depth_m: Positive = 0.25
     """5th-percentile depth of the foreground crop below which an obstacle is near, metres."""
     crop_rows: tuple[Fraction, Fraction] = (0.55, 0.95)
-    """Foreground crop, fraction of the image height from the top."""
+    """Top and bottom of the foreground crop, fractions of the image height from the top."""
     crop_columns: tuple[Fraction, Fraction] = (0.25, 0.75)
-    """Foreground crop, fraction of the image width from the left."""
+    """Left and right side of the foreground crop, fractions of the image width from the left."""
 
 
 class RobotConfig(Model):
-    """A robot with the measures of the Nova Carter (docs/design/robot.md)."""
+    """Parameters of the robot, by default those of the Nova Carter (docs/design/robot.md)."""
 
     model_config = ConfigDict(populate_by_name=True, serialize_by_alias=True)
 
     wheel_radius_m: Positive = 0.14
+    """Radius of the drive wheels, metres."""
     track_m: Positive = 0.4132
-    """Distance between the wheels. The paper says 0.52 m, which no public source of the robot supports."""
+    """Distance between the drive wheels, metres. The paper states 0.52 m, which no public source supports."""
     max_speed_mps: Positive = 1.0
+    """Largest commanded forward speed, m/s."""
     max_yaw_rate_rps: Positive = 1.5
+    """Largest commanded yaw rate, rad/s."""
     max_acceleration_mps2: Positive = 2.5
-    """Slew limit of the speed command while speeding up, m/s2."""
+    """Slew limit of the speed command during acceleration, m/s2."""
     max_braking_mps2: Positive = 8.0
-    """Slew limit of the speed command while slowing down, m/s2."""
+    """Slew limit of the speed command during braking, m/s2."""
     max_yaw_acceleration_rps2: Positive = 3.2
     """Slew limit of the yaw rate command, rad/s2."""
     motor_torque: Annotated[Positive, Field(alias="motor_force")] = 40.0
-    """Largest wheel motor torque, N m. Files name it `motor_force`."""
+    """Largest torque of a wheel motor, N m; serialized as `motor_force`."""
     physics_substeps: Annotated[int, Field(ge=1, le=16)] = 4
+    """Physics steps in each control period."""
     solver_iterations: Annotated[int, Field(ge=10, le=500)] = 100
+    """Iterations of the constraint solver in each physics step."""
 
 
 class CameraConfig(Model):
-    """The right eye of the front stereo camera as a pinhole; pose in base_link (docs/design/robot.md#camera)."""
+    """Parameters of the pinhole camera, by default the right camera of the front pair (docs/design/robot.md#camera).
+
+    The optical axis is parallel to x of base_link.
+    """
 
     name: Line = "front_hawk/right"
+    """Name of the camera."""
     x_m: Finite = 0.1003
+    """x of the optical centre in base_link, metres."""
     y_m: Finite = -0.075
+    """y of the optical centre in base_link, metres."""
     z_m: Positive = 0.3444
+    """z of the optical centre in base_link, metres."""
     fov_deg: Annotated[float, Field(gt=1, lt=170)] = 90.0
-    """Horizontal and vertical field of view; 90 degrees at 640 px is fx = fy = 320 px."""
+    """Horizontal and vertical field of view, degrees; 90 degrees at 640 px is fx = fy = 320 px."""
     near_m: Positive = 0.05
+    """Start of the clip range along the optical axis, metres."""
     far_m: Positive = 30.0
-    """Clip range along the optical axis; beyond it depth is 0."""
+    """End of the clip range along the optical axis, metres; the depth of pixels beyond it is 0."""
 
 
 class SpawnConfig(Model):
-    """Where an episode may start (paper Sec. III-D; docs/design/starts.md)."""
+    """Parameters of the start of an episode (paper Sec. III-D; docs/design/starts.md)."""
 
     heading_noise_rad: NonNegative = 0.4363323129985824
-    """Largest deviation from facing the target in the near and mid tiers; 25 degrees."""
+    """Largest heading offset from the direction to the target in the near and mid tiers, radians; 25 degrees."""
     physics_draws: Annotated[int, Field(ge=1, le=64)] = 8
-    """How many poses an attempt tries in physics before it counts as a failed spawn."""
+    """Largest number of start poses that an attempt tests in physics; after that its spawn has failed."""
     grid_draws: Annotated[int, Field(ge=1, le=10000)] = 400
-    """How many distances (far: surveyed points) a draw tries on the occupancy grid."""
+    """Largest number of distances (far tier: surveyed points) that a draw tests on the occupancy grid."""
     warmup_steps: Annotated[int, Field(ge=1, le=10_000)] = 3
+    """Length of the warm-up in which the robot must keep its place, steps."""
     max_displacement_m: Positive = 0.08
     """Largest planar displacement during the warm-up, metres."""
     max_penetration_m: Positive = 0.005
-    """Deepest overlap with anything but the floor, metres."""
+    """Largest overlap with any body other than the floor, metres."""
     margin_m: NonNegative = 0.05
-    """Free space demanded around the footprint, metres."""
+    """Required free space around the footprint, metres."""
     approach_clearance_m: NonNegative = 0.10
-    """Free space beside the body on the straight line to the success circle, for experts that drive straight."""
+    """Required free space beside the body on the straight line to the success circle, for experts that drive straight,
+    metres."""
 
 
 class ExpertConfig(Model):
     """Gains of the proportional controller (paper Eq. 2-5; docs/design/experts.md#proportional-expert)."""
 
     yaw_gain: Positive = 1.4
-    """k_w: rad/s per unit of normalised column error, and per radian of heading error."""
+    """Gain k_w: rad/s per unit of normalised column error, and per radian of heading error."""
     speed_gain: Positive = 0.7
-    """k_v, 1/s."""
+    """Gain k_v, 1/s."""
     min_mask_px: Annotated[int, Field(ge=1, le=640 * 640)] = 32
-    """Pixels of the target from which on it counts as visible."""
+    """Smallest mask of a visible target, pixels."""
     avoidance_speed_mps: Positive = 0.1
-    """Speed cap while an obstacle is near; above zero, so that a stall can be told."""
+    """Speed limit while an obstacle is near, m/s; above zero, so that a stall can be detected."""
 
 
 class PlannerConfig(Model):
-    """Settings of the planner expert (docs/design/experts.md#planner); the other experts ignore them."""
+    """Parameters of the planner expert (docs/design/experts.md#planner); the other experts ignore them."""
 
     margin_m: NonNegative = 0.08
     """Free space around the footprint along the path, metres."""
     tight_margin_m: NonNegative = 0.02
-    """The same where the wide margin leaves no way."""
+    """Free space around the footprint if no path exists with `margin_m`, metres."""
     arrival_margin_m: NonNegative = 0.10
-    """How far within the success circle the path ends, metres."""
+    """Distance from the end of the path to the edge of the success circle, inside it, metres."""
     tight_arrival_margin_m: NonNegative = 0.05
-    """The same where that leaves no way either."""
+    """The same distance if no path exists with `arrival_margin_m`, metres."""
     stop_margin_m: NonNegative = 0.03
-    """How far within the success circle the robot brakes, metres."""
+    """Distance to the edge of the success circle, inside it, at which the robot brakes, metres."""
     max_path_m: Positive = 10.0
-    """Longest way along the floor to the success circle of a start in the far tier, metres."""
+    """Longest distance along the floor from a start in the far tier to the success circle, metres."""
     max_expansions: Annotated[int, Field(ge=1, le=10_000_000)] = 60_000
-    """Poses after which a search gives up."""
+    """Largest number of poses that a search expands."""
     look_ahead_m: Positive = 0.40
-    """Distance of the point on the path that pure pursuit aims at, metres."""
+    """Look-ahead distance of pure pursuit, metres."""
     lateral_acceleration_mps2: Positive = 0.35
-    """Speed times yaw rate that bends are slowed down to, m/s2; the tail-heavy robot skids beyond."""
+    """Largest lateral acceleration in bends (speed times yaw rate), m/s2; the tail-heavy robot skids above it."""

@@ -1,4 +1,4 @@
-"""Rows of the tables of a dataset: archived episodes and failed attempts. Models; opens no table."""
+"""Models of the rows of a dataset's tables: archived episodes and failed attempts. Reads and writes no table."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from pydantic import Field
 
 from schemas.base import Bytes, Count, Finite, Line, Model, Name, NonNegative, Ordinal, PrimPath, Sha256
 from schemas.episode import EpisodeMeta
+from schemas.episode_spec import columns_of
 from schemas.terms import EndReason, ExpertName, Split, Tier
 
 __all__ = ["PUBLISHED_COLUMNS", "BundleReceipt", "EpisodeSummary", "FailedAttempt", "file_name_of", "summary_of"]
 
 _MAX_SOFTWARE_CHARS = 1 << 18
-"""As JSON, whatever characters the names and versions of a fingerprint have."""
+"""Largest length of the package versions as JSON; enough for every valid fingerprint."""
 PUBLISHED_COLUMNS = (
     "episode_id",
     "split",
@@ -31,131 +32,167 @@ PUBLISHED_COLUMNS = (
     "collision_count",
     "template_id",
 )
-"""The columns of the published data set, in its order; every other column stands behind them."""
+"""Columns of the published data set, in its order; the other columns follow them."""
 
 
 class BundleReceipt(Protocol):
-    """What the ledger must know of a bundle that was found good; an `EpisodeSummary` is one."""
+    """Facts of a validated bundle that the ledger needs; `EpisodeSummary` implements it."""
 
     @property
     def index(self) -> int:
-        """Number of the job's episode."""
+        """Number of the job's episode in the plan."""
 
     @property
     def num_steps(self) -> int:
-        """Simulated."""
+        """Number of simulated steps."""
 
     @property
     def content_digest(self) -> str:
-        """Of what the bundle says, 32 hexadecimal digits."""
+        """Digest of the decoded content of the bundle, 32 hexadecimal digits."""
 
     @property
     def file_sha256(self) -> str:
-        """Of the bundle."""
+        """SHA-256 of the bundle file."""
 
     @property
     def file_bytes(self) -> int:
-        """Of the bundle."""
+        """Size of the bundle file, bytes."""
 
     def model_dump_json(self) -> str:
-        """Returns it as the ledger keeps it."""
+        """Returns the JSON text that the ledger stores."""
 
 
 class EpisodeSummary(Model):
-    """A row of `metadata.parquet`; the fields stand in the order of the columns."""
+    """Row of `metadata.parquet`; the fields have the order of the columns."""
 
     episode_id: Name
+    """Name of the episode, e.g. `ep_000001`."""
     split: Split
+    """Split of the episode."""
     scene: Name
+    """Name of the scene."""
     instruction: Line
+    """Instruction in English."""
     target_category: Name
+    """Category of the target."""
     target_id: Name
+    """Name of the target within the scene."""
     spawn_tier: Tier
+    """Distance tier of the start."""
     spawn_dist_m: NonNegative
     """Planar distance from the spawn to the target's centroid, metres."""
     num_steps: Ordinal
-    """T: frames and actions."""
+    """Number of frames and of actions, T."""
     trajectory_length_m: NonNegative
-    """TL, metres."""
+    """Trajectory length (TL), metres."""
     final_ne_m: NonNegative
-    """NE, planar, metres."""
+    """Planar navigation error (NE) at the end, metres."""
     collision_count: Count
-    """Steps with a contact other than the floor."""
+    """Number of steps with a contact other than the floor."""
     template_id: Name
+    """Name of the instruction template."""
 
     index: Ordinal
     """Number of the episode in the plan."""
     colour: Name
     """Colour word of the target, or `unknown`."""
     phrase_is_unique: bool
-    """Whether category and colour fit one target of the scene only."""
+    """Whether category and colour match exactly one target of the scene."""
     target_prim_path: PrimPath
+    """Path of the target's USD prim."""
     goal_x_m: Finite
+    """x of the target's centroid in the world frame, metres."""
     goal_y_m: Finite
+    """y of the target's centroid in the world frame, metres."""
     goal_z_m: Finite
-    """Centroid of the target in the world frame, metres."""
+    """z of the target's centroid in the world frame, metres."""
     spawn_x_m: Finite
+    """x of base_link at frame 0 in the world frame, metres."""
     spawn_y_m: Finite
+    """y of base_link at frame 0 in the world frame, metres."""
     spawn_yaw_rad: Finite
-    """base_link at frame 0 in the world frame."""
+    """Yaw of base_link at frame 0 in the world frame, radians."""
     spawn_draws: Ordinal
+    """Number of start poses tested in physics, the accepted one included."""
     expert: ExpertName
+    """Controller that drove."""
     draw: Count
-    """How often target and template were drawn anew."""
+    """Number of times that target and template were drawn again."""
     attempt: Ordinal
     """Number of the attempt that succeeded."""
     end_reason: EndReason
+    """Why the rollout ended."""
     final_ne_3d_m: NonNegative
+    """Navigation error at the end with the height of the centroid, metres."""
     min_ne_m: NonNegative
+    """Smallest planar distance to the target's centroid over the episode, metres."""
     steps_visible: Count
-    """Steps in which the expert saw the target."""
+    """Number of steps in which the target was visible to the expert."""
     scene_sha256: Sha256
     """Digest of the compiled scene."""
     plan_digest: Sha256
+    """Digest of the plan."""
     run: Line
+    """Name of the run."""
     content_digest: Line
-    """XXH3-128 over the decoded content; equal for equal content, whatever compressed it."""
+    """XXH3-128 over the decoded content; independent of the compressor."""
     file_sha256: Sha256
+    """SHA-256 of the bundle file."""
     file_bytes: Annotated[Bytes, Field(ge=1)]
+    """Size of the bundle file, bytes."""
     file_name: Line
-    """Path of the bundle below the dataset's directory."""
+    """Path of the bundle, relative to the dataset's directory."""
     format: Count
-    """Version of the bundle."""
+    """Version of the bundle format."""
     created_at: datetime
+    """Time at which the episode was simulated, UTC."""
     worker: Line
+    """Session id of the worker."""
     renderer: Line
+    """Description of the renderer."""
     cpu: Line
+    """CPU model name and machine type."""
     software: Annotated[str, Field(max_length=_MAX_SOFTWARE_CHARS)]
     """Package versions as JSON with sorted keys."""
     geodesic_m: NonNegative | None
-    """Shortest way along the floor from the spawn to the success circle, metres; null where there is none."""
+    """Length of the shortest path along the floor from the spawn to the success circle, metres; null if none exists."""
 
 
 class FailedAttempt(Model):
-    """One row of `attempts.parquet`: an attempt that brought no episode."""
+    """Row of `attempts.parquet`: an attempt that produced no episode."""
 
     episode_id: Name
+    """Name of the episode that was attempted."""
     draw: Annotated[int, Field(ge=0)]
+    """Number of times that target and template were drawn again."""
     attempt: Annotated[int, Field(ge=1)]
+    """Number of the attempt over all draws."""
     scene: Name
+    """Name of the scene."""
     spawn_tier: Tier
+    """Distance tier of the start."""
     split: Split
+    """Split of the episode."""
     target_category: Name
+    """Category of the target."""
     target_id: Name
+    """Name of the target within the scene."""
     reason: str
-    """A fail reason of `schemas.terms`, or how the lease ended."""
+    """Fail reason of `schemas.terms`, or how the lease ended."""
     detail: str = ""
-    """Measured values, in words."""
+    """Explanation with measured values."""
     steps: Annotated[int, Field(ge=0)] = 0
-    """Simulated before the end."""
+    """Number of steps simulated before the end."""
     seconds: NonNegative = 0.0
-    """Wall time spent."""
+    """Wall time of the attempt, seconds."""
     worker: str = ""
+    """Session id of the worker."""
     at: datetime
+    """Time at which the attempt ended, UTC."""
 
 
 def file_name_of(episode_id: str) -> str:
-    """Returns where an episode lies below the dataset's directory."""
+    """Returns the path of an episode's bundle, relative to the dataset's directory."""
     return f"episodes/{episode_id}.zip"
 
 
@@ -163,29 +200,22 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
     """Returns the row of an episode.
 
     Args:
-        meta: the bundle's metadata.
-        sha256: digest of the bundle file.
-        size: of the bundle file, bytes.
+        meta: metadata of the bundle.
+        sha256: SHA-256 of the bundle file.
+        size: size of the bundle file, bytes.
     """
-    job, rollout, made = meta.job, meta.rollout, meta.provenance
+    job, rollout, provenance = meta.job, meta.rollout, meta.provenance
     goal_x, goal_y, goal_z = meta.target_centroid_m
     spawn_x, spawn_y, spawn_yaw = rollout.spawn_pose
     return EpisodeSummary(
         episode_id=meta.episode_id,
-        split=job.split,
-        scene=job.scene,
-        instruction=job.instruction,
-        target_category=job.category,
-        target_id=job.target_id,
-        spawn_tier=job.tier,
+        **columns_of(job, EpisodeSummary),
         spawn_dist_m=rollout.spawn_dist_m,
         num_steps=rollout.num_steps,
         trajectory_length_m=rollout.trajectory_length_m,
         final_ne_m=rollout.final_ne_m,
         collision_count=rollout.collision_count,
-        template_id=job.template_id,
         index=job.index,
-        colour=job.colour,
         phrase_is_unique=meta.phrase_is_unique,
         target_prim_path=meta.target_prim_path,
         goal_x_m=goal_x,
@@ -210,10 +240,10 @@ def summary_of(meta: EpisodeMeta, sha256: str, size: int) -> EpisodeSummary:
         file_bytes=size,
         file_name=file_name_of(meta.episode_id),
         format=meta.format,
-        created_at=made.created_at,
-        worker=made.worker,
-        renderer=made.fingerprint.renderer,
-        cpu=made.fingerprint.cpu,
-        software=json.dumps(made.fingerprint.software, sort_keys=True),
+        created_at=provenance.created_at,
+        worker=provenance.worker,
+        renderer=provenance.fingerprint.renderer,
+        cpu=provenance.fingerprint.cpu,
+        software=json.dumps(provenance.fingerprint.software, sort_keys=True),
         geodesic_m=meta.route.geodesic_m,
     )

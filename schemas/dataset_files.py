@@ -1,4 +1,4 @@
-"""Names of the files and folders of a dataset directory. Opens none of them."""
+"""Names of the files and folders of a dataset directory. Opens no file."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _PARTS = frozenset({EPISODES, SCENES, SPLITS_FOLDER, META_FILE, METADATA_FILE, A
 
 
 def is_part(name: str) -> bool:
-    """Returns whether an entry of a dataset's directory belongs to it; hidden entries and the ledger's files do."""
+    """Returns whether an entry of a dataset's directory is part of the dataset, as hidden files and the ledger are."""
     return name in _PARTS or name.startswith((".", "ledger."))
 
 
 def is_dataset(folder: Path) -> bool:
-    """Returns whether a directory is the dataset of a run, finished or not."""
+    """Returns whether a directory contains the dataset of a run, finished or unfinished."""
     return (folder / LEDGER_FILE).is_file() or (folder / META_FILE).is_file()

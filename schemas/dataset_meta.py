@@ -1,6 +1,6 @@
-"""`dataset_meta.json`: what a dataset is and what made it, for readers and for the next run. A model; reads one file.
+"""Model and reader of `dataset_meta.json`, which describes a dataset and the software that made it.
 
-Collects versions of the software at hand; never looks at episodes.
+Also collects the versions of the installed software. Does not read episodes.
 """
 
 from __future__ import annotations
@@ -30,68 +30,80 @@ __all__ = [
 ]
 
 DATASET_FORMAT = 1
-"""Version of the dataset's directory. A reader opens its own version and older ones; a newer one it refuses by name."""
+"""Version of the dataset directory. A reader opens its own version and older ones, and rejects newer ones."""
 _COMPATIBILITY = "Readers open this format version and older ones; a newer one they refuse by its number."
 _PACKAGES = ("minivla-factory", "numpy", "pyarrow", "pydantic", "pybullet", "moderngl", "isal", "xxhash", "zstandard")
 
 
 class GateOutcome(Model):
-    """What a pilot of first attempts found in one scene, before the run."""
+    """Result of the pilot attempts in one scene, made before the run."""
 
     scene: str
+    """Name of the scene."""
     expert: str
+    """Controller that drove."""
     attempts: Annotated[int, Field(ge=1)]
+    """Number of pilot attempts."""
     succeeded: Annotated[int, Field(ge=0)]
+    """Number of pilot attempts that succeeded."""
     min_success: Fraction
-    """Share asked for."""
+    """Required fraction of successful attempts."""
     passed: bool
+    """Whether the fraction was reached."""
     reasons: dict[str, int]
-    """Fail reason -> attempts."""
+    """Number of attempts by fail reason."""
 
 
 class DatasetMeta(Model):
-    """The whole of `dataset_meta.json`."""
+    """Content of `dataset_meta.json`."""
 
     format: int = DATASET_FORMAT
+    """Version of the dataset directory."""
     compatibility: str = _COMPATIBILITY
+    """Compatibility of the format version, as a sentence."""
     run: str
-    """Name of the run: the plan's name and the beginning of its digest."""
+    """Name of the run: the plan's name and the first digits of its digest."""
     plan_digest: Sha256
+    """Digest of the plan."""
     seed: int
-    """Root of every random choice."""
+    """Root seed of the run."""
     plan: Plan
+    """The plan itself."""
     scenes: dict[str, Sha256]
-    """Scene name -> digest of the compiled package in `scenes/`."""
+    """Digest of the compiled package in `scenes/` by scene name."""
     episodes: Annotated[int, Field(ge=0)]
-    """Archived so far."""
+    """Number of archived episodes."""
     planned: Annotated[int, Field(ge=1)]
+    """Number of planned episodes."""
     failed_attempts: Annotated[int, Field(ge=0)]
-    """Rows of `attempts.parquet`."""
+    """Number of rows of `attempts.parquet`."""
     complete: bool
     """Whether every planned episode is archived."""
     dataset_digest: Sha256 | None = None
-    """SHA-256 over the content digests of all episodes, once complete."""
+    """SHA-256 over the content digests of all episodes; null until the dataset is complete."""
     renderers: tuple[str, ...] = ()
-    """Every renderer that brought an episode."""
+    """Descriptions of all renderers that drew an episode."""
     software: dict[str, str]
-    """Package versions of the coordinator; each episode has its worker's own."""
+    """Package versions of the coordinator; each episode records those of its worker."""
     git_commit: str | None = None
-    """Of the coordinator's checkout, where it ran from one."""
+    """Commit of the coordinator's checkout; null if it did not run from a checkout."""
     created_at: datetime
+    """Time at which the dataset was created, UTC."""
     updated_at: datetime
+    """Time of the last change, UTC."""
     shared_instances: dict[str, tuple[str, ...]] | None = None
-    """Scene -> seen categories whose instances training and evaluation share, for the scene has too few of them; every
-    other instance is named by one side only. Null where the plan does not keep them apart."""
+    """Seen categories, by scene, that have too few instances to separate training from evaluation; the instances of
+    every other category occur either in training or in evaluation. Null if the plan does not separate instances."""
     gate: tuple[GateOutcome, ...] = ()
-    """Pilots that ran before the plan was handed out; none where the gate was skipped."""
+    """Results of the pilot attempts before the run; empty if the gate was skipped."""
 
 
 def read_dataset_meta(root: Place) -> DatasetMeta:
     """Reads the description of a dataset.
 
     Raises:
-        WorldError: there is none in that directory, or it is of a newer format.
-        ArchiveCorrupt: it cannot be understood.
+        WorldError: the directory contains no dataset, or the dataset has a newer format.
+        ArchiveCorrupt: the description cannot be parsed.
     """
     path = root / META_FILE
     try:
@@ -121,7 +133,7 @@ def _refuse_newer(path: Place, text: str) -> None:
 
 
 def software_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
-    """Returns the versions of those packages that are installed."""
+    """Returns the versions of the installed packages among those given."""
     found: dict[str, str] = {}
     for name in packages:
         try:
@@ -132,7 +144,7 @@ def software_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
 
 
 def git_commit(checkout: Path) -> str | None:
-    """Returns the commit a checkout stands at, or `None` where there is no checkout."""
+    """Returns the commit that a checkout has checked out, or `None` if the directory is not a checkout."""
     git = checkout / ".git"
     try:
         head = (git / "HEAD").read_text(encoding="ascii").strip()

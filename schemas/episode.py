@@ -1,4 +1,4 @@
-"""The metadata of an episode (`meta.json`): all the paper's sidecar lists, and what makes it reproducible."""
+"""Models of an episode's metadata (`meta.json`): the paper's sidecar fields, and provenance. Reads no file."""
 
 from __future__ import annotations
 
@@ -17,81 +17,91 @@ from schemas.terms import EndReason
 __all__ = ["BUNDLE_FORMAT", "MAX_FRAMES", "EpisodeMeta", "Provenance", "Rollout", "Route"]
 
 BUNDLE_FORMAT = 1
-"""Version of the bundle. A reader opens its own version and older ones; a newer one it refuses by name."""
+"""Version of the bundle format. A reader opens its own version and older ones, and rejects newer ones."""
 MAX_FRAMES = 1000
-"""Most steps of an episode."""
+"""Largest number of steps of an episode."""
 _MAX_PATH_POSES = 100_000
 
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 
 
 class Rollout(Model):
-    """What happened, measured in the world frame; every number can be computed again from the arrays."""
+    """Measurements of a rollout in the world frame; each number can be computed from the arrays."""
 
     end_reason: EndReason
+    """Why the rollout ended."""
     num_steps: Annotated[int, Field(ge=1, le=MAX_FRAMES)]
-    """T: number of frames and of actions."""
+    """Number of frames and of actions, T."""
     spawn_pose: tuple[Finite, Finite, Finite]
     """x, y in metres and yaw in radians of base_link at frame 0."""
     spawn_dist_m: NonNegative
-    """Planar distance from the spawn to the target's centroid."""
+    """Planar distance from the spawn to the target's centroid, metres."""
     spawn_draws: Ordinal
-    """Poses tried in physics until one held."""
+    """Number of start poses tested in physics, the accepted one included."""
     trajectory_length_m: NonNegative
-    """TL: sum of planar distances between consecutive poses."""
+    """Trajectory length (TL): sum of planar distances between consecutive poses, metres."""
     final_ne_m: NonNegative
-    """NE: planar distance from the last pose to the target's centroid."""
+    """Navigation error (NE): planar distance from the last pose to the target's centroid, metres."""
     final_ne_3d_m: NonNegative
-    """The same with the height of the centroid (docs/design/task.md#distances)."""
+    """Navigation error with the height of the centroid, metres (docs/design/task.md#distances)."""
     min_ne_m: NonNegative
-    """Smallest planar distance over the episode; oracle progress is made from it."""
+    """Smallest planar distance to the target's centroid over the episode, metres; oracle metrics use it."""
     collision_count: Count
-    """Steps with a contact other than the floor."""
+    """Number of steps with a contact other than the floor."""
     steps_visible: Count
-    """Steps in which the target was visible to the expert."""
+    """Number of steps in which the target was visible to the expert."""
 
 
 class Route(Model):
-    """The way to the target as the scene's floor has it, whatever the expert drove."""
+    """Shortest and planned paths to the target, independent of the driven trajectory."""
 
     geodesic_m: NonNegative | None = None
-    """Length of the shortest way along the floor from the spawn to the success circle, metres; `None` where the
-    floor does not connect them. The l of SPL."""
+    """Length of the shortest path along the floor from the spawn to the success circle, metres; `None` if the floor
+    does not connect them. The l of SPL."""
     planned: Annotated[tuple[tuple[Finite, Finite, Finite], ...], Field(max_length=_MAX_PATH_POSES)] = ()
     """Poses of the planner's path: x, y in metres and yaw in radians of base_link; empty for other experts."""
 
 
 class Provenance(Model):
-    """Where and when the bytes were made; never part of the content digest."""
+    """Time, worker and software of an episode; not part of the content digest."""
 
     created_at: datetime
-    """ISO-8601, UTC."""
+    """Time at which the episode was simulated, ISO 8601, UTC."""
     worker: Line
     """Session id of the worker."""
     fingerprint: Fingerprint
+    """Software and machine of the worker."""
 
 
 class EpisodeMeta(Model):
-    """The whole of `meta.json`."""
+    """Content of `meta.json`."""
 
     format: Count = BUNDLE_FORMAT
+    """Version of the bundle format."""
     episode_id: Name
+    """Name of the episode, e.g. `ep_000001`."""
     job: Job
+    """Job that the episode was made from."""
     target_prim_path: PrimPath
+    """Path of the target's USD prim."""
     target_instance_id: Annotated[int, Field(ge=0, le=MAX_INSTANCES)]
+    """Id of the target in `seg_front`."""
     target_centroid_m: tuple[Finite, Finite, Finite]
-    """Centre of the target's bounding box in the world frame."""
+    """Centre of the target's bounding box in the world frame, metres."""
     phrase_is_unique: bool
-    """Whether category and colour, as said, fit one target of the scene only."""
+    """Whether category and colour, as the instruction names them, match exactly one target of the scene."""
     rollout: Rollout
+    """Measurements of the rollout."""
     route: Route = Route()
+    """Shortest and planned paths."""
     instances: Annotated[tuple[Instance, ...], Field(max_length=MAX_INSTANCES)]
-    """What the ids in `seg_front` mean."""
+    """Instances that the ids in `seg_front` refer to."""
     frame_digests: Annotated[tuple[Digest, ...], Field(max_length=MAX_FRAMES)]
     """XXH3-128 of (rgb, depth, ids) of every frame."""
     content_digest: Digest
     """XXH3-128 over the frame digests, the arrays and the canonical metadata without `provenance`."""
     provenance: Provenance
+    """Time, worker and software of the episode."""
 
     def canonical(self) -> str:
         """Returns the part of the metadata that the content digest covers, as canonical JSON."""

@@ -1,6 +1,6 @@
-"""The error family all packages share: one root, few children, each named for what the caller does next.
+"""Exception classes of all packages: one base class, and a few subclasses that differ in the reaction of the caller.
 
-Never formats for a terminal and never decides an exit code; the CLI maps these classes to codes.
+Does not format errors for a terminal and does not define exit codes; the CLI maps the classes to exit codes.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ __all__ = [
 
 
 class FactoryError(Exception):
-    """Root of every error this product raises on purpose; the message names the remedy."""
+    """Base class of all errors that this product raises deliberately; the message names the remedy."""
 
 
 class UsageError(FactoryError):
-    """The caller asked for something that does not exist or contradicts itself (exit code 2)."""
+    """Invalid request by the caller: a value that does not exist, or values that conflict (exit code 2)."""
 
 
 class WorldError(FactoryError):
-    """The data or the world said no: a full disk, a missing coordinator, a scene without targets (exit code 1)."""
+    """Failure caused by data or environment: full disk, missing coordinator, scene without targets (exit code 1)."""
 
 
 class TransientError(FactoryError):
-    """The outcome is unknown or the other side is away: try again later with the same ids."""
+    """Temporary failure: the outcome is unknown or the peer does not answer; the caller retries with the same ids."""
 
 
 class LeaseLost(FactoryError):
-    """Somebody else owns the job now: drop the work, it is not wanted any more."""
+    """Loss of a lease: another worker holds the job now, and the caller discards its work."""
 
 
 class ArchiveCorrupt(WorldError):
-    """What lies on disk contradicts the ledger or its own digests: run `factory verify --deep`."""
+    """Stored data that contradicts the ledger or its own digests; `factory verify --deep` lists the damage."""
 
 
 class _Findings(WorldError):
-    """An error that carries all findings, not only the first."""
+    """Error that lists all findings, not only the first."""
 
     def __init__(self, what: str, findings: Sequence[str]) -> None:
         self.findings = tuple(findings)
@@ -52,8 +52,8 @@ class _Findings(WorldError):
 
 
 class InvalidBundle(_Findings):
-    """A bundle breaks the format or the laws of motion; carries every violation found."""
+    """Bundle that violates the format or the limits of motion; lists every violation."""
 
 
 class InvalidPlan(_Findings, UsageError):
-    """A plan contradicts itself or requires what its scenes do not have; carries every mistake with its key."""
+    """Plan that contradicts itself or its scenes; lists every mistake with its key."""

@@ -1,4 +1,4 @@
-"""What software and machine made an episode; recorded beside it, outside the content digest."""
+"""Model of the software and machine that made an episode; recorded in its provenance, outside the content digest."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _Word = Annotated[str, StringConstraints(max_length=200)]
 
 
 class Fingerprint(Model):
-    """Versions and machine traits that can shape the last bit of a frame (docs/design/reproducibility.md#machines)."""
+    """Versions and machine properties that may affect the bits of a frame (docs/design/reproducibility.md#machines)."""
 
     software: Annotated[dict[_Word, _Word], Field(max_length=64)]
-    """Package name -> version of all that touches the bytes, our own included."""
+    """Versions, by package name, of all software that affects the recorded bytes, this product included."""
     renderer: Line
-    """The renderer's own description, e.g. the GL renderer string."""
+    """Description that the renderer gives of itself, e.g. the GL renderer string."""
     cpu: Line
     """CPU model name and machine type."""

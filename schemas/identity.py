@@ -1,4 +1,4 @@
-"""Who may speak: roles and names of hosts, the files of a TLS folder, the list of those admitted. Touches no path."""
+"""Identity of hosts: roles, host names, the files of a TLS folder, and the list of admitted hosts. Opens no file."""
 
 from __future__ import annotations
 
@@ -28,49 +28,51 @@ __all__ = [
 
 CA_FILE, CERTIFICATE_FILE, KEY_FILE, NAME_FILE = "ca.pem", "host.pem", "host.key", "name.txt"
 ADMITTED_FILE = "hosts.txt"
-"""Beside a coordinator's certificate: whom it lets in."""
+"""File beside a coordinator's certificate that lists the admitted hosts."""
 _HOST_NAME = re.compile(HOST_PATTERN)
 
 
 class Role(StrEnum):
-    """What a certificate is for."""
+    """Role that a certificate grants to a host."""
 
     WORKER = "worker"  # claims jobs under its own name and serves its own spool
-    OPERATOR = "operator"  # asks for progress, retries and cancels
-    GATEWAY = "gateway"  # listens to workers, vouches for them to its coordinator, and archives what they bring
-    EVALUATOR = "evaluator"  # borrows a coordinator's workers for evaluations, and listens to nobody itself
-    COORDINATOR = "coordinator"  # listens; nobody else may pass for it
+    OPERATOR = "operator"  # requests progress, retries and cancellations
+    GATEWAY = "gateway"  # accepts workers, authenticates them to its coordinator, and archives their bundles
+    EVALUATOR = "evaluator"  # uses a coordinator's workers for evaluations, and accepts no connections
+    COORDINATOR = "coordinator"  # accepts connections; no other role may act as coordinator
 
 
 class TlsFiles(NamedTuple):
-    """Where one side's TLS files lie."""
+    """Paths of the TLS files of one host."""
 
     ca: Path
     """Certificate of the authority that both sides trust."""
     certificate: Path
+    """Certificate of this host."""
     key: Path
+    """Private key of this host."""
     name: Path
-    """One line: the common name in the certificate."""
+    """File with one line, the common name in the certificate."""
     admitted: Path
-    """Of a coordinator or gateway only."""
+    """List of admitted hosts, of a coordinator or gateway only."""
 
 
 def tls_files(folder: Path) -> TlsFiles:
-    """Returns where the files of a TLS folder lie, as `factory keys host` makes it."""
+    """Returns the paths of the files in a TLS folder that `factory keys host` created."""
     names = (CA_FILE, CERTIFICATE_FILE, KEY_FILE, NAME_FILE, ADMITTED_FILE)
     return TlsFiles(*(folder / name for name in names))
 
 
 def is_host_name(name: str) -> bool:
-    """Whether a host may be called so: a dot would let one host's sessions look like another's."""
+    """Returns whether a host name is valid; it has no dot, because a dot separates host and session in a session id."""
     return _HOST_NAME.fullmatch(name) is not None
 
 
 def require_host_name(name: str) -> str:
-    """Returns the name.
+    """Returns the name if it is a valid host name.
 
     Raises:
-        UsageError: no host can be called so.
+        UsageError: the name is not valid.
     """
     if not is_host_name(name):
         raise UsageError(
@@ -80,14 +82,14 @@ def require_host_name(name: str) -> str:
 
 
 def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]:
-    """Reads `hosts.txt`: one `NAME ROLE` a line, the role `worker` when left out; `#` begins a remark.
+    """Parses `hosts.txt`: one `NAME ROLE` per line; the default role is `worker`, and `#` starts a comment.
 
     Args:
-        text: of the file.
-        of_gateway: whether coordinators may be named: a gateway must know whom to believe, nobody else believes any.
+        text: content of the file.
+        of_gateway: whether the file belongs to a gateway; only a gateway admits coordinators.
 
     Raises:
-        UsageError: a line cannot be understood.
+        UsageError: a line is not valid.
     """
     known = [role for role in Role if of_gateway or role is not Role.COORDINATOR]
     found: dict[str, Role] = {}
@@ -103,6 +105,6 @@ def parse_admitted(text: str, *, of_gateway: bool = False) -> Mapping[str, Role]
 
 
 def spell_admitted(admitted: Mapping[str, Role]) -> str:
-    """Writes `hosts.txt`."""
+    """Returns the content of `hosts.txt` for the admitted hosts."""
     lines = [f"{name} {role}" for name, role in sorted(admitted.items())]
     return "\n".join(["# Who may connect; a host whose line is removed is out within seconds.", *lines, ""])

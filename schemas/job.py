@@ -1,4 +1,4 @@
-"""A job as a worker receives it: everything needed to simulate one attempt, nothing about leases."""
+"""Model of a job as a worker receives it: all inputs of one attempt. Contains nothing about leases."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from schemas.base import Bytes, Count, Line, Model, Name, Ordinal, Sha256
+from schemas.base import Bytes, Count, Line, Ordinal, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.episode_spec import EpisodeSpec
 from schemas.plan import MAX_EPISODES
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import ExpertName
 
 __all__ = ["EPISODE_ID_FORMAT", "Job", "episode_id"]
 
@@ -18,51 +19,51 @@ EPISODE_ID_FORMAT = "ep_{:06d}"
 
 
 def episode_id(index: int) -> str:
-    """Returns the name of an episode; indices start at 1, as in the published data."""
+    """Returns the name of the episode with an index; indices start at 1, as in the published data."""
     return EPISODE_ID_FORMAT.format(index)
 
 
-class Job(Model):
+class Job(EpisodeSpec):
     """One attempt at one planned episode; a pure function of plan, scene, index and attempt."""
 
     run: Line
-    """Name of the run the job belongs to."""
+    """Name of the run that the job belongs to."""
     plan_digest: Sha256
+    """Digest of the plan."""
     root_seed: Annotated[int, Field(ge=0, lt=2**63)]
+    """Root seed of the run."""
     index: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
     """Number of the episode in the plan, from 1."""
     draw: Count
-    """How often target and template were drawn anew because the former ones were hopeless."""
+    """Number of times that target and template were drawn again after too many failed attempts."""
     attempt: Ordinal
-    """Number of the attempt over all draws, from 1; rises only when the world said no."""
-    scene: Name
+    """Number of the attempt over all draws, from 1; increases only after a failure of the task."""
     scene_sha256: Sha256
     """Digest of the compiled package."""
     scene_bytes: Annotated[Bytes, Field(ge=1)]
-    """Size of the compiled package."""
-    tier: Tier
-    split: Split
-    category: Name
-    target_id: Name
-    colour: Name
-    """Colour word that the instruction may use, or `unknown`."""
-    template_id: Name
-    instruction: Line
+    """Size of the compiled package, bytes."""
     expert: ExpertName
+    """Controller that drives."""
     task: TaskConfig
+    """Parameters of the task."""
     robot: RobotConfig
+    """Parameters of the robot."""
     camera: CameraConfig
+    """Parameters of the camera."""
     spawn: SpawnConfig
+    """Parameters of the spawn."""
     gains: ExpertConfig
+    """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
+    """Parameters of the planner expert."""
 
     @property
     def episode_id(self) -> str:
-        """`ep_000001` and so on."""
+        """Name of the episode, e.g. `ep_000001`."""
         return episode_id(self.index)
 
     def rng(self) -> np.random.Generator:
-        """Returns the attempt's generator, seeded by (root seed, index, attempt).
+        """Returns the random generator of the attempt, seeded with (root seed, index, attempt).
 
         Design: docs/design/reproducibility.md#seeds.
         """

@@ -1,4 +1,4 @@
-"""Key expressions of the protocol: who answers where (docs/design/protocol.md#keys). Builds strings, opens nothing."""
+"""Builds and parses the key expressions of the protocol (docs/design/protocol.md#keys). Opens no session."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ __all__ = [
 ]
 
 MAX_CHUNK_BYTES = MAX_MESSAGE_BYTES
-"""Most bytes of a file that one reply carries."""
+"""Largest part of a file in one reply, bytes."""
 EVALUATION_PREFIX = "eval_"
-"""How the name of an evaluation's run begins."""
+"""Prefix of the name of an evaluation's run."""
 EVALUATION_RUNS = f"{EVALUATION_PREFIX}$*"
-"""In the place of a run: every evaluation's."""
+"""Key expression that matches the runs of all evaluations."""
 
 
 class Verb(StrEnum):
-    """What may be asked of the coordinator."""
+    """Requests that a coordinator serves."""
 
     HELLO = "hello"
     CLAIM = "claim"
@@ -50,9 +50,9 @@ class Verb(StrEnum):
     FAIL = "fail"
     PROGRESS = "progress"
     ADMIN = "admin"
-    PING = "ping"  # says that a coordinator is there, and nothing of its run
+    PING = "ping"  # checks that a coordinator answers, without information about its run
 
-    JOIN = "join"  # from here on what gateways ask
+    JOIN = "join"  # this verb and those below are sent by gateways
     ORDERS = "orders"
     HOLD = "hold"
     ARCHIVED = "archived"
@@ -61,18 +61,23 @@ class Verb(StrEnum):
 
 
 class Chunk(NamedTuple):
-    """Which bytes of a file are asked for."""
+    """Requested range of a file."""
 
     offset: int
+    """First byte of the range."""
     length: int
+    """Number of bytes."""
 
 
 class BundleChunk(NamedTuple):
-    """Which bytes of which spooled bundle are asked for."""
+    """Requested range of a spooled bundle."""
 
     job_id: int
+    """Row of the job in the ledger."""
     fence: int
+    """Fence of the lease."""
     chunk: Chunk
+    """Range of the file."""
 
 
 def _root(run: str) -> str:
@@ -80,44 +85,44 @@ def _root(run: str) -> str:
 
 
 def verb_key(run: str, host: str, verb: Verb) -> str:
-    """Key of one verb as asked by one host; the host stands in the key so that a certificate can bind it."""
+    """Returns the key of a verb for one host; the key contains the host, so that access control can check it."""
     return f"{_root(run)}/c/{host}/{verb}"
 
 
 def verb_pattern(run: str) -> str:
-    """What the coordinator answers."""
+    """Returns the pattern of all keys that a coordinator serves."""
     return f"{_root(run)}/c/*/*"
 
 
 def any_hello_key(host: str, verb: Verb = Verb.HELLO) -> str:
-    """Key by which a client that does not know the run yet finds it."""
+    """Returns the key that a client uses to find a run whose name it does not know."""
     return verb_key("*", host, verb)
 
 
 def bundle_key(run: str, sid: str) -> str:
-    """Where a worker serves chunks of its spool."""
+    """Returns the key under which a worker serves chunks of its spool."""
     return f"{_root(run)}/w/{sid}/ep"
 
 
 def alive_key(run: str, sid: str) -> str:
-    """Liveliness token of a worker."""
+    """Returns the key of a worker's liveliness token."""
     return f"{_root(run)}/w/{sid}/alive"
 
 
 def alive_pattern(run: str) -> str:
-    """All liveliness tokens of the run."""
+    """Returns the pattern of all liveliness tokens of the run."""
     return f"{_root(run)}/w/*/alive"
 
 
 def sid_of_alive_key(key: str) -> str:
-    """Returns the worker's session id in the key of its token."""
+    """Returns the worker's session id from the key of its liveliness token."""
     return key.split("/")[-2]
 
 
 def sid_belongs_to(sid: str, host: str) -> bool:
-    """Whether a worker of that host may call itself so: `HOST` or `HOST.` and whatever tells its starts apart.
+    """Returns whether a session id belongs to a host: it is `HOST`, or `HOST.` and a suffix for each start.
 
-    A host's name has no dot, so that no host's sessions look like another's, whatever the two are called.
+    A host name has no dot, so a session id belongs to one host only.
     """
     return "." not in host and (sid == host or sid.startswith(f"{host}."))
 
@@ -128,31 +133,31 @@ def host_of(sid: str) -> str:
 
 
 def scene_key(run: str, sha256: str) -> str:
-    """Where the coordinator serves chunks of a compiled scene."""
+    """Returns the key under which the coordinator serves chunks of a compiled scene."""
     return f"{_root(run)}/scene/{sha256}"
 
 
 def scene_pattern(run: str) -> str:
-    """All compiled scenes of the run."""
+    """Returns the pattern of all compiled scenes of the run."""
     return scene_key(run, "*")
 
 
 def scene_selector(run: str, sha256: str, chunk: Chunk) -> str:
-    """Asks for a chunk of a compiled scene; the answer is shorter than asked only at the end of the file."""
+    """Returns the selector of a chunk of a compiled scene; the reply is shorter only at the end of the file."""
     return f"{scene_key(run, sha256)}?off={chunk.offset};n={chunk.length}"
 
 
 def bundle_selector(run: str, sid: str, lease: Lease, chunk: Chunk) -> str:
-    """Asks for a chunk of the bundle that waits in a worker's spool under a lease."""
+    """Returns the selector of a chunk of the bundle that a worker's spool holds under a lease."""
     where = f"job={lease.job_id};fence={lease.fence};off={chunk.offset};n={chunk.length}"
     return f"{bundle_key(run, sid)}?{where}"
 
 
 def parse_chunk(parameters: Mapping[str, str]) -> Chunk:
-    """Reads `off` and `n` of a selector.
+    """Parses `off` and `n` of a selector.
 
     Raises:
-        ValueError: one is missing, no number, negative, or `n` is above `MAX_CHUNK_BYTES`.
+        ValueError: a parameter is missing, not a number or negative, or `n` is not in 1..`MAX_CHUNK_BYTES`.
     """
     offset, length = _number(parameters, "off"), _number(parameters, "n")
     if not 0 < length <= MAX_CHUNK_BYTES:
@@ -161,10 +166,10 @@ def parse_chunk(parameters: Mapping[str, str]) -> Chunk:
 
 
 def parse_bundle_chunk(parameters: Mapping[str, str]) -> BundleChunk:
-    """Reads the selector of a bundle's chunk.
+    """Parses the selector of a bundle's chunk.
 
     Raises:
-        ValueError: a number is missing or out of bounds.
+        ValueError: a parameter is missing or out of bounds.
     """
     return BundleChunk(_number(parameters, "job"), _number(parameters, "fence"), parse_chunk(parameters))
 

@@ -1,4 +1,4 @@
-"""Instruction templates and how a category is said in English (paper Table III); pure text, no drawing of chances."""
+"""Instruction templates and the English names of categories (paper Table III). Makes no random choice."""
 
 from __future__ import annotations
 
@@ -59,32 +59,32 @@ TEMPLATES = MappingProxyType({**TRAIN_TEMPLATES, **OOD_TEMPLATES})
 
 
 def needs_colour(template_id: str) -> bool:
-    """Whether the template has a colour slot."""
+    """Returns whether a template has a colour slot."""
     return "{color}" in TEMPLATES[template_id]
 
 
 def templates_for(split: Split, colour: str) -> tuple[str, ...]:
-    """Returns the template ids a split may use for a target of this colour, in the paper's order.
+    """Returns the ids of the templates that a split may use for a target of this colour, in the paper's order.
 
     Args:
-        split: decides the pool.
-        colour: a colour word, or `unknown`, which leaves out the templates with a colour slot.
+        split: split of the episode, which selects training or paraphrased templates.
+        colour: a colour word, or `unknown`, which excludes the templates with a colour slot.
     """
     pool = OOD_TEMPLATES if split is Split.TEST_PARAPHRASE_OOD else TRAIN_TEMPLATES
     return tuple(key for key in pool if colour != "unknown" or not needs_colour(key))
 
 
 def say_category(category: str) -> str:
-    """Returns the category as it is said: `trash_can` becomes `trash can`."""
+    """Returns the English name of a category: `trash can` for `trash_can`."""
     return category.replace("_", " ")
 
 
 def instruction(template_id: str, category: str, colour: str) -> str:
-    """Fills a template.
+    """Returns the instruction that a template gives for a category and a colour.
 
     Raises:
-        KeyError: no template of that name.
-        ValueError: the template names a colour and the colour is unknown.
+        KeyError: no template has that id.
+        ValueError: the template has a colour slot and the colour is unknown.
     """
     if colour == "unknown" and needs_colour(template_id):
         raise ValueError(f"template {template_id} names a colour, but the target's colour is unknown")

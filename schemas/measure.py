@@ -1,6 +1,6 @@
-"""The numbers that poses alone give: trajectory length, navigation error, start. Pure; one place for the formulas.
+"""Computes the measures of a trajectory from its poses: start, trajectory length, navigation error.
 
-The rollout writes them, the validator computes them again, evaluation compares them.
+Rollout, validation and evaluation share these formulas. Pure functions without input or output.
 """
 
 from __future__ import annotations
@@ -17,25 +17,30 @@ __all__ = ["TrackMeasure", "measure_track", "yaw_of"]
 
 
 class TrackMeasure(NamedTuple):
-    """Measures of one track, planar unless said otherwise (paper Sec. V; docs/design/task.md#distances)."""
+    """Measures of one trajectory, planar except for `final_ne_3d_m` (paper Sec. V; docs/design/task.md#distances)."""
 
     spawn_pose: tuple[float, float, float]
     """x, y in metres and yaw in radians of the first pose."""
     spawn_dist_m: float
+    """Distance from the first pose to the target's centroid, metres."""
     trajectory_length_m: float
+    """Trajectory length (TL): sum of distances between consecutive poses, metres."""
     final_ne_m: float
+    """Navigation error (NE): distance from the last pose to the target's centroid, metres."""
     final_ne_3d_m: float
+    """Navigation error with the height of the centroid, metres."""
     min_ne_m: float
+    """Smallest distance to the target's centroid, metres."""
 
 
 def yaw_of(poses: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Returns the (T,) headings in radians of (T, 7) poses x, y, z, qw, qx, qy, qz."""
+    """Returns the headings (T,) of poses (T, 7) x, y, z, qw, qx, qy, qz, radians."""
     w, x, y, z = poses[:, 3:].astype(np.float64).T
     return portable.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def measure_track(poses: NDArray[np.float32], centroid_m: tuple[float, float, float]) -> TrackMeasure:
-    """Measures a track of (T, 7) poses against a target's centroid, both in the world frame."""
+    """Returns the measures of a track of (T, 7) poses and a target's centroid, both in the world frame, metres."""
     track = poses[:, :3].astype(np.float64)
     to_goal = np.linalg.norm(track[:, :2] - np.asarray(centroid_m[:2]), axis=1)
     steps = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)

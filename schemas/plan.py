@@ -1,6 +1,6 @@
-"""A plan: how many episodes of which scenes, in which shares, driven by whom. What a user writes as TOML.
+"""Model of a plan, which a user writes as TOML: scenes, numbers of episodes, tiers, splits, expert and parameters.
 
-Checks each field by itself and the shares against each other; what the scenes hold is checked at expansion.
+Validates each field and the sum of the shares. Does not check the content of the scenes; plan expansion does.
 """
 
 from __future__ import annotations
@@ -39,44 +39,45 @@ PAPER_SPLITS = MappingProxyType(
     }
 )
 _LATER_KEYS = frozenset({"rules", "targets", "allow_outside", "tiers", "splits", "disjoint_instances"})
-"""Keys that were added later; a plan that does not use them keeps its digest, and so its datasets."""
+"""Keys added after the first version; they are omitted from the digest if unused, so that older digests stay valid."""
 Shares = Mapping[Tier, float] | Mapping[Split, float]
 
 
 class ScenePlan(Model):
-    """One scene's part of a plan."""
+    """Entry of a plan for one scene."""
 
     usd: str | None = None
-    """Path of an own scene's root layer; relative paths start at the plan file."""
+    """Path of the root layer of a custom scene, relative to the plan file; null for a built-in scene."""
     name: Name
-    """A built-in scene, or the name under which an own scene appears in the dataset."""
+    """Name of a built-in scene, or the name of a custom scene in the dataset."""
     episodes: Annotated[int, Field(ge=1, le=MAX_EPISODES)]
+    """Number of episodes in this scene."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Layout seed of a built-in scene."""
     seen: tuple[Name, ...] = ()
-    """Categories of the in-distribution splits; empty takes the paper's table."""
+    """Categories of the in-distribution splits; empty selects those of the paper."""
     held_out: tuple[Name, ...] = ()
-    """Categories only `test_ood_obj` names; empty takes the paper's table."""
+    """Categories of the split `test_ood_obj` only; empty selects those of the paper."""
     rules: str | None = None
-    """Path of an own table of category rules; relative paths start at the plan file."""
+    """Path of a custom table of category rules, relative to the plan file."""
     targets: str | None = None
-    """Path of an edited `targets_<scene>.yaml`; relative paths start at the plan file."""
+    """Path of an edited `targets_<scene>.yaml`, relative to the plan file."""
     allow_outside: bool = False
-    """Whether an own scene's textures may lie outside of its folder."""
+    """Whether textures of a custom scene may be stored outside its folder."""
 
     tiers: dict[Tier, Fraction] = Field(default_factory=dict)
-    """Shares of this scene's tiers; empty takes the plan's."""
+    """Fraction of episodes in each tier of this scene; empty selects the plan's fractions."""
     splits: dict[Split, Fraction] = Field(default_factory=dict)
-    """Shares of this scene's splits; empty takes the plan's."""
+    """Fraction of episodes in each split of this scene; empty selects the plan's fractions."""
 
     @model_serializer(mode="wrap")
-    def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
-        data: dict[str, object] = spell(self)
+    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = serialize(self)
         return {key: value for key, value in data.items() if value or key not in _LATER_KEYS}
 
     @property
     def categories(self) -> SceneCategories:
-        """The seen and held-out categories in force."""
+        """Seen and held-out categories that apply to this scene."""
         table = BUILTIN_CATEGORIES.get(self.name, SceneCategories((), ())) if self.usd is None else None
         seen, held_out = table or SceneCategories((), ())
         return SceneCategories(self.seen or seen, self.held_out or held_out)
@@ -111,43 +112,55 @@ class ScenePlan(Model):
 
 
 class Budget(Model):
-    """How long to insist on an episode (docs/design/jobs.md#draws-and-budgets)."""
+    """Limits on the attempts for one episode (docs/design/jobs.md#draws-and-budgets)."""
 
     attempts_per_draw: Annotated[int, Field(ge=1, le=1000)] = 6
-    """World failures after which a target is given up and the cell is drawn anew."""
+    """Number of task failures after which target and template are drawn again."""
     draws: Annotated[int, Field(ge=1, le=1000)] = 40
-    """Draws after which an episode is given up."""
+    """Number of draws after which the episode has failed."""
     crashes: Annotated[int, Field(ge=1, le=100)] = 3
-    """Worker processes a job may kill before it is quarantined."""
+    """Number of worker processes that a job may crash before it is quarantined."""
 
 
 class Plan(Model):
-    """The whole plan; its digest names the run."""
+    """Plan of a run; its digest is part of the name of the run."""
 
     name: Name
+    """Name of the plan."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 42
-    """Root of every random choice."""
+    """Root seed of the run."""
     scenes: Annotated[tuple[ScenePlan, ...], Field(min_length=1)]
+    """Scenes of the run."""
     tiers: dict[Tier, Fraction] = Field(default_factory=lambda: dict(PAPER_TIERS))
+    """Fraction of episodes in each tier."""
     splits: dict[Split, Fraction] = Field(default_factory=lambda: dict(PAPER_SPLITS))
+    """Fraction of episodes in each split."""
     expert: ExpertName = ExpertName.PROPORTIONAL
+    """Controller that drives."""
     colors: Literal["on", "off"] = "on"
-    """`off` gives the paper's v1 behaviour: every colour unknown, no colour templates."""
+    """Whether instructions may name colours; `off` is the paper's v1: every colour unknown, no colour templates."""
     balance: Literal["instances", "categories"] = "instances"
-    """What is drawn evenly: the target instances (as the paper) or the categories first."""
+    """Uniform choice over the target instances (as in the paper), or over the categories first."""
     disjoint_instances: bool = False
-    """Whether training and the seen categories' evaluation name different instances where a scene has enough."""
+    """Whether training and the evaluation of seen categories use different instances if a scene has enough of them."""
     budget: Budget = Budget()
+    """Limits on the attempts for one episode."""
     task: TaskConfig = TaskConfig()
+    """Parameters of the task."""
     robot: RobotConfig = RobotConfig()
+    """Parameters of the robot."""
     camera: CameraConfig = CameraConfig()
+    """Parameters of the camera."""
     spawn: SpawnConfig = SpawnConfig()
+    """Parameters of the spawn."""
     gains: ExpertConfig = ExpertConfig()
+    """Gains of the proportional controller."""
     planner: PlannerConfig = PlannerConfig()
+    """Parameters of the planner expert."""
 
     @model_serializer(mode="wrap")
-    def _leave_out_unused(self, spell: SerializerFunctionWrapHandler) -> dict[str, object]:
-        data: dict[str, object] = spell(self)
+    def _leave_out_unused(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = serialize(self)
         return data if data.get("disjoint_instances") else {k: v for k, v in data.items() if k != "disjoint_instances"}
 
     @model_validator(mode="after")
@@ -162,7 +175,7 @@ class Plan(Model):
             if abs(sum(shares.values()) - 1) > 1e-6
         ]
         names = [scene.name for scene in self.scenes]
-        mistakes += [f"scenes: {name!r} stands twice" for name in sorted({n for n in names if names.count(n) > 1})]
+        mistakes += [f"scenes: {name!r} is listed twice" for name in sorted({n for n in names if names.count(n) > 1})]
         mistakes += [
             f"scenes: {scene.name!r} has no held-out category, but splits.test_ood_obj is above 0"
             for scene in self.scenes
@@ -175,19 +188,19 @@ class Plan(Model):
         return self
 
     def tiers_of(self, scene: ScenePlan) -> Mapping[Tier, float]:
-        """Returns the shares of tiers in force in a scene."""
+        """Returns the fractions of tiers that apply to a scene."""
         return scene.tiers or self.tiers
 
     def splits_of(self, scene: ScenePlan) -> Mapping[Split, float]:
-        """Returns the shares of splits in force in a scene."""
+        """Returns the fractions of splits that apply to a scene."""
         return scene.splits or self.splits
 
     def tier_share(self, tier: Tier) -> float:
-        """Returns what share of all episodes a tier is asked to have, over scenes with shares of their own."""
+        """Returns the requested fraction of all episodes in a tier, over all scenes."""
         return sum(scene.episodes * self.tiers_of(scene).get(tier, 0.0) for scene in self.scenes) / self.episodes
 
     def split_share(self, split: Split) -> float:
-        """Returns what share of all episodes a split is asked to have, over scenes with shares of their own."""
+        """Returns the requested fraction of all episodes in a split, over all scenes."""
         return sum(scene.episodes * self.splits_of(scene).get(split, 0.0) for scene in self.scenes) / self.episodes
 
     @property
@@ -197,13 +210,13 @@ class Plan(Model):
 
     @functools.cached_property
     def digest(self) -> str:
-        """SHA-256 of the canonical JSON of the plan; two plans with one digest ask for the same dataset."""
-        # kept, because it is asked for with every job that is given out; read anew, so that 1 and 1.0 are one number
-        spelled = canonical_json(Plan.model_validate_json(self.model_dump_json()))
-        return hashlib.sha256(spelled.encode()).hexdigest()
+        """SHA-256 of the canonical JSON of the plan; plans with equal digests describe the same dataset."""
+        # cached, because every claimed job needs it; parsed again, so that 1 and 1.0 give one digest
+        text = canonical_json(Plan.model_validate_json(self.model_dump_json()))
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Returns a copy with other values; the digest that is kept is not theirs."""
+        """Returns a copy with other values, without the cached digest."""
         copy = super().model_copy(update=update, deep=deep)
         copy.__dict__.pop("digest", None)
         return copy
@@ -215,6 +228,6 @@ class Plan(Model):
 
 
 def canonical_json(model: Model, exclude: set[str] | None = None) -> str:
-    """Returns the model as JSON with sorted keys and no spaces, fit for hashing."""
+    """Returns the model as JSON with sorted keys and no spaces, suitable for hashing."""
     data = model.model_dump(mode="json", exclude=exclude)
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)

@@ -1,6 +1,6 @@
-"""The compiled scene: all a worker needs to simulate and render a place, in one content-hashed file.
+"""Compiled scenes: models, array specs and codec of the package that a worker simulates and renders.
 
-Owns the models, the array specs and the byte codec of the package; compiling one is the work of `factory.scenes`.
+Does not compile scenes; `factory.scenes` does.
 """
 
 from __future__ import annotations
@@ -36,13 +36,15 @@ __all__ = [
 ]
 
 SCENE_FORMAT = 2
-"""Version of the compiled package; a reader refuses every other."""
+"""Version of the compiled package; a reader rejects every other version."""
 TEXTURE_SIZE_PX = 512
+"""Width and height of a texture, pixels."""
 MAX_LIGHT_MAP_PX = 2048
-"""Longest side of a light map."""
+"""Largest width and height of a light map, pixels."""
 MAX_INSTANCES = 65535
-"""Ids that the id image has room for."""
+"""Largest instance id, which the 16-bit id image limits."""
 MAX_SCENE_BYTES = 512 << 20
+"""Largest size of a package and of each of its members, bytes."""
 _LIMITS = ContainerLimits(members=64, member_bytes=MAX_SCENE_BYTES)
 
 Vector3 = tuple[Finite, Finite, Finite]
@@ -50,24 +52,27 @@ Tiers = Annotated[tuple[Tier, ...], Field(max_length=len(Tier))]
 
 
 class Instance(Model):
-    """One thing that the id image can show."""
+    """Object that the id image can show."""
 
     id: Annotated[int, Field(ge=1, le=MAX_INSTANCES)]
-    """The value in `seg_front`."""
+    """Value of its pixels in `seg_front`."""
     prim_path: PrimPath
     """Path of the USD prim."""
     category: Name | None = None
-    """One of the scene's categories, or `None` for walls, floors and clutter."""
+    """Category of the object, or `None` for walls, floors and clutter."""
 
 
 class Target(Model):
-    """An object that can be named in an instruction and reached (docs/design/scenes.md#targets)."""
+    """Object that an instruction can name and the robot can reach (docs/design/scenes.md#targets)."""
 
     target_id: Name
     """Stable name within the scene, e.g. `chair_007`."""
     category: Name
+    """Category of the target."""
     instance_id: Annotated[int, Field(ge=1, le=MAX_INSTANCES)]
+    """Value of its pixels in `seg_front`."""
     prim_path: PrimPath
+    """Path of the USD prim."""
     centroid_m: Vector3
     """Centre of the bounding box in the world frame, metres."""
     size_m: Vector3
@@ -75,41 +80,48 @@ class Target(Model):
     colour: Name = "unknown"
     """Dominant colour name, or `unknown`."""
     straight_tiers: Tiers = ()
-    """Tiers with a start pose from which the straight line to the success circle is free."""
+    """Tiers that have a start pose with a free straight line to the success circle."""
     connected_tiers: Tiers = ()
-    """Tiers with a start pose from which the success circle can be driven to."""
+    """Tiers that have a start pose from which the success circle is reachable."""
 
     @property
     def taken_m(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Lower and upper corner x, y of what it takes up of the floor, where no episode starts; metres."""
+        """Lower and upper corner x, y of the floor area that the target covers, where no episode starts, metres."""
         (x, y, _), (width, depth, _) = self.centroid_m, self.size_m
         return (x - width / 2, y - depth / 2), (x + width / 2, y + depth / 2)
 
 
 class SceneInfo(Model):
-    """The JSON part of the package."""
+    """JSON metadata of a compiled package."""
 
     format: Count = SCENE_FORMAT
+    """Version of the compiled package."""
     name: Name
+    """Name of the scene."""
     source: Text
-    """What was compiled, in words: `built-in office, seed 0` or the file name of a USD stage."""
+    """Description of the source: `built-in office, seed 0` or the file name of a USD stage."""
     source_sha256: Line
-    """Digest of all that went in: layers, textures, rules, compiler version."""
+    """Digest of all inputs of the compiler: layers, textures, rules, compiler version."""
     metres_per_unit: Positive
-    """Of the source stage; everything in the package is in metres, z up."""
+    """Length unit of the source stage, metres; all values in the package are in metres, z up."""
     bounds_m: tuple[Vector3, Vector3]
-    """Lower and upper corner of the visible geometry."""
+    """Lower and upper corner of the visible geometry, metres."""
     grid_origin_m: tuple[Finite, Finite]
-    """World x, y of the outer corner of grid cell (0, 0)."""
+    """World x, y of the outer corner of grid cell (0, 0), metres."""
     grid_resolution_m: Positive = 0.05
+    """Side of a grid cell, metres."""
     targets: Annotated[tuple[Target, ...], Field(max_length=MAX_INSTANCES)]
+    """Targets of the scene."""
     instances: Annotated[tuple[Instance, ...], Field(max_length=MAX_INSTANCES)]
+    """All objects that the id image can show."""
     texture_count: Annotated[int, Field(ge=0, le=64)] = 0
+    """Number of texture layers."""
     floor_height_m: Finite = 0.0
+    """z of the floor in the world frame, metres."""
     free_area_m2: NonNegative = 0.0
-    """Area of the connected floor on which the robot can stand."""
+    """Area of the connected floor that the robot can occupy, square metres."""
     notes: Annotated[tuple[Text, ...], Field(max_length=100_000)] = ()
-    """What the importer had to skip or guess, one line each."""
+    """Warnings of the importer about skipped or estimated properties, one line each."""
 
     @model_validator(mode="after")
     def _targets_are_instances(self) -> SceneInfo:
@@ -120,12 +132,20 @@ class SceneInfo(Model):
         return self
 
     def target(self, target_id: str) -> Target:
-        """Returns a target by its name; `KeyError` when the scene has none of that name."""
+        """Returns the target of that name.
+
+        Raises:
+            KeyError: the scene has no target of that name.
+        """
         return next_or_raise(self.targets, target_id)
 
 
 def next_or_raise(targets: tuple[Target, ...], target_id: str) -> Target:
-    """Returns the target of that name or raises `KeyError`."""
+    """Returns the target of that name.
+
+    Raises:
+        KeyError: no target has that name.
+    """
     for target in targets:
         if target.target_id == target_id:
             return target
@@ -134,24 +154,25 @@ def next_or_raise(targets: tuple[Target, ...], target_id: str) -> Target:
 
 @dataclass(frozen=True)
 class CompiledScene:
-    """A place ready to simulate: world frame in metres, z up, floor at `info.floor_height_m`.
+    """Scene ready for simulation: world frame in metres, z up, floor at `info.floor_height_m`.
 
-    Vertices are un-welded: every three consecutive rows of `positions` are one triangle, counter-clockwise seen
-    from outside. A part is a run of triangles that share instance and texture; parts are the unit of culling.
+    Triangles do not share vertices: every three consecutive rows of `positions` are one triangle, counter-clockwise
+    seen from outside. A part is a range of triangles with one instance and one texture; parts are the unit of culling.
     """
 
     info: SceneInfo
+    """Metadata of the scene."""
     positions: NDArray[np.float32]
-    """(V, 3) metres."""
+    """(V, 3) vertex positions, metres."""
     uvs: NDArray[np.float32]
     """(V, 2) texture coordinates, repeating; v = 0 is the bottom row of the texture."""
     colours: NDArray[np.uint8]
-    """(V, 3) sRGB; multiplies the texture."""
+    """(V, 3) vertex colours, sRGB; they multiply the texture."""
     light_uvs: NDArray[np.float32]
-    """(V, 2) place in the light map, 0..1; (0, 2) in a scene without one."""
+    """(V, 2) coordinates in the light map, 0..1; (0, 2) in a scene without light map."""
     light_map: NDArray[np.uint8]
-    """(H, W, 3) baked light, gamma-encoded like sRGB, 255 is full light; multiplies the colours; v = 0 is the edge of
-    row 0. (0, 0, 3) in a scene without light, which is shown at full brightness."""
+    """(H, W, 3) baked light, gamma-encoded like sRGB, 255 is full light; it multiplies the colours; v = 0 is the edge
+    of row 0. (0, 0, 3) in a scene without light map, which is rendered at full brightness."""
     part_first: NDArray[np.int32]
     """(P,) first vertex of each part."""
     part_count: NDArray[np.int32]
@@ -159,19 +180,19 @@ class CompiledScene:
     part_instance: NDArray[np.uint16]
     """(P,) instance id of each part."""
     part_texture: NDArray[np.int16]
-    """(P,) layer in `textures`, or -1 for plain colour."""
+    """(P,) layer in `textures` of each part, or -1 for a part without texture."""
     textures: NDArray[np.uint8]
-    """(L, 512, 512, 3) sRGB, top row first."""
+    """(L, 512, 512, 3) textures, sRGB, top row first."""
     collider_vertices: NDArray[np.float32]
-    """(M, 3) metres; everything solid but the floor."""
+    """(M, 3) vertices of all solid objects except the floor, metres."""
     collider_triangles: NDArray[np.int32]
     """(K, 3) indices into `collider_vertices`."""
     occupancy: NDArray[np.uint8]
-    """(H, W) 0 free, 1 occupied in the robot's height band, 2 also hiding what stands behind; rows are y."""
+    """(H, W) 0 free, 1 occupied in the robot's height band, 2 occupied and blocking the line of sight; rows are y."""
     reachable: NDArray[np.uint8]
     """(H, W) 1 on the connected floor on which the robot's body fits."""
     spawns: NDArray[np.float32]
-    """(S, 2) surveyed floor points x, y in metres at which the base_link fits with some heading."""
+    """(S, 2) surveyed floor points x, y at which base_link fits with at least one heading, metres."""
     spawn_sees: NDArray[np.uint8]
     """(S, targets) 1 where the straight line from the spawn to the target's success circle is free."""
 
@@ -202,11 +223,11 @@ SCENE_ARRAYS = {
 
 
 def encode_scene(scene: CompiledScene, level: int = 9) -> bytes:
-    """Returns the package; the same scene gives the same bytes with the same compressor.
+    """Returns the package of a scene; equal scenes give equal bytes with the same compressor.
 
     Args:
-        scene: what to encode.
-        level: of zstandard; 1 takes a sixth of the time, for a package that is not kept.
+        scene: scene to encode.
+        level: compression level of zstandard; level 1 takes a sixth of the time, for a package that is not stored.
     """
     buffer = io.BytesIO()
     with ContainerWriter(buffer) as out:
@@ -218,10 +239,10 @@ def encode_scene(scene: CompiledScene, level: int = 9) -> bytes:
 
 
 def decode_scene(file: BinaryIO) -> CompiledScene:
-    """Reads a package from a seekable file, holding every size to its limit.
+    """Decodes a package from a seekable file, and enforces the limit of every size.
 
     Raises:
-        InvalidBundle: the package is damaged, of another format version, or contradicts itself.
+        InvalidBundle: the package is damaged or inconsistent, or has another format version.
     """
     reader = ContainerReader(file, _LIMITS)
     info = _read_info(reader)
@@ -234,10 +255,10 @@ def decode_scene(file: BinaryIO) -> CompiledScene:
 
 
 def read_scene_info(file: BinaryIO) -> SceneInfo:
-    """Reads what a package says about itself, without its arrays.
+    """Reads the metadata of a package, without its arrays.
 
     Raises:
-        InvalidBundle: the package is damaged or of another format version.
+        InvalidBundle: the package is damaged or has another format version.
     """
     return _read_info(ContainerReader(file, _LIMITS))
 
@@ -267,15 +288,15 @@ def _contradictions(scene: CompiledScene) -> list[str]:
     vertices = len(scene.positions)
     checks = {
         "uvs and colours have one row a vertex": len(scene.uvs) == len(scene.colours) == vertices,
-        "light map and light_uvs, one row a vertex, stand together": len(scene.light_uvs)
+        "light_uvs has one row a vertex with a light map, and none without": len(scene.light_uvs)
         == (vertices if scene.light_map.size else 0),
         f"light map is at most {MAX_LIGHT_MAP_PX} texels a side": max(scene.light_map.shape[:2]) <= MAX_LIGHT_MAP_PX,
         "parts have one row each": len({len(scene.part_first), len(scene.part_count), len(scene.part_instance)}) == 1
         and len(scene.part_texture) == len(scene.part_first),
-        "parts lie within the vertices": bool((scene.part_first.astype(np.int64) + scene.part_count <= vertices).all()),
+        "parts are within the vertices": bool((scene.part_first.astype(np.int64) + scene.part_count <= vertices).all()),
         "texture layers exist": bool((scene.part_texture < len(scene.textures)).all()),
-        "textures are counted": len(scene.textures) == scene.info.texture_count,
-        "collider triangles name vertices": bool((scene.collider_triangles < len(scene.collider_vertices)).all()),
+        "texture_count is the number of textures": len(scene.textures) == scene.info.texture_count,
+        "collider triangles refer to vertices": bool((scene.collider_triangles < len(scene.collider_vertices)).all()),
         "grids have one shape": scene.occupancy.shape == scene.reachable.shape,
         "visibility has one row a spawn and one column a target": scene.spawn_sees.shape
         == (len(scene.spawns), len(scene.info.targets)),

@@ -1,6 +1,6 @@
-"""The fixed vocabulary of the task: tiers, splits, categories, end reasons and who holds out what.
+"""Fixed vocabulary of the task: tiers, splits, categories, end reasons, and the held-out categories of each scene.
 
-Holds tables of the paper (Tables II-IV, Sec. III) as data; it never computes with them.
+Contains tables of the paper (Tables II-IV, Sec. III) as data. Computes nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = [
 
 
 class Tier(StrEnum):
-    """How far from its target an episode starts (paper Sec. III-D)."""
+    """Distance tier of the start of an episode (paper Sec. III-D)."""
 
     NEAR = "near"  # 1.5-3.5 m, roughly facing the target
     MID = "mid"  # 3.5-7.0 m, roughly facing the target
@@ -37,7 +37,7 @@ TIER_RANGE_M = MappingProxyType({Tier.NEAR: (1.5, 3.5), Tier.MID: (3.5, 7.0)})
 
 
 class Split(StrEnum):
-    """Which evaluation question an episode serves (paper Sec. IV-B)."""
+    """Split of the dataset that an episode belongs to (paper Sec. IV-B)."""
 
     TRAIN_ID = "train_id"  # seen categories, training templates
     VAL_ID = "val_id"  # the same, for validation
@@ -47,47 +47,47 @@ class Split(StrEnum):
 
 
 class ExpertName(StrEnum):
-    """Which controller drives; every expert writes the same kind of episode."""
+    """Controller that drives; episodes of all experts have one format."""
 
     PROPORTIONAL = "proportional"  # the published behaviour (docs/design/experts.md#proportional-expert)
     DEPTH = "depth"  # speed from mask depth instead of centroid distance
-    PAPER_LITERAL = "paper_literal"  # the equations exactly as printed; only ever times out
+    PAPER_LITERAL = "paper_literal"  # the equations exactly as printed; every episode ends with a timeout
     PLANNER = "planner"  # forward-only path planning and pure pursuit
 
 
 class EndReason(StrEnum):
-    """Why a rollout ended."""
+    """Reason for the end of a rollout."""
 
-    SUCCESS = "success"  # inside the radius and stationary for the hold steps
-    COLLISION = "collision"  # commanded forward, no progress, near an obstacle
+    SUCCESS = "success"  # inside the success radius and stationary for the hold steps
+    COLLISION = "collision"  # commanded forward, without progress, near an obstacle
     TIMEOUT = "timeout"  # the step limit was reached
 
 
 class FailReason(StrEnum):
-    """Why an attempt brought no episode; the first four count against the attempt budget."""
+    """Reason why an attempt produced no episode; the first four count against the attempt budget."""
 
     SPAWN = "spawn"  # no valid start pose was found
-    COLLISION = "collision"  # the expert stalled against something
+    COLLISION = "collision"  # the expert stalled at an obstacle
     TIMEOUT = "timeout"  # the expert did not arrive within the step limit
     NO_PATH = "no_path"  # the planner found no drivable path
-    INVALID = "invalid"  # the coordinator's validation refused the bundle
-    CRASH = "crash"  # the simulation process died
+    INVALID = "invalid"  # the coordinator's validation rejected the bundle
+    CRASH = "crash"  # the simulation process crashed
     HANG = "hang"  # the simulation process made no progress
-    RELEASED = "released"  # the worker gave the job back unharmed (drain)
+    RELEASED = "released"  # the worker returned the job without a failure, e.g. at a drain
 
     @property
     def is_task_failure(self) -> bool:
-        """Whether the attempt failed by its own seed and world, so that repeating it would fail again."""
+        """Whether seed and scene caused the failure, so that a repetition of the attempt would fail again."""
         return self in {FailReason.SPAWN, FailReason.COLLISION, FailReason.TIMEOUT, FailReason.NO_PATH}
 
     @property
     def is_of_the_worker(self) -> bool:
-        """Whether a worker suffered: such failures count towards quarantine, not towards the budget."""
+        """Whether the failure counts towards the quarantine of the job, not against the attempt budget."""
         return self in {FailReason.CRASH, FailReason.HANG, FailReason.INVALID}
 
 
 RendererKind = Literal["auto", "gl", "tiny"]
-"""`gl` is OpenGL through EGL, `tiny` PyBullet's TinyRenderer, `auto` the first of them that works."""
+"""`gl` is OpenGL through EGL, `tiny` is PyBullet's TinyRenderer, `auto` is the first of them that works."""
 
 CATEGORIES = (
     "chair",
@@ -103,17 +103,19 @@ CATEGORIES = (
     "barrel",
     "crate",
 )
-"""The paper's twelve object categories."""
+"""Twelve object categories of the paper."""
 
 COLOUR_NAMES = ("black", "gray", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown")
-"""The eleven basic colour terms; a target of no one colour is `unknown`."""
+"""Eleven basic colour terms; a target without a dominant colour is `unknown`."""
 
 
 class SceneCategories(NamedTuple):
-    """Which categories a scene trains on and which it holds out (paper Table II)."""
+    """Seen and held-out categories of a scene (paper Table II)."""
 
     seen: tuple[str, ...]
+    """Categories of the in-distribution splits."""
     held_out: tuple[str, ...]
+    """Categories of the split `test_ood_obj` only."""
 
 
 _WAREHOUSE = SceneCategories(("shelf", "rack"), ("barrel", "crate"))
@@ -126,4 +128,4 @@ BUILTIN_CATEGORIES = MappingProxyType(
         "warehouse_multiple_shelves": _WAREHOUSE,
     }
 )
-"""Paper Table II, by scene name."""
+"""Categories of the built-in scenes (paper Table II), by scene name."""

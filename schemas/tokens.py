@@ -1,4 +1,4 @@
-"""The 7 x 7 action grid: continuous actions to tokens and back. Pure.
+"""Converts continuous actions to tokens of the 7 x 7 action grid, and tokens to actions. Pure functions.
 
 Source: paper Sec. II-B; docs/design/task.md#actions-and-tokens.
 """
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 __all__ = ["GRID_POINTS", "V_GRID_MPS", "W_GRID_RPS", "actions_of", "tokens_of"]
 
 GRID_POINTS = 7
+"""Number of grid points of each action dimension."""
 V_GRID_MPS: NDArray[np.float64] = np.linspace(0.0, 1.0, GRID_POINTS)
-"""Grid of the speed, m/s; token 0 is standing."""
+"""Grid points of the speed, m/s; token 0 is zero speed."""
 W_GRID_RPS: NDArray[np.float64] = np.linspace(-1.5, 1.5, GRID_POINTS)
-"""Grid of the yaw rate, rad/s; token 3 is straight ahead."""
+"""Grid points of the yaw rate, rad/s; token 3 is zero yaw rate."""
 
 
 def tokens_of(actions: NDArray[np.float32]) -> NDArray[np.int16]:
@@ -24,7 +25,7 @@ def tokens_of(actions: NDArray[np.float32]) -> NDArray[np.int16]:
         actions: (T, 2), v in m/s and w in rad/s.
 
     Returns:
-        (T, 2) tokens 0..6; what lies outside the range takes its end.
+        (T, 2) tokens 0..6; actions outside the range are clipped to it.
     """
     scaled = np.stack([actions[:, 0] * 6.0, (actions[:, 1] + 1.5) * 2.0], axis=1, dtype=np.float64)
     return np.clip(np.rint(scaled), 0, GRID_POINTS - 1).astype(np.int16)

@@ -1,7 +1,7 @@
-"""Stateless simulation: world, robot, renderer, expert, rollout; the worker's side of the protocol.
+"""Stateless simulation (world, robot, renderer, expert, rollout) and the worker's side of the protocol.
 
-Keeps nothing between jobs but caches keyed by content hash. Import from the modules by name; those listed are for use
-from outside.
+Keeps no state between jobs except caches keyed by content hash. Import from the modules by name; the listed ones may be
+used by other packages.
 """
 
 __all__ = ["attempt", "experts", "grid", "render", "rollout", "settings", "stage", "supervisor", "world"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from coordinator.expansion.apportion import least_used
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import cells
 from coordinator.expansion.instances import Side, side_of, sides_of, startable_tiers
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import InvalidPlan
 from schemas.job import Job
 from schemas.language import instruction, needs_colour, templates_for
@@ -30,6 +32,8 @@ Option = TypeVar("Option")
 _EXPAND_STREAM, _REDRAW_STREAM = 1, 2
 _LOYAL_DRAWS = 4
 """Draws that keep the category before the whole pool is opened."""
+_SHARED_SPECS = 1 << 14
+"""A plan of millions of episodes asks for the same few thousand specs again and again."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +42,8 @@ class PlannedJob:
 
     index: int
     draw: int
-    scene: str
-    tier: Tier
-    split: Split
-    category: str
-    target_id: str
-    colour: str
-    template_id: str
-    instruction: str
+    episode: EpisodeSpec
+    """Shared by the jobs that ask for the same."""
 
 
 def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
@@ -154,7 +152,8 @@ def _expand_scene(
         target = next(option for option in options if option.target_id == target_id)
         colour = _said_colour(plan, target)
         template_id = least_used(templates_for(split, colour), templates, rng)
-        yield _planned(index, 0, scene.name, tier, split, target, colour, template_id)
+        episode = _episode(scene.name, tier, split, target.category, target.target_id, colour, template_id)
+        yield PlannedJob(index, 0, episode)
 
 
 def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
@@ -163,39 +162,33 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     The first few draws keep the category; later ones open the whole pool. Depends on plan, scene, index and draw
     only, so that the redrawn dataset is the same whoever failed when.
     """
-    draw = planned.draw + 1
+    draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
-    scene = next(scene for scene in plan.scenes if scene.name == planned.scene)
-    options = pool(plan, scene, catalog[scene.name], planned.split, planned.tier)
-    loyal = [target for target in options if target.category == planned.category] if draw <= _LOYAL_DRAWS else []
-    fresh = [target for target in loyal or options if target.target_id != planned.target_id]
+    scene = next(scene for scene in plan.scenes if scene.name == former.scene)
+    options = pool(plan, scene, catalog[scene.name], former.split, former.tier)
+    loyal = [target for target in options if target.category == former.category] if draw <= _LOYAL_DRAWS else []
+    fresh = [target for target in loyal or options if target.target_id != former.target_id]
     target = _draw(fresh or options, rng)
     colour = _said_colour(plan, target)
-    keeps = colour != "unknown" or not needs_colour(planned.template_id)
-    template_id = planned.template_id if keeps else _draw(templates_for(planned.split, colour), rng)
-    return _planned(planned.index, draw, scene.name, planned.tier, planned.split, target, colour, template_id)
+    keeps = colour != "unknown" or not needs_colour(former.template_id)
+    template_id = former.template_id if keeps else _draw(templates_for(former.split, colour), rng)
+    words = target.category, target.target_id, colour, template_id
+    return PlannedJob(planned.index, draw, _episode(scene.name, former.tier, former.split, *words))
 
 
 def to_job(plan: Plan, catalog: Catalog, planned: PlannedJob, attempt: int) -> Job:
     """Returns the job of one attempt at a planned draw."""
-    entry = catalog[planned.scene]
+    entry = catalog[planned.episode.scene]
     return Job(
+        **dict(planned.episode),
         run=plan.run,
         plan_digest=plan.digest,
         root_seed=plan.seed,
         index=planned.index,
         draw=planned.draw,
         attempt=attempt,
-        scene=planned.scene,
         scene_sha256=entry.sha256,
         scene_bytes=entry.size,
-        tier=planned.tier,
-        split=planned.split,
-        category=planned.category,
-        target_id=planned.target_id,
-        colour=planned.colour,
-        template_id=planned.template_id,
-        instruction=planned.instruction,
         expert=plan.expert,
         task=plan.task,
         robot=plan.robot,
@@ -214,8 +207,17 @@ def _said_colour(plan: Plan, target: Target) -> str:
     return target.colour if plan.colors == "on" else "unknown"
 
 
-def _planned(
-    index: int, draw: int, scene: str, tier: Tier, split: Split, target: Target, colour: str, template_id: str
-) -> PlannedJob:
-    words = instruction(template_id, target.category, colour)
-    return PlannedJob(index, draw, scene, tier, split, target.category, target.target_id, colour, template_id, words)
+@lru_cache(maxsize=_SHARED_SPECS)
+def _episode(
+    scene: str, tier: Tier, split: Split, category: str, target_id: str, colour: str, template_id: str
+) -> EpisodeSpec:
+    return EpisodeSpec(
+        scene=scene,
+        tier=tier,
+        split=split,
+        category=category,
+        target_id=target_id,
+        colour=colour,
+        template_id=template_id,
+        instruction=instruction(template_id, category, colour),
+    )

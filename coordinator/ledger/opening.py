@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
@@ -25,9 +25,9 @@ from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import LEDGER_FORMAT, METADATA, PLANNED, info, jobs
 from schemas.base import Sha256
 from schemas.dataset_files import LEDGER_FILE
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError, WorldError
 from schemas.plan import Plan
-from schemas.terms import Split, Tier
 
 __all__ = [
     "LedgerInfo",
@@ -191,24 +191,11 @@ def insert_planned(connection: Connection, planned: Iterable[PlannedJob], now: d
 
 def planned_of(row: Row[Any]) -> PlannedJob:
     """Returns what a row of `jobs` asks for."""
-    return PlannedJob(
-        index=row.idx,
-        draw=row.draw,
-        scene=row.scene,
-        tier=Tier(row.tier),
-        split=Split(row.split),
-        category=row.category,
-        target_id=row.target_id,
-        colour=row.colour,
-        template_id=row.template_id,
-        instruction=row.instruction,
-    )
+    return PlannedJob(row.idx, row.draw, EpisodeSpec.of(row))
 
 
 def _row_of(planned: PlannedJob) -> dict[str, Any]:
-    fields = asdict(planned)
-    fields["idx"] = fields.pop("index")
-    return fields
+    return {"idx": planned.index, "draw": planned.draw, **dict(planned.episode)}
 
 
 def _facts(plan: Plan, catalog: Catalog, lease_ttl_s: float, now: datetime) -> dict[str, str]:

@@ -17,7 +17,7 @@ from sqlalchemy.engine import Connection
 
 from coordinator.expansion.catalog import Catalog
 from coordinator.expansion.draw import redraw, to_job
-from coordinator.expansion.evaluation import Errands
+from coordinator.expansion.evaluation import EvalJobs
 from coordinator.ledger import claims, hosts, operator, outcomes, workers
 from coordinator.ledger.claims import lease_of
 from coordinator.ledger.opening import planned_of
@@ -79,8 +79,8 @@ class Terms:
     """Whether workers shall leave when done."""
     has_room: Callable[[], bool] = lambda: True
     """Whether the archive has room for what a new job would bring."""
-    errands: Errands | None = None
-    """In a run of errands, what each of them is; `None` where jobs are collected."""
+    evaluation: EvalJobs | None = None
+    """The tasks of an evaluation; `None` where episodes are collected."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def fail_attempt(connection: Connection, report: Fail, terms: Terms, now: dateti
         now,
         terms.plan.budget,
         lambda planned: redraw(terms.plan, terms.catalog, planned),
-        blames_hosts=terms.errands is None,  # an evaluation says at once what cannot be driven, and is run again
+        blames_hosts=terms.evaluation is None,  # an evaluation says at once what cannot be driven, and is run again
     )
 
 
@@ -196,7 +196,7 @@ def _hello(connection: Connection, hello: Hello, host: str, terms: Terms, now: d
                 f"hosts together have {workers.SESSIONS}: stop some, or wait some minutes"
             )
         )
-    trade = Trade.COLLECTION if terms.errands is None else Trade.EVALUATION
+    trade = Trade.COLLECTION if terms.evaluation is None else Trade.EVALUATION
     return ProtocolAnswer(
         HelloReply(run=terms.plan.run, version=terms.version, lease_ttl_s=terms.lease_ttl_s, trade=trade)
     )
@@ -209,10 +209,8 @@ def _claim(connection: Connection, claim: Claim, host: str, terms: Terms, now: d
     row = claims.claim(connection, claim.sid, claim.token, now, terms.lease_ttl_s, may_start=may_start)
     if row is not None:
         job = to_job(terms.plan, terms.catalog, planned_of(row), row.attempt)
-        if terms.errands is None:
-            return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row)))
-        text, attachment = terms.errands.find(row.idx)
-        return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), errand=text, attachment=attachment))
+        payload = None if terms.evaluation is None else terms.evaluation.find(row.idx)
+        return ProtocolAnswer(ClaimReply(job=job, lease=lease_of(row), evaluation=payload))
     workers.note_alive(connection, claim.sid, host, now)
     finished = not claims.has_open_jobs(connection)
     return ProtocolAnswer(ClaimReply(retry_after_s=max(terms.retry_after_s, pause_s), finished=finished))

@@ -76,7 +76,7 @@ def _join(connection: Connection, join: Join, gateway: str, terms: Terms, now: d
             error=f"gateway {gateway} runs minivla-factory {join.version}, the coordinator {terms.version}: install "
             "the same version on both"
         )
-    if terms.errands is not None:
+    if terms.evaluation is not None:
         return Refusal(error="gateways do not store the results of evaluations: connect the workers to the coordinator")
     return JoinReply(run=terms.plan.run, plan_digest=terms.plan.digest)
 

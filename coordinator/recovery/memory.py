@@ -15,6 +15,7 @@ from coordinator.tables.table_reader import read_column, read_failed_attempts
 from schemas.dataset import EpisodeSummary, FailedAttempt
 from schemas.dataset_files import ATTEMPTS_FILE, METADATA_FILE
 from schemas.dataset_meta import read_dataset_meta
+from schemas.episode_spec import columns_of
 from schemas.errors import WorldError
 from schemas.plan import Plan
 from schemas.storage.place import Place
@@ -80,11 +81,8 @@ def _of_plan(failures: list[FailedAttempt], draws: Draws) -> Iterator[FailedAtte
     for one in failures:
         number = one.episode_id.removeprefix("ep_")
         planned = draws.planned(int(number), one.draw) if number.isdecimal() else None
-        if planned is not None and (one.scene, one.spawn_tier, one.split, one.target_category, one.target_id) == (
-            planned.scene,
-            planned.tier,
-            planned.split,
-            planned.category,
-            planned.target_id,
-        ):
+        if planned is None:
+            continue
+        wanted = columns_of(planned.episode, FailedAttempt)
+        if all(getattr(one, column) == value for column, value in wanted.items()):
             yield one

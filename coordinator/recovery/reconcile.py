@@ -106,15 +106,15 @@ def _judge_all(
     if not unsure:
         return {}
     with engine.connect() as ledger:
-        if terms.errands is not None:
-            return {index: _judge_errand(ledger, index, path, terms, checker) for index, path in unsure.items()}
+        if terms.evaluation is not None:
+            return {index: _judge_result(ledger, index, path, terms, checker) for index, path in unsure.items()}
         validated = validated_files(archive.root, terms.plan)
         judge = StrayJudge(Draws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated)
         found = {index: judge.judge(path, index, replaces=index in owned) for index, path in unsure.items()}
     return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
 
 
-def _judge_errand(ledger: Connection, index: int, path: Place, terms: Terms, checker: Judge) -> _Verdict:
+def _judge_result(ledger: Connection, index: int, path: Place, terms: Terms, checker: Judge) -> _Verdict:
     """Judges a result of an evaluation, which does not say which attempt it is of: the one in force."""
     row = current_job(ledger, index)
     if row is None:
@@ -154,7 +154,7 @@ def _settle(
 ) -> None:
     whole = {index: found[0] for index, found in verdicts.items() if not isinstance(found, str)}
     episodes_found = {index: found for index, found in whole.items() if isinstance(found, EpisodeSummary)}
-    if terms.errands is None:
+    if terms.evaluation is None:
         recall_failures(engine, archive.root, terms.plan, terms.catalog, now, episodes_found)
     for index, found in verdicts.items():
         refusal = found if isinstance(found, str) else _adopt(engine, terms, *found, now)

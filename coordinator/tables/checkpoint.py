@@ -17,10 +17,10 @@ from coordinator.ledger.tables import attempts, episodes, jobs
 from coordinator.tables.write import write_tables
 from schemas.dataset import FailedAttempt
 from schemas.dataset_meta import DatasetMeta, GateOutcome, read_dataset_meta
+from schemas.episode_spec import columns_of
 from schemas.errors import ArchiveCorrupt, WorldError
 from schemas.job import episode_id
 from schemas.plan import Plan
-from schemas.terms import Split, Tier
 
 __all__ = ["count_failures", "is_checkpoint_owed", "read_failures", "write_checkpoint"]
 
@@ -91,11 +91,7 @@ def read_failures(connection: Connection) -> Iterator[FailedAttempt]:
             episode_id=episode_id(row.idx),
             draw=row.draw,
             attempt=row.attempt,
-            scene=row.scene,
-            spawn_tier=Tier(row.tier),
-            split=Split(row.split),
-            target_category=row.category,
-            target_id=row.target_id,
+            **columns_of(row, FailedAttempt),
             reason=row.outcome,
             detail=row.detail,
             steps=row.steps,

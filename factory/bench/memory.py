@@ -97,7 +97,7 @@ class _Watched:
 
     def _hear(self, wanted: set[SimulationReportKind]) -> SimulationReport:
         while True:
-            said = self._simulation.hear(1.0)
+            said = self._simulation.receive(1.0)
             if isinstance(said, Death):
                 raise WorldError(f"the simulation died: {said.detail}")
             if said is not None and said.kind in wanted:

@@ -33,5 +33,5 @@ def narrow(plan: Plan, scenes: Sequence[str], episodes: int) -> Plan:
 
 def first_attempts(plan: Plan, catalog: Catalog, scene: str) -> tuple[Job, ...]:
     """Returns the first attempt at every episode of a scene."""
-    planned = (job for job in expand(plan, catalog) if job.scene == scene)
+    planned = (job for job in expand(plan, catalog) if job.episode.scene == scene)
     return tuple(to_job(plan, catalog, job, attempt=1) for job in planned)

@@ -168,7 +168,7 @@ class _Seat:
             self._simulation.start()
         elif self._is_ready and self._job is None:
             self._order(waiting.popleft())
-        heard = self._simulation.hear(self._poll_s)
+        heard = self._simulation.receive(self._poll_s)
         if isinstance(heard, Death):
             return self._mourn(heard)
         return None if heard is None else self._note(heard)

@@ -26,7 +26,7 @@ from schemas.base import Model, Positive, Sha256
 from schemas.errors import UsageError, WorldError
 from schemas.plan import canonical_json
 from schemas.storage.disk import sync_directory, translated
-from workers.client.host_lock import alone
+from workers.client.host_lock import exclusive_lock
 
 __all__ = ["CACHE_FORMAT", "MASK_SHRINK", "CacheKey", "CachedEpisode", "FrameCache", "open_cache"]
 
@@ -126,7 +126,7 @@ def open_cache(dataset: Dataset, size: int, hold: int, root: Path, tell: Progres
     if index is None or index.key != key:
         with translated("write the cache", folder):
             root.mkdir(parents=True, exist_ok=True)
-            with alone(root / f".{key.name}.lock", wait):
+            with exclusive_lock(root / f".{key.name}.lock", wait):
                 index = _read_index(folder)  # another training may have made it meanwhile
                 if index is None or index.key != key:
                     _make(dataset, key, folder, tell)

@@ -1,6 +1,6 @@
-"""Specs of every recorded array: recorder, validator and reader share this one list.
+"""Specs of every recorded array, shared by recorder, validator and reader.
 
-Describes and checks arrays; never computes, stores or converts them.
+Describes and checks arrays. Does not compute, store or convert them.
 """
 
 from __future__ import annotations
@@ -34,24 +34,30 @@ FRAME_SIZE_PX = 640
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """Shape, dtype, unit and bounds of an array; `None` in the shape stands for the episode length T."""
+    """Shape, dtype, unit and bounds of an array."""
 
     name: str
+    """Name of the array."""
     shape: tuple[int | None, ...]
+    """Shape of the array; `None` is the episode length T."""
     dtype: DTypeLike
+    """Type of the elements."""
     unit: str
+    """Unit of the values."""
     low: float | tuple[float, ...] | None = None
+    """Smallest valid value, of all columns or of each; `None` for no bound."""
     high: float | tuple[float, ...] | None = None
+    """Largest valid value, of all columns or of each; `None` for no bound."""
 
     def violations(self, array: NDArray[np.generic], length: int | None = None) -> list[str]:
-        """Says all that is wrong with `array`, in words that name what was asked and found.
+        """Returns all violations of the spec by `array`, with expected and actual values.
 
         Args:
             array: the array to check.
             length: the episode length T that a `None` in the shape must equal; `None` accepts any.
 
         Returns:
-            One sentence a violation; empty when the array fits.
+            One sentence for each violation; empty if the array is valid.
         """
         wanted = tuple(length if side is None else side for side in self.shape)
         fits = array.ndim == len(wanted) and all(
@@ -71,11 +77,11 @@ class ArraySpec:
         return self.range_violations(array.min(axes), array.max(axes))
 
     def range_violations(self, least: ArrayLike, most: ArrayLike) -> list[str]:
-        """Says what is wrong with values that range from `least` to `most`, as `violations` does.
+        """Returns the violations of the bounds by values that range from `least` to `most`.
 
         Args:
-            least: the minimum of an array, or of each column where the bounds are tuples; NaN when one value is.
-            most: the maximum, likewise.
+            least: minimum of the array, or of each column if the bounds are tuples; NaN if a value is NaN.
+            most: maximum of the array, or of each column if the bounds are tuples; NaN if a value is NaN.
         """
         if not (np.isfinite(least).all() and np.isfinite(most).all()):
             return [f"{self.name}: contains NaN or infinity"]
@@ -91,22 +97,22 @@ class ArraySpec:
 
 
 RGB_FRAME = ArraySpec("rgb_front", (FRAME_SIZE_PX, FRAME_SIZE_PX, 3), np.uint8, "sRGB")
-"""Front camera, rows from top to bottom."""
+"""Colour image of the front camera, rows from top to bottom."""
 
 DEPTH_FRAME = ArraySpec("depth_front", (FRAME_SIZE_PX, FRAME_SIZE_PX), np.float32, "m", 0.0, 30.0)
-"""Distance along the optical axis; 0 where nothing was hit within the clip range."""
+"""Distance along the optical axis; 0 where no surface is within the clip range."""
 
 IDS_FRAME = ArraySpec("seg_front", (FRAME_SIZE_PX, FRAME_SIZE_PX), np.uint16, "instance id")
-"""Instance id of the nearest surface; 0 is nothing; the table id -> prim stands in meta.json."""
+"""Instance id of the nearest surface, 0 for no surface; `meta.json` maps each id to its prim."""
 
 ACTIONS_CONTINUOUS = ArraySpec("actions_continuous", (None, 2), np.float32, "(m/s, rad/s)", (0.0, -1.5), (1.0, 1.5))
-"""The commanded twist (v, w) of every step, after the slew limit."""
+"""Commanded twist (v, w) of every step, after the slew limit."""
 
 ACTIONS_TOKENS = ArraySpec("actions_tokens", (None, 2), np.int16, "token", 0, 6)
-"""Nearest grid point of each action on the 7 x 7 grid."""
+"""Grid point of the 7 x 7 grid that is nearest to each action."""
 
 POSES = ArraySpec("poses", (None, 7), np.float32, "(m, m, m, quaternion w x y z)")
-"""base_link in the world frame at frame t: (x, y, z, qw, qx, qy, qz)."""
+"""Pose of base_link in the world frame at each frame: (x, y, z, qw, qx, qy, qz)."""
 
 EPISODE_ARRAYS = (ACTIONS_CONTINUOUS, ACTIONS_TOKENS, POSES)
-"""The arrays of a bundle that are not frames, in the order of the file."""
+"""Arrays of a bundle other than frames, in the order of the file."""

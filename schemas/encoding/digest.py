@@ -1,6 +1,7 @@
-"""Content digests: XXH3-128 over decoded frames, arrays and canonical metadata, so that no compressor build matters.
+"""Content digests: XXH3-128 over decoded frames, arrays and canonical metadata, independent of the compressor.
 
-Guards identity, not malice; the SHA-256 of the file guards storage and transfer.
+They identify content and do not protect against deliberate changes; the SHA-256 of the file protects storage and
+transfer.
 """
 
 from __future__ import annotations
@@ -16,7 +17,13 @@ __all__ = ["content_digest", "dataset_digest", "frame_digest"]
 
 
 def frame_digest(rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.uint16]) -> str:
-    """Returns the digest of one frame as 32 hexadecimal digits."""
+    """Returns the digest of one frame as 32 hexadecimal digits.
+
+    Args:
+        rgb: (H, W, 3) sRGB.
+        depth: (H, W) metres.
+        ids: (H, W) instance ids.
+    """
     digest = xxhash.xxh3_128()
     for image in (rgb, depth, ids):
         digest.update(np.ascontiguousarray(image).data)
@@ -24,12 +31,12 @@ def frame_digest(rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArra
 
 
 def content_digest(frame_digests: Sequence[str], arrays: Iterable[NDArray[np.generic]], canonical_meta: str) -> str:
-    """Returns the digest of an episode.
+    """Returns the content digest of an episode as 32 hexadecimal digits.
 
     Args:
-        frame_digests: of every frame, in order.
-        arrays: the episode's arrays in the order of `schemas.encoding.arrays.EPISODE_ARRAYS`.
-        canonical_meta: `EpisodeMeta.canonical()`.
+        frame_digests: digests of all frames, in order.
+        arrays: arrays of the episode in the order of `schemas.encoding.arrays.EPISODE_ARRAYS`.
+        canonical_meta: result of `EpisodeMeta.canonical()`.
     """
     digest = xxhash.xxh3_128()
     digest.update("".join(frame_digests).encode())
@@ -40,6 +47,6 @@ def content_digest(frame_digests: Sequence[str], arrays: Iterable[NDArray[np.gen
 
 
 def dataset_digest(episodes: Iterable[tuple[str, str]]) -> str:
-    """Returns one SHA-256 over (episode id, content digest) pairs, whatever their order."""
+    """Returns the SHA-256 over (episode id, content digest) pairs; their order does not matter."""
     lines = "".join(f"{name} {digest}\n" for name, digest in sorted(episodes))
     return hashlib.sha256(lines.encode()).hexdigest()

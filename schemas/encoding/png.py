@@ -1,7 +1,8 @@
-"""PNG in the one shape that frames use: 8-bit RGB by filter Sub or 16-bit grey by none, one IDAT; lossless and fast.
+"""Encodes and decodes the PNG images of frames: 8-bit RGB with filter Sub or 16-bit grey without, one IDAT chunk.
 
-Not a general PNG reader: it decodes what `encode_png` writes, or wrote when ids were filtered too, and refuses all
-else, so that no image can claim a size the caller did not ask for. The files themselves open in any viewer.
+Not a general PNG reader. It decodes the output of `encode_png`, and of earlier versions that filtered ids too, and
+rejects all other images, so that an image cannot state a size that the caller does not expect. Any viewer opens the
+files.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NONE, _SUB = 0, 1
 _ISAL_ERROR = cast(type[Exception], IsalError)  # the package's stub declares an instance
 _LEVEL = 2
-# On frames of the office, kB with filter none / Sub / Up / Paeth: 429 / 383 / 412 / 388 at isal level 2, which takes as
-# long as levels 0 and 1. Ids: 14 / 11 / 12 kB with none / Sub / Up, but none is decoded in a third of the time.
+# Sizes of office frames with filter None / Sub / Up / Paeth: 429 / 383 / 412 / 388 kB at isal level 2, which takes as
+# long as levels 0 and 1. Ids: 14 / 11 / 12 kB with None / Sub / Up, but None decodes in a third of the time.
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
@@ -54,20 +55,20 @@ def _lines_of_colour(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def decode_png(name: str, data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Reads an image of one row filter throughout, None or Sub.
+    """Decodes an image whose rows all have filter None or all have filter Sub.
 
     Args:
-        name: what to call the image in errors.
-        data: the whole file.
-        shape: (H, W, 3) for 8-bit RGB or (H, W) for 16-bit grey; nothing else is accepted.
+        name: name of the image in error messages.
+        data: content of the file.
+        shape: the accepted shape: (H, W, 3) for 8-bit RGB or (H, W) for 16-bit grey.
 
     Raises:
-        InvalidBundle: another size, kind, filter or chunk, a wrong CRC, or damaged data.
+        InvalidBundle: the image has another size, type, filter or chunk, a wrong CRC, or damaged data.
     """
     height, width = shape[:2]
     is_grey = len(shape) == 2
     body = _single_idat(name, data, _front(height, width, is_grey))
-    depth = 2 if is_grey else 3  # bytes a pixel
+    depth = 2 if is_grey else 3  # bytes per pixel
     lines = _inflate(name, body, height * (1 + depth * width)).reshape(height, 1 + depth * width)
     pixels = lines[:, 1:].reshape(height, width, depth)
     if bool((lines[:, 0] == _SUB).all()):

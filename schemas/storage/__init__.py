@@ -1,1 +1,1 @@
-"""Paths of files in directories and in object storage; readers treat both alike."""
+"""File access in directories and in object storage, with one interface for readers."""

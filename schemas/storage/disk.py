@@ -1,4 +1,4 @@
-"""Durable file operations and what to tell a user when the disk refuses; knows nothing of datasets."""
+"""Durable file operations, and error messages with remedies for file system errors. Independent of datasets."""
 
 from __future__ import annotations
 
@@ -31,13 +31,17 @@ _REMEDIES = {
 
 
 def require_room(root: Path, reserve_bytes: int) -> None:
-    """Makes sure that a directory, which need not exist yet, has room for a run; creates nothing.
+    """Checks that the file system of a directory, which need not exist yet, has enough free space; creates nothing.
+
+    Args:
+        root: the directory.
+        reserve_bytes: required free space, bytes.
 
     Raises:
-        WorldError: less than the reserve is free.
+        WorldError: less space is free.
     """
     there = next(place for place in (root.absolute(), *root.absolute().parents) if place.exists())
-    with translated("ask the free space of", there):
+    with translated("read the free space of", there):
         free = shutil.disk_usage(there).free
     if free < reserve_bytes:
         raise WorldError(
@@ -47,7 +51,7 @@ def require_room(root: Path, reserve_bytes: int) -> None:
 
 
 def copy_hashed(source: Path, target: Path) -> str:
-    """Copies a file to a new, durable one and returns its SHA-256."""
+    """Copies a file to a new path, syncs the copy to disk, and returns its SHA-256."""
     digest = hashlib.sha256()
     with source.open("rb") as reader, target.open("xb") as writer:
         while block := reader.read(_COPY_BYTES):
@@ -59,13 +63,13 @@ def copy_hashed(source: Path, target: Path) -> str:
 
 
 def set_aside(path: Path, folder: Path, reason: str) -> Path:
-    """Moves a file or directory into a folder, durably and under a name of its own, and writes beside it why.
+    """Moves a file or directory into a folder under a unique name, and writes the reason to a file beside it.
 
     Returns:
-        Where it lies now.
+        The new path.
 
     Raises:
-        WorldError: it cannot be moved.
+        WorldError: the file or directory cannot be moved.
     """
     place = folder / f"{path.name}.{secrets.token_hex(4)}"
     with translated("move into", folder):
@@ -78,7 +82,7 @@ def set_aside(path: Path, folder: Path, reason: str) -> Path:
 
 
 def sync_file(path: Path) -> None:
-    """Makes the bytes of a file durable."""
+    """Syncs the content of a file to disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -87,7 +91,7 @@ def sync_file(path: Path) -> None:
 
 
 def sync_directory(path: Path) -> None:
-    """Makes the names in a directory durable."""
+    """Syncs the entries of a directory to disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -97,7 +101,7 @@ def sync_directory(path: Path) -> None:
 
 @contextlib.contextmanager
 def translated(what: str, where: Path) -> Iterator[None]:
-    """Turns an `OSError` of the block into a `WorldError` that names the place and the remedy."""
+    """Converts an `OSError` of the block to a `WorldError` that names the path and the remedy."""
     try:
         yield
     except OSError as error:
@@ -105,6 +109,6 @@ def translated(what: str, where: Path) -> Iterator[None]:
 
 
 def world_error(what: str, where: Path, error: OSError) -> WorldError:
-    """Returns the error to raise: `cannot <what> <where>`, why, and the remedy."""
-    remedy = _REMEDIES.get(error.errno or 0, "look after the disk, or choose another --out")
+    """Returns the error to raise: `cannot <what> <where>`, the reason and the remedy."""
+    remedy = _REMEDIES.get(error.errno or 0, "check the disk, or choose another --out")
     return WorldError(f"cannot {what} {where}: {error.strerror or error}; {remedy}")

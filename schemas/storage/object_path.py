@@ -1,6 +1,6 @@
-"""Where an object lies: the part of `pathlib.Path` that readers of a dataset use, over object storage. Reads only.
+"""Paths in object storage, with the part of the `pathlib.Path` interface that readers of a dataset use. Read-only.
 
-Folders are what keys have in common; a folder without objects is not there.
+A folder is a common prefix of keys; a folder without objects does not exist.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from schemas.storage.object_store import Objects, objects_at
 __all__ = ["ObjectPath"]
 
 _READ_AHEAD_BYTES = 1 << 20
-"""A frame of the richest scene, or a score of the plainest: a request a frame at most, not three."""
+"""Size of a range request, bytes. It covers one frame of the largest scene or twenty of the smallest, so that a frame
+takes at most one request, not three."""
 _TAIL_BYTES = 512 << 10
-"""Directory, metadata and arrays of an episode of 1000 frames lie within: one request opens it."""
+"""Size of the request for the end of a file, bytes. It covers directory, metadata and arrays of an episode of 1000
+frames, so that one request opens it."""
 
 
 class _Stat(NamedTuple):
@@ -26,15 +28,15 @@ class _Stat(NamedTuple):
 
 
 class ObjectPath:
-    """An object or a folder of them; compares and sorts by its URL, and travels to other processes."""
+    """Path of an object or a folder of objects; compares and sorts by URL, and can be pickled."""
 
     def __init__(self, objects: Objects, key: str = "", size: int | None = None) -> None:
-        """Names a place.
+        """Creates a path; sends no request.
 
         Args:
             objects: the store.
-            key: below it; empty for all of it.
-            size: in bytes, where a list has said it.
+            key: key below the store's URL; empty for the root folder.
+            size: size in bytes, if a listing contained it.
         """
         self.objects = objects
         self.key = key
@@ -42,16 +44,16 @@ class ObjectPath:
 
     @classmethod
     def at(cls, url: str) -> ObjectPath:
-        """Returns the place that a URL names.
+        """Returns the path of a URL.
 
         Raises:
-            UsageError: the URL cannot be understood, or `obstore` is not installed.
+            UsageError: the URL is not valid, or `obstore` is not installed.
         """
         return cls(objects_at(url))
 
     @property
     def name(self) -> str:
-        """Last part of the key, or of the URL."""
+        """Last component of the key, or of the URL for the root folder."""
         return str(self).rsplit("/", 1)[1]
 
     @property
@@ -61,45 +63,45 @@ class ObjectPath:
 
     @property
     def parent(self) -> ObjectPath:
-        """The folder it lies in; the store's own is its own parent."""
+        """Folder that contains the path; the root folder is its own parent."""
         return ObjectPath(self.objects, self.key.rpartition("/")[0])
 
     @property
     def parents(self) -> tuple[ObjectPath, ...]:
-        """All folders it lies in, the innermost first."""
+        """All folders that contain the path, the innermost first."""
         return tuple(ObjectPath(self.objects, "" if key == "." else key) for key in map(str, _parents(self.key)))
 
     def __truediv__(self, name: str) -> ObjectPath:
         return ObjectPath(self.objects, f"{self.key}/{name}" if self.key else name)
 
     def open(self, mode: Literal["rb"] = "rb") -> BinaryIO:
-        """Opens an object for reading; what is wanted is fetched when it is wanted.
+        """Opens an object for reading; its content is fetched on demand.
 
         Raises:
-            FileNotFoundError: there is no such object.
+            FileNotFoundError: the object does not exist.
             WorldError: the store does not answer.
         """
         assert mode == "rb"
         return io.BufferedReader(_Ranges(self.objects, self.key))
 
     def stream(self) -> Iterator[bytes]:
-        """Yields an object piece by piece, in one request."""
+        """Yields the content of an object in pieces, with one request."""
         return self.objects.stream(self.key)
 
     def read_bytes(self) -> bytes:
-        """Returns an object whole."""
+        """Returns the content of an object."""
         return self.objects.read(self.key)
 
     def read_text(self, encoding: str = "utf-8") -> str:
-        """Returns a text whole."""
+        """Returns the content of an object as text."""
         return self.read_bytes().decode(encoding)
 
     def stat(self) -> _Stat:
-        """Returns the size of an object, as the list said that it comes from, else as the store says now."""
+        """Returns the size of an object, from the listing that contained it or else from the store."""
         return _Stat(self.objects.head(self.key).size if self._size is None else self._size)
 
     def is_file(self) -> bool:
-        """Whether it is an object: what a list has named is one."""
+        """Returns whether the path is an object; sends no request for a path from a listing."""
         try:
             self.stat()
         except FileNotFoundError:
@@ -109,25 +111,25 @@ class ObjectPath:
     exists = is_file
 
     def is_symlink(self) -> bool:
-        """Whether it is a link: never so."""
+        """Returns False; object storage has no links."""
         return False
 
     def is_dir(self) -> bool:
-        """Whether objects lie below it."""
+        """Returns whether the path is a folder, which contains at least one object."""
         return next(self.walk(), None) is not None
 
     def iterdir(self) -> Iterator[ObjectPath]:
-        """Yields the objects in a folder with their sizes, and the folders in it; none when there is none."""
+        """Yields the folders and the objects in a folder, objects with their sizes; nothing if it does not exist."""
         folders, files = self.objects.list_folder(self.key)
         yield from (ObjectPath(self.objects, key) for key in folders)
         yield from (ObjectPath(self.objects, found.key, found.size) for found in files)
 
     def walk(self) -> Iterator[ObjectPath]:
-        """Yields all objects below a folder with their sizes, in any depth."""
+        """Yields all objects below a folder, recursively, with their sizes."""
         return (ObjectPath(self.objects, found.key, found.size) for found in self.objects.walk(self.key))
 
     def glob(self, pattern: str) -> Iterator[ObjectPath]:
-        """Yields what lies in the folder and has a name of that pattern."""
+        """Yields the entries of the folder whose name matches a pattern."""
         return (path for path in self.iterdir() if fnmatchcase(path.name, pattern))
 
     def __str__(self) -> str:
@@ -151,7 +153,7 @@ def _parents(key: str) -> tuple[PurePosixPath, ...]:
 
 
 class _Ranges(io.RawIOBase):
-    """An object read by ranges; of what it holds, one piece around the last read is in memory."""
+    """File object over an object in the store; reads ranges, and keeps the last range in memory."""
 
     def __init__(self, objects: Objects, key: str) -> None:
         self._objects, self._key = objects, key

@@ -1,4 +1,4 @@
-"""Where a dataset lies: a directory, or a folder in object storage; readers treat both alike. Reads only."""
+"""Location of a dataset: a directory, or a folder in object storage, with one interface for readers. Read-only."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Place: TypeAlias = Path | ObjectPath
 
 
 def place_of(name: str | Place) -> Place:
-    """Returns the place that a path or a URL names; `file://` is a directory.
+    """Returns the path object for a path or a URL; `file://` is a local directory.
 
     Raises:
-        UsageError: the URL cannot be understood, or the extra for object storage is not installed.
+        UsageError: the path or URL is not valid, or the extra for object storage is not installed.
     """
     if not isinstance(name, str):
         return name
@@ -44,7 +44,7 @@ def _path(name: str) -> Path:
 
 
 def children(folder: Place) -> list[Place]:
-    """Returns what lies in a folder, sorted by name; nothing where there is no such folder."""
+    """Returns the entries of a folder, sorted by name; empty if the folder does not exist."""
     try:
         return sorted(folder.iterdir(), key=lambda place: place.name)
     except FileNotFoundError:
@@ -52,12 +52,12 @@ def children(folder: Place) -> list[Place]:
 
 
 def relative_name(place: Place, root: Place) -> str:
-    """Returns the name of a file below the dataset it belongs to."""
+    """Returns the path of a file relative to its dataset."""
     return str(place).removeprefix(f"{root}/")
 
 
 def digest_of(place: Place) -> str:
-    """Returns the SHA-256 of a file, read once and kept nowhere."""
+    """Returns the SHA-256 of a file; reads it once and stores no copy."""
     if isinstance(place, Path):
         with place.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -69,10 +69,10 @@ def digest_of(place: Place) -> str:
 
 @contextlib.contextmanager
 def at_hand(place: Place) -> Iterator[Path]:
-    """Yields a file of this machine's disk: the file itself, or a copy that is gone afterwards.
+    """Yields the local path of a file: the file itself, or a temporary copy of an object.
 
     Raises:
-        FileNotFoundError: there is no such file.
+        FileNotFoundError: the file does not exist.
         WorldError: the store does not answer, or the disk is full.
     """
     if isinstance(place, Path):
@@ -88,9 +88,9 @@ def at_hand(place: Place) -> Iterator[Path]:
 
 
 def table_of(place: Place) -> Path | BinaryIO:
-    """Returns what a reader of tables takes for that file.
+    """Returns a table file as an argument for `pyarrow`: a local path, or an open file object.
 
     Raises:
-        FileNotFoundError: there is no such file in the store.
+        FileNotFoundError: the object does not exist in the store.
     """
     return place if isinstance(place, Path) else place.open("rb")

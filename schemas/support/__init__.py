@@ -1,1 +1,1 @@
-"""Helpers without knowledge of the domain: child processes, missing packages, closing, repeated log events."""
+"""Domain-independent helpers: child processes, optional packages, context managers, rate-limited log events."""

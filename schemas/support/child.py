@@ -1,7 +1,7 @@
-"""How our own Python processes are started, so that they import no file of the working directory. Starts none itself.
+"""Command line and environment of the product's child processes, so that they import no file of the working directory.
 
-`python -m` puts the working directory first on the import path; a dataset, or a user's folder, may hold a module with
-the name of one of ours.
+`python -m` puts the working directory first on the import path, and a dataset or a user's folder may contain a module
+with the name of a module of the product. This module starts no process.
 """
 
 from __future__ import annotations
@@ -14,26 +14,27 @@ from pathlib import Path
 __all__ = ["SAFE_PATH", "child_environment", "import_path", "python_module"]
 
 SAFE_PATH = "PYTHONSAFEPATH"
-"""The variable that does what `-P` does."""
+"""Environment variable with the effect of the option `-P`."""
 _HOME = str(Path(__file__).resolve().parents[2])
-"""The directory that holds our packages."""
+"""Directory that contains the product's packages."""
 _INTERACTIVE = frozenset({"PYTHONSTARTUP", "PYTHONINSPECT", "PYTHONBREAKPOINT"})
-"""Variables that are meant for an interactive session; the second keeps a process alive after its end."""
+"""Variables for interactive sessions; `PYTHONINSPECT` would keep a process alive after its end."""
 _PATH = "PYTHONPATH"
 _HERE = frozenset({"", os.curdir})
 """Entries of `PYTHONPATH` that mean the working directory; the first comes from `PYTHONPATH=$PYTHONPATH:/more`."""
 
 
 def python_module(name: str, *arguments: str) -> tuple[str, ...]:
-    """Returns the command line that runs a module of ours with this interpreter, outside the working directory."""
+    """Returns the command line that runs a module with this interpreter, without the working directory on its path."""
     return (sys.executable, "-P", "-m", name, *arguments)
 
 
 def child_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """Returns the environment of a child process: the given one, without what would change which code it runs.
+    """Returns the environment of a child process without the variables that would change which code it runs.
 
-    What brings packages stays: a virtual environment, `PYTHONHOME`, and the directories of `PYTHONPATH` other than the
-    working directory. The directory of our packages is added where only the working directory would have brought it.
+    The variables that provide packages stay: a virtual environment, `PYTHONHOME`, and the directories of `PYTHONPATH`
+    other than the working directory. The directory of the product's packages is added if the parent imports them from
+    the working directory.
     """
     kept = {name: value for name, value in environment.items() if name not in _INTERACTIVE}
     given = kept.pop(_PATH, "")
@@ -44,9 +45,9 @@ def child_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def import_path(path: Sequence[str]) -> str:
-    """Returns a `PYTHONPATH` with the entries of this process's `sys.path`, without the working directory.
+    """Returns a `PYTHONPATH` with the entries of `path`, usually `sys.path`, without the working directory.
 
-    For a child whose environment is otherwise empty.
+    Use it for a child process with an otherwise empty environment.
     """
     here = os.getcwd()  # noqa: PTH109
     return os.pathsep.join(entry for entry in path if entry not in _HERE and (entry != here or entry == _HOME))

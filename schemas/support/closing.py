@@ -1,4 +1,4 @@
-"""What is opened is closed when its `with` block is left: the one spelling of that. Opens nothing itself."""
+"""Base class of context managers that call `close` on exit. Opens no resource."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ __all__ = ["Closing"]
 
 
 class Closing(ABC):
-    """A context manager whose exit closes it, whatever happened in the block."""
+    """Context manager that calls `close` when the block ends, also after an exception."""
 
     @abstractmethod
     def close(self) -> None:
-        """Ends it."""
+        """Releases the resources."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,6 +1,6 @@
-"""Packages that optional extras bring: checks for them, and names the command that installs them here.
+"""Checks for optional packages, and returns the command that installs the extra that contains them.
 
-Imports none of them. The command depends on how this installation was made (checkout, wheel file, repository, index).
+Does not import them. The command depends on the source of this installation (checkout, wheel file, repository, index).
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ EXTRA_OF: Mapping[str, str] = MappingProxyType(
         "obstore": "object-storage",
     }
 )
-"""Top-level module -> the smallest extra that brings it."""
+"""Smallest extra that contains a package, by top-level module."""
 _NO_WHEEL = (
     "PyBullet has wheels for Python 3.9 to 3.11 only, and this is Python {version}. Generate data with Python 3.11: "
     "`python3.11 -m venv sim`, then install the extra `sim` in it. "
-    "Reading, exporting, showing and training work with this Python"
+    "Reading, export, visualization and training work with this Python"
 )
 
 
@@ -68,11 +68,11 @@ def require_package(module: str, who: str) -> None:
     """Checks that an optional package is installed.
 
     Args:
-        module: its top-level module; one that is not in `EXTRA_OF` belongs to the base install.
-        who: the part of the product that needs it, as the subject of the message.
+        module: top-level module of the package; a module that is not in `EXTRA_OF` belongs to the base installation.
+        who: part of the product that needs the package, the subject of the message.
 
     Raises:
-        UsageError: it is not installed; the message names the command that installs it.
+        UsageError: the package is not installed; the message names the command that installs it.
     """
     if importlib.util.find_spec(module) is None:
         raise missing_package(module, who)
@@ -89,17 +89,17 @@ def missing_package(module: str, who: str) -> UsageError:
 
 
 def install_command(extra: str | None = None) -> str:
-    """Returns the shell command that adds an extra to this installation, or repairs its base when no extra is given."""
+    """Returns the shell command that adds an extra to this installation, or repairs the base if `extra` is `None`."""
     return pip_install(requirement_of(extra, direct_url()))
 
 
 def pip_install(words: str) -> str:
-    """Returns the shell command that calls `pip install` of this Python; `words` are quoted for a shell."""
+    """Returns the shell command for `pip install` with this Python; `words` must be quoted for a shell."""
     return f"{shlex.quote(sys.executable or 'python')} -m pip install {words}"
 
 
 def direct_url() -> dict[str, Any] | None:
-    """Returns the origin that pip recorded for this installation (PEP 610); `None` when it came from an index."""
+    """Returns the origin that pip recorded for this installation (PEP 610), or `None` if it came from an index."""
     try:
         text = metadata.distribution(_DISTRIBUTION).read_text("direct_url.json")
     except metadata.PackageNotFoundError:
@@ -112,11 +112,11 @@ def direct_url() -> dict[str, Any] | None:
 
 
 def requirement_of(extra: str | None, origin: dict[str, Any] | None) -> str:
-    """Returns what to give to `pip install`, quoted for a shell.
+    """Returns the requirement for `pip install`, quoted for a shell.
 
     Args:
-        extra: the extra to add, if any.
-        origin: as `direct_url` returns it.
+        extra: the extra to add, or `None`.
+        origin: result of `direct_url`.
     """
     suffix = f"[{extra}]" if extra else ""
     if origin is None:

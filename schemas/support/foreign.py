@@ -1,4 +1,4 @@
-"""What parsers of other people may raise over a file from outside, and which paths no file system takes. Pure."""
+"""Exceptions that third-party parsers raise for invalid files, and validation of paths. Reads no file."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ PARSER_ERRORS: tuple[type[Exception], ...] = (
     RuntimeError,  # RecursionError, NotImplementedError
     tokenize.TokenError,
 )
-"""A parser's own way to say that a file is none; a door turns them into our errors, naming the file."""
+"""Exceptions of a third-party parser for an invalid file; the caller converts them to an error that names the file."""
 _LONGEST_NAME, _LONGEST_PATH = 255, 4095
 
 
 def path_trouble(path: str) -> str:
-    """Returns why no file system of ours can have a path, in words; empty when it can."""
+    """Returns the reason why a path is not valid, or an empty text for a valid path."""
     if "\0" in path:
         return "it contains a NUL character"
     try:

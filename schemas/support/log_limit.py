@@ -1,4 +1,4 @@
-"""Limits how many lines a repeated event writes to the log: of a peer, or of a loop that fails again and again."""
+"""Limits the rate of repeated log events, of a peer or of a loop that fails repeatedly."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 10.0, 600.0
 
 
 class LogLimit:
-    """Passes one line of each kind per pause and counts those left out; safe to use from any thread.
+    """Rate limit of log lines: passes one line of each kind per pause and counts the others; safe for several threads.
 
     Args:
-        pause_s: after the first line of a kind, seconds. It doubles with each further line and starts anew when the
-            kind was quiet for a pause.
-        longest_s: limit of the pause, seconds; `None` keeps the first one.
-        clock: monotonic seconds; an argument, so that a test can let time pass.
+        pause_s: pause after the first line of a kind, seconds. It doubles with each further line, and returns to its
+            first value when no line of the kind was written for one pause.
+        longest_s: longest pause, seconds; `None` for a constant pause.
+        clock: returns monotonic time in seconds; an argument, so that a test can control time.
     """
 
     def __init__(
@@ -35,10 +35,10 @@ class LogLimit:
         self._clock = clock
         self._guard = threading.Lock()
         self._kinds: dict[str, tuple[float, float, int]] = {}
-        """Kind -> when its next line may pass, the pause after that line, and how many were left out since the last."""
+        """Time of the next line, pause after that line, and number of lines omitted since the last one, by kind."""
 
     def admit(self, kind: str = "") -> int | None:
-        """Returns how many lines of a kind were left out before this one; `None` when this one is to be left out."""
+        """Returns the number of omitted lines of a kind before this one, or `None` if this line is to be omitted."""
         now = self._clock()
         with self._guard:
             due, pause_s, left_out = self._kinds.get(kind, (-math.inf, self._first_s, 0))
@@ -46,20 +46,20 @@ class LogLimit:
                 self._kinds[kind] = due, pause_s, left_out + 1
                 return None
             if now > due + pause_s:
-                pause_s = self._first_s  # the last ones are long past
+                pause_s = self._first_s  # no line was written for one pause
             if len(self._kinds) >= _MAX_KINDS:
                 self._kinds.clear()
             self._kinds[kind] = now + pause_s, min(2 * pause_s, self._longest_s), 0
             return left_out
 
     def write(self, log: Callable[..., Any], event: str, peer: str = "", **fields: Any) -> None:
-        """Logs an event of a peer, with the number of lines left out before it, unless it is to be left out.
+        """Logs an event of a peer with the number of omitted lines before it, unless the limit omits this line.
 
         Args:
             log: method of a structlog logger, e.g. `log.warning`.
-            event: its name.
-            peer: each has lines of its own; empty for all together.
-            fields: of the line.
+            event: name of the event.
+            peer: name of the peer, which has a separate limit; empty for a common limit.
+            fields: fields of the log line.
         """
         left_out = self.admit(f"{event} {peer}")
         if left_out is not None:
@@ -67,16 +67,16 @@ class LogLimit:
 
 
 class Repeated:
-    """One kind of failure of a loop: logged once at first, seldom while it lasts, and once when it is over.
+    """Log of one kind of failure in a loop: logs the first failure, some of the next ones, and the recovery.
 
-    Safe to use from any thread.
+    Safe to use from several threads.
 
     Args:
         log: a structlog logger.
         event: name of the failure; its end is logged as `EVENT_recovered`.
-        expected: exceptions that the surroundings cause besides ours and the system's: one line. Others bring their
-            traceback, once.
-        clock: seconds from any start; an argument, so that a test can let time pass.
+        expected: exceptions with external causes, in addition to `FactoryError` and `OSError`; they are logged in one
+            line. Other exceptions are logged once with their traceback.
+        clock: returns monotonic time in seconds; an argument, so that a test can control time.
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class Repeated:
         self._limit = LogLimit(_FIRST_PAUSE_S, _LONGEST_PAUSE_S, clock)
         self._guard = threading.Lock()
         self._since = 0.0
-        self._is_told = False
+        self._is_logged = False
         self.failures = 0
-        """In a row."""
+        """Number of consecutive failures."""
 
     def fail(self, error: BaseException | str, **fields: Any) -> None:
-        """Counts a failure and logs it, unless one was logged a short while ago."""
+        """Counts a failure and logs it, unless the limit omits it."""
         with self._guard:
             self.failures += 1
             count = self.failures
@@ -104,7 +104,7 @@ class Repeated:
                 self._since = self._clock()
             if self._limit.admit() is None:
                 return
-            is_new, self._is_told = not self._is_told, True
+            is_new, self._is_logged = not self._is_logged, True
         lines = str(error).splitlines() or [type(error).__name__]
         more = {} if count == 1 else {"failures": count}
         if is_new and isinstance(error, BaseException) and not isinstance(error, self._expected):
@@ -113,17 +113,17 @@ class Repeated:
             self._log.warning(self._event, error=lines[0], **more, **fields)
 
     def succeed(self) -> None:
-        """Ends a row of failures; the end is logged if one of them was."""
+        """Ends a series of failures; logs the recovery if one of them was logged."""
         with self._guard:
             count, self.failures = self.failures, 0
-            was_told, self._is_told = self._is_told, False
+            was_logged, self._is_logged = self._is_logged, False
             lasted = self._clock() - self._since
-        if was_told:  # a warning, because it is to be seen wherever the failure was
+        if was_logged:  # a warning, so that it is visible at the log level of the failure
             self._log.warning(f"{self._event}_recovered", failures=count, after_s=round(lasted))
 
 
 def describe_error(error: BaseException) -> str:
-    """Returns an error as one short line: its kind, its message, and the place that raised it."""
+    """Returns an error as one short line: its class, its message, and the file and line that raised it."""
     frames = traceback.extract_tb(error.__traceback__, limit=-1)
     place = f" ({frames[0].filename.rpartition('/')[2]}:{frames[0].lineno})" if frames else ""
     message = " ".join(str(error)[:_MAX_ERROR_CHARS].split())

@@ -1,8 +1,8 @@
-"""Sine, cosine, arctangent, products and solutions that give the same bits on every processor of a cluster.
+"""Sine, cosine, arctangent, matrix product and linear solver with bit-identical results on all processors.
 
-numpy has several kernels of sine and cosine, and BLAS, which `@`, `np.dot`, `np.linalg.solve` and the norm of a single
-vector call, has several of the product; both pick one by the processor, and they differ in the last bit. What is
-written to an episode or a scene is computed without them.
+numpy has several kernels of sine and cosine, and BLAS (which `@`, `np.dot`, `np.linalg.solve` and the norm of a single
+vector call) has several of the product. Both select a kernel by processor, and the kernels differ in the last bit. So
+values that are written to an episode or a scene are computed with this module instead.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ Floats = NDArray[np.float64]
 
 
 def sin(angles: Floats) -> Floats:
-    """Returns the sines of an array of any shape, radians, by the C library."""
+    """Returns the sines of angles in radians, an array of any shape, computed by the C library."""
     return _each(math.sin, angles)
 
 
 def cos(angles: Floats) -> Floats:
-    """Returns the cosines of an array of any shape, radians, by the C library."""
+    """Returns the cosines of angles in radians, an array of any shape, computed by the C library."""
     return _each(math.cos, angles)
 
 
 def arctan2(y: Floats, x: Floats) -> Floats:
-    """Returns the angles, radians, of points whose coordinates are two arrays of one shape, by the C library."""
+    """Returns the angles of points (x, y) in radians, for two arrays of one shape, computed by the C library."""
     return _each(math.atan2, y, x)
 
 
 def product(left: Floats, right: Floats) -> Floats:
-    """Returns the product (N, K) of matrices (N, M) and (M, K), M small, each sum in the order of M."""
+    """Returns the product (N, K) of matrices (N, M) and (M, K) for small M; sums run in the order of M."""
     return np.asarray((left[:, :, None] * right).sum(axis=1))
 
 

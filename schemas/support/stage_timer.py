@@ -1,4 +1,4 @@
-"""The hook by which a loop says which stage it has just ended; whoever listens holds the watch. Measures nothing."""
+"""Type of the callback that a loop calls at the end of each stage, for profiling. Measures no time."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable
 __all__ = ["StageTimer", "no_stage_timer"]
 
 StageTimer = Callable[[str], None]
-"""Is told the name of a stage at its end; what passed since the end of the stage before it belongs to that stage."""
+"""Called with the name of a stage at its end; the time since the end of the previous stage belongs to that stage."""
 
 
 def no_stage_timer(stage: str) -> None:
-    """Listens to nothing."""
+    """Ignores the end of a stage."""

@@ -1,4 +1,4 @@
-"""Suggests the closest known name for a misspelled one. Pure; the message around it is the caller's."""
+"""Suggests the closest known name for a misspelled one. The caller formats the message around it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["did_you_mean"]
 
 
 def did_you_mean(word: str, names: Iterable[str], most: int = 1) -> str:
-    """Returns `; did you mean 'NAME'?` with the closest names, or nothing where none is close.
+    """Returns `; did you mean 'NAME'?` with the closest names, or an empty text if no name is close.
 
     Args:
         word: the misspelled name.
@@ -23,6 +23,6 @@ def did_you_mean(word: str, names: Iterable[str], most: int = 1) -> str:
     >>> did_you_mean("oracle", ["hospital", "office"])
     ''
     """
-    spelt = {name.lower(): str(name) for name in names}
-    near = difflib.get_close_matches(word.lower(), spelt, n=most)
-    return f"; did you mean {' or '.join(repr(spelt[name]) for name in near)}?" if near else ""
+    by_lower = {name.lower(): str(name) for name in names}
+    near = difflib.get_close_matches(word.lower(), by_lower, n=most)
+    return f"; did you mean {' or '.join(repr(by_lower[name]) for name in near)}?" if near else ""

@@ -126,6 +126,14 @@ def test_held_out_categories_are_only_in_their_split(factory, calm):
     assert [event["event"] for event in history["events"]][-1] == "archived"
 
 
+def test_the_spec_of_a_job_is_flat_in_json(factory, calm):
+    names = {"scene", "tier", "split", "category", "target_id", "colour", "template_id", "instruction"}
+    listed = factory.json("jobs", "list", calm)["jobs"][0]
+    (draw,) = factory.json("jobs", "show", calm, "ep_000001")["draws"]
+    assert listed == draw
+    assert {name for name in listed if name in names and isinstance(listed[name], str)} == names
+
+
 def test_a_contact_sheet_is_drawn(factory, calm, tmp_path):
     factory("show", calm, 2, "-o", tmp_path / "sheet.png")
     assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")

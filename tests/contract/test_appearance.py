@@ -16,7 +16,7 @@ from workers.geometry.appearance import Appearance
 from workers.geometry.pose import Pose
 from workers.render import Renderer
 from workers.render.choose import open_renderer
-from workers.sim.foresight import foresee
+from workers.sim.foresight import predict_path
 
 CAMERA = CameraConfig()
 TARGETS = {
@@ -56,7 +56,7 @@ def test_a_long_target_seen_at_an_angle_is_driven_at_by_its_near_end() -> None:
     job: Job = job_for()
     box = Box((3.0, -2.0, 0.0), (3.5, 2.0, 2.0), category="rack")
     start, goal = (0.0, -3.0, math.atan2(3.0, 3.25)), (3.25, 0.0)
-    straight = foresee(start, goal, job)
-    drawn_to = foresee(start, goal, job, Appearance(build_scene([box]), 1, CAMERA))
+    straight = predict_path(start, goal, job)
+    drawn_to = predict_path(start, goal, job, Appearance(build_scene([box]), 1, CAMERA))
     assert straight[-1, 1] == pytest.approx(goal[1] - 3.0 / math.hypot(3.25, 3.0) * job.task.success_radius_m, abs=0.05)
     assert drawn_to[-1, 1] < straight[-1, 1] - 0.1

@@ -173,7 +173,7 @@ def test_no_driver_is_an_error_for_gl_and_the_fallback_for_auto(monkeypatch: pyt
 
 @pytest.mark.parametrize("size", [0, -1, 2049])
 def test_a_size_that_no_frame_has_is_refused(size: int) -> None:
-    with pytest.raises(UsageError, match=f"frame size {size}: choose 1 to 2048"):
+    with pytest.raises(UsageError, match=f"frame size {size} is not valid: choose 1 to 2048"):
         open_renderer("tiny", size, apart=True)
 
 

@@ -54,7 +54,7 @@ def test_the_workers_of_a_collection_drive_an_evaluation_and_go_back(
     told: list[Pace] = []
     with (
         Coordinator(tmp_path / "collection", plan, catalog, ("tcp/127.0.0.1:0",), settings=settings) as hub,
-        WorkerThread(settings_for(hub.endpoints[0], tmp_path, command=COLLECT, errand_command=EVALUATE)),
+        WorkerThread(settings_for(hub.endpoints[0], tmp_path, command=COLLECT, eval_command=EVALUATE)),
         open_store(tmp_path / "out", campaign) as store,
     ):
         wait_for_more(hub, 0)
@@ -85,7 +85,7 @@ for line in sys.stdin:
     path = json.loads(line)["attachment_path"]
     tell(kind="failure", reason="crash", detail="given " + hashlib.sha256(open(path, "rb").read()).hexdigest())
 """
-"""A program for errands that does none of them and says what it was given."""
+"""A program for evaluation tasks that executes none of them and says what it was given."""
 
 
 def test_a_checkpoint_travels_to_the_workers_by_its_digest(drives: Dataset, campaign: Campaign, tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_checkpoint_travels_to_the_workers_by_its_digest(drives: Dataset, camp
     one = campaign.specs.only(None, 1)
     learned = dataclasses.replace(campaign, specs=one, policies=(f"bc:{tmp_path}",), variants=(Variant.ORIGINAL,))
     endpoint = free_endpoint()
-    settings = settings_for(endpoint, tmp_path, errand_command=(sys.executable, "-c", ECHO))
+    settings = settings_for(endpoint, tmp_path, eval_command=(sys.executable, "-c", ECHO))
     with (
         WorkerThread(settings),
         open_store(tmp_path / "out", learned) as store,

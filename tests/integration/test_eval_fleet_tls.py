@@ -56,7 +56,7 @@ def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
 @contextmanager
 def working(endpoint: str, pki: Path, folder: Path) -> Iterator[None]:
     """A worker of the collection that can drive evaluations too."""
-    more = {"host": "node", "tls": files_of(pki, "node"), "command": COLLECT, "errand_command": EVALUATE}
+    more = {"host": "node", "tls": files_of(pki, "node"), "command": COLLECT, "eval_command": EVALUATE}
     with WorkerThread(settings_for(endpoint, folder / "worker", **more)):
         yield
 

@@ -1,4 +1,4 @@
-"""The process at the end of a worker's pipe in a run of errands: what it refuses by itself."""
+"""The process at the end of a worker's pipe in an evaluation: what it refuses by itself."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from factory.eval.models.messages import EvalTask, Setup
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask, Setup
 from factory.eval.models.request import EvalRequest
 from factory.eval.models.spec import EvalSettings
+from factory.eval.process.driver_process import DriverProcess
 from schemas.terms import FailReason
 from tests.builders.bundle import job_for
 from tests.builders.eval_results import spec_of
@@ -16,15 +17,15 @@ from workers.process.messages import SimulationOrder, SimulationReport, Simulati
 
 
 def said_to(policy: str, tmp_path: Path) -> list[SimulationReport]:
-    """Returns the reports on one errand."""
-    question = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
-    errand = EvalTask(setup=Setup(settings=EvalSettings()), policy=policy, question=question)
+    """Returns the reports on one task."""
+    request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
+    task = EvalTask(number=1, policy=policy, request=request, setup=Setup(settings=EvalSettings()))
     order = SimulationOrder(
         job=job_for(1),
         scene_path=tmp_path / "no.scene",
         bundle_path=tmp_path / "1.1.zip",
         sid="host-1",
-        errand=errand.model_dump_json(),
+        eval_task=task.model_dump_json(),
     )
     command = [sys.executable, "-m", "factory.eval.remote.eval_worker"]
     found: list[SimulationReport] = []
@@ -54,3 +55,27 @@ def test_a_scene_that_is_not_there_is_no_result(tmp_path: Path) -> None:
     last = said_to("stop", tmp_path)[-1]
     assert last.reason is FailReason.CRASH
     assert "no.scene" in last.detail
+
+
+def test_a_driver_process_is_replaced_when_the_settings_change(tmp_path: Path) -> None:
+    package = tmp_path / "damaged.scene"
+    package.write_bytes(b"damaged")
+    seat = DriverProcess()
+
+    def process_for(act_timeout_s: float) -> int | None:
+        setup = Setup(settings=EvalSettings(), act_timeout_s=act_timeout_s)
+        request = EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction="")
+        task = EvalTask(number=1, policy="stop", request=request, setup=setup)
+        seat.give(DriverOrder(task=task, package=package))
+        while (heard := seat.hear(60.0)) is None:
+            pass
+        assert isinstance(heard, EvalReport)
+        assert (heard.kind, heard.number) == (EvalReportKind.REFUSED, task.number)
+        assert seat.made == {"stop": "nothing"}
+        return seat.pid
+
+    try:
+        first, again, other = process_for(1.0), process_for(1.0), process_for(2.0)
+    finally:
+        seat.kill()
+    assert first == again != other

@@ -60,7 +60,7 @@ def test_a_validator_started_there_imports_only_ours(traps: Path, tmp_path: Path
 def test_a_simulation_started_there_imports_only_ours(traps: Path) -> None:
     simulation = Simulation(WorkerSettings(connect=(), renderer="tiny").simulation_command, 60.0)
     simulation.start()
-    report = simulation.hear(60.0)
+    report = simulation.receive(60.0)
     simulation.kill()
     assert getattr(report, "kind", report) is SimulationReportKind.READY
 

@@ -33,11 +33,11 @@ from workers.process.simulation import Simulation
 order, told, *command = sys.argv[1:]
 simulation = Simulation(command, 600.0)
 simulation.start()
-print(simulation.hear(60.0).kind)
+print(simulation.receive(60.0).kind)
 simulation.order(SimulationOrder.model_validate_json(Path(order).read_bytes()))
-print(simulation.hear(60.0).kind)
+print(simulation.receive(60.0).kind)
 Path(told).write_text(str(simulation.pid))
-while simulation.hear(60.0):
+while simulation.receive(60.0):
     pass
 """
 
@@ -76,7 +76,7 @@ def order_in(room: Path, folder: Path, **changes: object) -> SimulationOrder:
 def hear(simulation: Simulation, *kinds: SimulationReportKind) -> SimulationReport:
     """Waits for a report of one of the kinds, passing over others."""
     while True:
-        heard = simulation.hear(0.2)
+        heard = simulation.receive(0.2)
         assert not isinstance(heard, Death), heard
         if heard is not None and heard.kind in kinds:
             return heard
@@ -123,7 +123,7 @@ def test_unforeseen_error_is_reported_and_ends_the_process(room, tmp_path, simul
     assert "nothing_999" in report.detail
     death = None
     while death is None:
-        death = simulation.hear(0.2)
+        death = simulation.receive(0.2)
     assert isinstance(death, Death)
     assert death.detail.startswith("exit status 3")
 

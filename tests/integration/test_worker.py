@@ -254,7 +254,7 @@ def test_worker_without_a_coordinator_says_where_it_looked(tmp_path):
     endpoint = free_endpoint()
     with (
         WorkerThread(settings_for(endpoint, tmp_path, wait_s=0.1)) as worker,
-        pytest.raises(WorldError, match=f"no coordinator at {endpoint}.*factory coordinator start"),
+        pytest.raises(WorldError, match=f"no coordinator answered at {endpoint}.*factory coordinator start"),
     ):
         worker.join()
 

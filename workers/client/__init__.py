@@ -1,1 +1,1 @@
-"""Connects a host to its coordinator: leases, heartbeat, spool, worker loops."""
+"""Connection of a host to its coordinator: leases, heartbeat, spool, worker loops."""

@@ -1,6 +1,6 @@
-"""The heartbeat: one beat for all slots and the spool, and what the coordinator holds against it.
+"""Heartbeat of a worker: reports the leases of all slots and of the spool, and applies the coordinator's reply.
 
-Also the one place that notices silence and opens the link again; it never claims and never simulates.
+Also detects an unreachable coordinator and opens the link again. Does not claim jobs and does not simulate.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ __all__ = ["Heartbeat", "make_hello"]
 _BEATS_PER_LEASE = 4
 _HURRIED_S = 0.25
 _REOPEN_S = 10.0
-_LOOK_S = 10.0
-"""Pause between two looks for an evaluation, which goes before collection."""
+_EVALUATION_CHECK_S = 10.0
+"""Time between two checks for an evaluation, which has priority over collection, seconds."""
 
 log = structlog.get_logger(__name__)
 
 
 def make_hello(sid: str, host: str, slots: int) -> Hello:
-    """Returns a worker's introduction."""
+    """Returns the registration message of a worker."""
     return Hello(sid=sid, host=host, slots=slots, version=version("minivla-factory"))
 
 
 class Heartbeat:
-    """Beats until told to end."""
+    """Loop that sends heartbeats until the worker ends."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
         self._hello = make_hello(host.sid, host.name, host.settings.cores)
         self.is_answered = True
-        """Whether the last beat was."""
-        self._looked = time.monotonic()
+        """Whether the coordinator answered the last heartbeat."""
+        self._checked_at = time.monotonic()
 
     def run(self) -> None:
-        """Beats four times a lease, oftener while the worker waits to leave; whatever breaks it ends the worker."""
+        """Sends four heartbeats in each lease time, and more while the worker leaves; an exception ends the worker."""
         host = self._host
         try:
             while host.phase.left_s > 0:
@@ -51,29 +51,29 @@ class Heartbeat:
                     time.sleep(min(_HURRIED_S, host.phase.left_s))
                 else:
                     host.pause(host.lease_ttl_s / _BEATS_PER_LEASE)
-        except Exception as error:  # noqa: BLE001 - the worker loop: told to the supervisor, which raises it
+        except Exception as error:  # noqa: BLE001 - the worker loop: passed to the supervisor, which raises it
             host.phase.fail(error)
 
     def beat(self) -> None:
-        """Tells what is in work and in the spool, and does what the answer says."""
+        """Reports the leases in simulation and in the spool, and applies the reply."""
         host = self._host
-        live = host.leases.live()  # before the spool: an attempt that ends meanwhile is in both, never in neither
+        live = host.leases.live()  # read before the spool, so that an attempt that ends now is in at least one of them
         spooled = host.spool.entries()
         for start in range(0, max(len(live), len(spooled), 1), MAX_LEASES):
             part = slice(start, start + MAX_LEASES)
             if not self._beat_part(live[part], spooled[part]):
-                self._note_silence()
+                self._handle_silence()
                 return
-        self._look_for_evaluation()
+        self._check_for_evaluation()
 
     def _beat_part(self, live: tuple[LeaseProgress, ...], spooled: tuple[Spooled, ...]) -> bool:
-        """Sends as many leases as one beat may have; returns whether it was answered."""
+        """Sends one heartbeat with part of the leases; returns whether the coordinator answered."""
         host = self._host
         beat = Beat(sid=host.sid, live=live, spool=tuple(entry.lease for entry in spooled), via=host.link.via)
         reply = host.link.ask(Verb.BEAT, beat, BeatReply, host.phase.ask_timeout_s)
         if reply is None:
             return False
-        self._note_answer()
+        self._handle_reply()
         host.leases.lose(reply.lost)
         for lease in reply.drop:
             if host.spool.drop(lease):
@@ -90,21 +90,21 @@ class Heartbeat:
         return True
 
     def _announce(self, entry: Spooled) -> None:
-        """Repeats what the slot has announced already: the coordinator, or this worker, may have been restarted."""
+        """Repeats the announcement of a bundle, because the coordinator or this worker may have been restarted."""
         host = self._host
         done = Done(sid=host.sid, lease=entry.lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
         host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
 
-    def _note_silence(self) -> None:
+    def _handle_silence(self) -> None:
         host = self._host
         if self.is_answered:
             self.is_answered = False
-            log.warning("coordinator_away", endpoints=host.link.endpoints)
+            log.warning("coordinator_unreachable", endpoints=host.link.endpoints)
         if host.link.silence_s > _REOPEN_S and not host.phase.stopping.is_set():
-            host.link.open()  # a half-open link, or a router that lets nobody in, heals with a new session
-            self._look_for_another_run()
+            host.link.open()  # a new session recovers from a half-open connection or a router that accepts none
+            self._check_for_other_run()
 
-    def _look_for_another_run(self) -> None:
+    def _check_for_other_run(self) -> None:
         host = self._host
         runs = {reply.run for reply in host.link.greet(self._hello) if isinstance(reply, HelloReply)}
         if runs and host.run not in runs and host.settings.run is None:
@@ -112,22 +112,22 @@ class Heartbeat:
             host.phase.moved.set()
             host.phase.stop(0.0)
 
-    def _look_for_evaluation(self) -> None:
-        """Finishes what is under way and moves on when an evaluation asks for workers."""
+    def _check_for_evaluation(self) -> None:
+        """Ends the work for a collection after the current attempts when an evaluation needs workers."""
         host = self._host
         is_free = host.trade is Trade.COLLECTION and host.settings.run is None and not host.phase.closing.is_set()
-        if not is_free or time.monotonic() - self._looked < _LOOK_S:
+        if not is_free or time.monotonic() - self._checked_at < _EVALUATION_CHECK_S:
             return
-        self._looked = time.monotonic()
+        self._checked_at = time.monotonic()
         if any(
             isinstance(reply, HelloReply) and reply.trade is Trade.EVALUATION for reply in host.link.greet(self._hello)
         ):
-            log.info("evaluation_first", was=host.run)
+            log.info("evaluation_found", was=host.run)
             host.phase.moved.set()
             host.phase.close()
 
-    def _note_answer(self) -> None:
+    def _handle_reply(self) -> None:
         if not self.is_answered:
             self.is_answered = True
-            log.info("coordinator_back")
+            log.info("coordinator_reconnected")
             self._host.link.ask(Verb.HELLO, self._hello, HelloReply, self._host.phase.ask_timeout_s)

@@ -1,6 +1,6 @@
-"""What the slots and the heartbeat of one worker share: its name, its doors, its stores, and when to stop.
+"""State that the slots and the heartbeat of one worker share: name, link, stores, leases and shutdown phase.
 
-Holds these things; what is done with them stands in `slot` and `heartbeat`.
+Contains no worker loop; `slot` and `heartbeat` do.
 """
 
 from __future__ import annotations
@@ -26,88 +26,97 @@ _ASK_S, _HURRIED_ASK_S = 2.0, 0.8
 
 
 class Phase:
-    """How far a worker is on its way out; only ever moves forward."""
+    """Shutdown phase of a worker; it only advances."""
 
     def __init__(self) -> None:
         self.closing = threading.Event()
-        """Set: claim no more, finish what is under way."""
+        """Set when the worker claims no more jobs and finishes its current attempts."""
         self.stopping = threading.Event()
-        """Set: also kill what is under way and give it back."""
+        """Set when the worker also kills its current attempts and returns their jobs."""
         self.moved = threading.Event()
-        """Set: the run is gone and another is there."""
+        """Set when another run takes the place of this one."""
         self.error: BaseException | None = None
-        """What made the worker fail, if anything."""
+        """First exception that ended the worker, or `None`."""
         self._deadline = float("inf")
         self._finished: float | None = None
 
     def close(self) -> None:
-        """Lets work under way finish."""
+        """Stops claiming; current attempts finish."""
         self.closing.set()
 
     def finish(self) -> None:
-        """Lets the worker leave because every job of the run has ended: nothing that it has is wanted any more."""
+        """Ends the worker because all jobs of the run have ended, so that its results are no longer needed."""
         if self._finished is None:
             self._finished = time.monotonic()
         self.close()
 
     @property
     def finished_s(self) -> float:
-        """Seconds since it was told that the run is finished; 0 when it was not."""
+        """Time since the run was reported as finished, seconds; 0 if it was not."""
         return 0.0 if self._finished is None else time.monotonic() - self._finished
 
     def stop(self, within_s: float) -> None:
-        """Ends all work; whatever still wants an answer has `within_s` seconds for it."""
+        """Ends all work; open requests get `within_s` seconds for their reply."""
         self._deadline = min(self._deadline, time.monotonic() + within_s)
         self.closing.set()
         self.stopping.set()
 
     def fail(self, error: BaseException) -> None:
-        """Ends all work because of an error; the first one counts."""
+        """Ends all work because of an exception; the first one is kept."""
         self.error = self.error or error
         self.stop(_ASK_S)
 
     @property
     def left_s(self) -> float:
-        """Seconds until nothing is waited for any more; infinite while working."""
+        """Time until the worker stops waiting for replies, seconds; infinite while it works."""
         return max(0.0, self._deadline - time.monotonic())
 
     @property
     def ask_timeout_s(self) -> float:
-        """How long to wait for an answer now."""
+        """Timeout of a request, seconds; shorter while the worker stops."""
         return _ASK_S if not self.stopping.is_set() else max(0.05, min(_HURRIED_ASK_S, self.left_s))
 
 
 @dataclass(frozen=True)
 class Host:
-    """One worker."""
+    """Shared state of one worker for one run."""
 
     settings: WorkerSettings
+    """Settings of the worker."""
     name: str
+    """Name of the host."""
     sid: str
-    """Name of this start of the worker; begins with the host's name."""
+    """Session id of this start of the worker; it begins with the host's name."""
     run: str
+    """Name of the run."""
     trade: Trade
-    """What its jobs are."""
+    """Type of the jobs of the run."""
     command: tuple[str, ...]
-    """How to start a simulation of the run."""
+    """Command line of a simulation process."""
     lease_ttl_s: float
+    """Time after which a lease without heartbeat expires, seconds."""
     link: Link
+    """Connection to the coordinator."""
     spool: Spool
+    """Store of finished bundles."""
     scenes: SceneCache
+    """Cache of compiled scenes."""
     rng: random.Random
-    """For jitter."""
+    """Random generator for jitter."""
     leases: LeaseBook = field(default_factory=LeaseBook)
+    """Leases in simulation."""
     phase: Phase = field(default_factory=Phase)
+    """Shutdown phase."""
     renderers: set[str] = field(default_factory=set)
-    """What draws here, as far as it has been told."""
+    """Descriptions of the renderers that were logged."""
 
     def pause(self, seconds: float) -> None:
-        """Waits a jittered time, or until the worker closes."""
+        """Waits for a time with 20 % jitter, or until the worker closes."""
         self.phase.closing.wait(seconds * self.rng.uniform(0.8, 1.2))
 
 
 def tidy_host(name: str) -> str:
-    """Returns a machine's name as it may stand in a key: lower case letters, digits and dashes.
+    """Returns a machine's name as a valid host name: lower-case letters, digits and dashes.
 
     >>> tidy_host("Node_07.cluster.local")
     'node-07-cluster-local'
@@ -117,5 +126,5 @@ def tidy_host(name: str) -> str:
 
 
 def make_sid(host: str) -> str:
-    """Returns a session id no earlier start of a worker has had; the dot cannot be part of a host's name."""
+    """Returns a new unique session id: the host's name, which has no dot, a dot and random digits."""
     return f"{host}.{secrets.token_hex(4)}"

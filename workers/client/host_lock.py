@@ -1,4 +1,4 @@
-"""A lock among the threads and processes of a host, as a file; ends with its holder, however that ends."""
+"""File lock among the threads and processes of a host; the kernel releases it when its holder ends or crashes."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["alone"]
+__all__ = ["exclusive_lock"]
 
 
 @contextmanager
-def alone(path: Path, wait: Callable[[], None]) -> Iterator[None]:
-    """Holds the lock for the length of the block.
+def exclusive_lock(path: Path, wait: Callable[[], None]) -> Iterator[None]:
+    """Holds the lock during the block.
 
     Args:
-        path: of the lock file; made when missing, and left.
-        wait: called over and over while another holds it; pauses, and may raise to give up.
+        path: path of the lock file; it is created if missing, and not deleted.
+        wait: called repeatedly while another thread or process holds the lock; it sleeps, and may raise to give up.
     """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:

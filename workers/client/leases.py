@@ -1,4 +1,4 @@
-"""The leases this host holds while it works on them, shared by slots and heartbeat. Never talks to anybody."""
+"""Table of the leases in simulation on this host, shared by slots and heartbeat. Sends no message."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["LeaseBook"]
 
 
 class LeaseBook:
-    """A table of leases in work; safe to use from several threads."""
+    """Table of leases in simulation; safe to use from several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -21,7 +21,7 @@ class LeaseBook:
 
     @contextmanager
     def held(self, lease: Lease) -> Iterator[None]:
-        """Lists the lease in every beat for as long as the block runs."""
+        """Includes the lease in every heartbeat during the block."""
         with self._lock:
             self._steps[lease] = 0
         try:
@@ -32,22 +32,22 @@ class LeaseBook:
                 self._lost.discard(lease)
 
     def note_step(self, lease: Lease, step: int) -> None:
-        """Records progress for the next beat."""
+        """Records the number of simulated steps for the next heartbeat."""
         with self._lock:
             if lease in self._steps:
                 self._steps[lease] = step
 
     def live(self) -> tuple[LeaseProgress, ...]:
-        """Returns what the next beat tells."""
+        """Returns all leases with their progress, for the next heartbeat."""
         with self._lock:
             return tuple(LeaseProgress(lease=lease, step=step) for lease, step in self._steps.items())
 
     def lose(self, leases: Iterable[Lease]) -> None:
-        """Notes that leases belong to somebody else now; those not in work are passed over."""
+        """Marks leases as lost; ignores leases that are not in simulation."""
         with self._lock:
             self._lost |= set(leases) & self._steps.keys()
 
     def is_lost(self, lease: Lease) -> bool:
-        """Whether work under the lease is in vain."""
+        """Returns whether a lease in simulation is lost, so that its result would be refused."""
         with self._lock:
             return lease in self._lost

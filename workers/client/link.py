@@ -1,8 +1,8 @@
-"""The worker's door to zenoh: one client session that asks verbs, fetches scenes and serves the spool.
+"""Zenoh client session of a worker: sends requests, fetches scenes and serves the spool.
 
 Design: docs/design/protocol.md.
 
-Never decides what to do about silence: an answer that did not come is `None`, whatever the reason.
+Does not handle missing answers: a request without a reply returns `None` for every cause, and the caller decides.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = ["Link", "ReadChunk"]
 
 R = TypeVar("R", bound=Model)
 ReadChunk = Callable[[BundleChunk], bytes]
-"""Returns bytes of a spooled bundle; `KeyError` when there is no such bundle."""
+"""Returns bytes of a spooled bundle; raises `KeyError` if the bundle does not exist."""
 
 _CONNECT_TIMEOUT_MS, _OPEN_TIMEOUT_MS = 2000, 2000
 _LEASE_MS = 5000
@@ -52,13 +52,13 @@ _LIMIT = LogLimit(1.0, 60.0)
 
 
 class Link(Closing):
-    """A session that can be opened again and again; a context manager.
+    """Zenoh session that can be reopened; a context manager.
 
     Args:
-        endpoints: where a coordinator or gateways of it may listen; any one will do, and each opening begins with
-            another, so that many workers spread over them.
-        host: this machine's name, under which every verb is asked.
-        tls: to connect with; `None` for plain TCP.
+        endpoints: endpoints of one coordinator or of its gateways. One connection is enough; each opening tries them in
+            random order, so that many workers are distributed over them.
+        host: name of this machine, which is part of the key of every request.
+        tls: TLS files of this machine, or `None` for plain TCP.
     """
 
     def __init__(self, endpoints: Sequence[str], host: str, tls: TlsFiles | None = None) -> None:
@@ -66,7 +66,7 @@ class Link(Closing):
         self._host = host
         self._tls = tls
         self.last_error = ""
-        """Why the last opening failed."""
+        """Error message of the last opening that failed."""
         self._session: zenoh.Session | None = None
         self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
         self._serving: tuple[str, str, ReadChunk] | None = None
@@ -78,12 +78,12 @@ class Link(Closing):
 
     @property
     def silence_s(self) -> float:
-        """Seconds since anything was last answered, or since the session was opened."""
+        """Time since the last reply, or since the session was opened, seconds."""
         return time.monotonic() - self._answered
 
     @property
     def via(self) -> str | None:
-        """Zenoh's id of the router that the session is connected to now: a gateway of that id pulls what waits here."""
+        """Zenoh id of the router that the session is connected to; a gateway with that id pulls bundles from here."""
         session = self._session
         try:
             routers = session.info.routers_zid() if session is not None else []
@@ -92,7 +92,7 @@ class Link(Closing):
         return str(routers[0]) if routers else None
 
     def open(self) -> bool:
-        """Opens a new session in place of any old one; gives up after two seconds and returns whether it is open."""
+        """Closes the session, if any, and opens a new one; returns whether that succeeded within two seconds."""
         self.close()
         opening = self._closings
         try:
@@ -113,7 +113,7 @@ class Link(Closing):
         return True
 
     def greet(self, hello: Hello) -> tuple[HelloReply | Refusal, ...]:
-        """Introduces this worker to whoever answers and returns all answers; several runs may share a network."""
+        """Registers this worker with all coordinators that answer, and returns their replies, one for each run."""
         found: list[HelloReply | Refusal] = []
         for payload in self._get(any_hello_key(self._host), hello.model_dump_json(), _ASK_TIMEOUT_S):
             reply = _parse(payload, HelloReply)
@@ -122,11 +122,22 @@ class Link(Closing):
         return tuple(found)
 
     def join(self, run: str) -> None:
-        """Chooses the run that all further questions are about."""
+        """Selects the run that all further requests refer to."""
         self._run = run
 
     def ask(self, verb: Verb, message: Model, kind: type[R], timeout_s: float = _ASK_TIMEOUT_S) -> R | None:
-        """Asks the coordinator; `None` means unknown: it may have heard or not, so repeat with the same ids."""
+        """Sends a request to the coordinator and returns the reply.
+
+        Args:
+            verb: what to request.
+            message: body of the request.
+            kind: model of the reply.
+            timeout_s: time to wait for the reply, seconds.
+
+        Returns:
+            The reply; `None` if none arrived. The coordinator may have served the request nevertheless, so the caller
+            repeats it with the same ids.
+        """
         key = verb_key(self._run, self._host, verb)
         for payload in self._get(key, message.model_dump_json(), timeout_s):
             reply = _parse(payload, kind)
@@ -138,19 +149,19 @@ class Link(Closing):
         return None
 
     def fetch_scene(self, sha256: str, chunk: Chunk) -> bytes | None:
-        """Returns the bytes of a chunk of a compiled scene, or `None` when they did not come."""
+        """Returns the bytes of a chunk of a compiled scene, or `None` if no reply arrived."""
         for payload in self._get(scene_selector(self._run, sha256, chunk), None, _ASK_TIMEOUT_S):
             if len(payload) <= chunk.length:
                 return payload.to_bytes()
         return None
 
     def serve(self, sid: str, read: ReadChunk) -> None:
-        """From now on, in this session and later ones, answers for the spool and is seen alive under `sid`."""
+        """Serves the spool and declares the liveliness token of `sid`, in this session and all later ones."""
         self._serving = (self._run, sid, read)
         self._declare()
 
     def close(self) -> None:
-        """Closes the session; questions under way end unanswered."""
+        """Closes the session; open requests end without a reply."""
         with self._guard:
             session, self._session = self._session, None
             self._declared = []
@@ -165,11 +176,11 @@ class Link(Closing):
         run, sid, read = self._serving
         key = bundle_key(run, sid)
         try:
-            # the queryable first: who sees the token may ask at once
+            # the queryable first, because a peer that sees the token may send a query immediately
             queryable = session.declare_queryable(key, lambda query: _answer(query, key, read, self._unreadable))
             token = session.liveliness().declare_token(alive_key(run, sid))
         except zenoh.ZError:
-            if not session.is_closed():  # else closed by another thread meanwhile: nothing is to be served any more
+            if not session.is_closed():  # a session that another thread closed meanwhile serves nothing
                 raise
             return
         self._declared = [queryable, token]
@@ -192,7 +203,7 @@ class Link(Closing):
                     yield reply.ok.payload
                 elif reply.err is not None:
                     log.debug("answered_with_error", selector=selector, error=reply.err.payload.to_bytes()[:200])
-        except zenoh.ZError as error:  # the session was closed under our hands
+        except zenoh.ZError as error:  # another thread closed the session meanwhile
             log.debug("ask_failed", selector=selector, error=str(error))
 
 
@@ -216,7 +227,7 @@ def _parse(payload: zenoh.ZBytes, kind: type[R]) -> R | Refusal | None:
             return model.model_validate_json(data)
         except ValidationError:
             continue
-    _LIMIT.write(log.warning, "reply_unintelligible", expected=kind.__name__, size=len(data))
+    _LIMIT.write(log.warning, "reply_invalid", expected=kind.__name__, size=len(data))
     return None
 
 
@@ -225,10 +236,10 @@ def _config(endpoints: Sequence[str], tls: TlsFiles | None) -> zenoh.Config:
         "mode": '"client"',
         "listen/endpoints": "[]",
         "connect/endpoints": json.dumps(list(endpoints)),
-        # finite, and repeated by us: an endless connect cannot be interrupted by a signal
+        # finite, and retried by the caller: a signal cannot interrupt an endless connect
         "connect/timeout_ms": str(_CONNECT_TIMEOUT_MS),
         "connect/exit_on_failure": "true",
-        # a close waits for a reconnect under way, and a frozen router answers none: ten seconds by default
+        # a close waits for a reconnect in progress, which a frozen router does not answer; the default is ten seconds
         "transport/unicast/open_timeout": str(_OPEN_TIMEOUT_MS),
         "connect/retry": json.dumps({"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}),
         "scouting/multicast/enabled": "false",

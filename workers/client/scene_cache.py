@@ -1,6 +1,6 @@
-"""Compiled scenes on disk, named by their digest, fetched once a host and checked before use.
+"""Disk cache of compiled scenes by digest; each host fetches a scene once, and its digest is checked before use.
 
-Never reads what is in a scene; where the bytes come from is the caller's.
+Does not decode scenes; the caller provides the bytes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import structlog
 
 from schemas.errors import WorldError
 from schemas.keys import MAX_CHUNK_BYTES, Chunk
-from workers.client.host_lock import alone
+from workers.client.host_lock import exclusive_lock
 
 __all__ = ["SceneCache"]
 
@@ -30,11 +30,11 @@ log = structlog.get_logger(__name__)
 
 
 class SceneCache:
-    """A folder of scenes that several workers of a host may share.
+    """Folder of scenes that several workers of a host may share.
 
     Args:
-        directory: made when missing.
-        max_bytes: beyond this, the scenes used longest ago are deleted.
+        directory: path of the folder; it is created if missing.
+        max_bytes: size of the cache, bytes, above which the least recently used scenes are deleted.
     """
 
     def __init__(self, directory: Path, max_bytes: int) -> None:
@@ -44,27 +44,27 @@ class SceneCache:
         self._guard = threading.Lock()
 
     def ensure(self, sha256: str, size: int, fetch: Fetch, wait: Wait) -> Path:
-        """Returns the path of a scene, fetching it unless it is there.
+        """Returns the path of a scene; fetches it if the cache does not contain it.
 
         Args:
             sha256: digest of the scene.
-            size: its bytes.
+            size: size of the scene, bytes.
             fetch: returns the bytes of a chunk; may raise to give up.
-            wait: called over and over while another thread or process fetches the same scene; may raise.
+            wait: called repeatedly while another thread or process fetches the same scene; may raise to give up.
 
         Raises:
-            WorldError: the bytes are not the scene's, or the disk does not take them.
+            WorldError: the bytes do not match the digest, or cannot be written.
         """
         path = self._directory / f"{sha256}{_SUFFIX}"
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
-            with alone(self._directory / f"{sha256}.lock", wait):
+            with exclusive_lock(self._directory / f"{sha256}.lock", wait):
                 if not self._is_good(path, sha256):
-                    self._bring(path, sha256, size, fetch)
+                    self._download(path, sha256, size, fetch)
                 os.utime(path)
         except OSError as error:
             raise WorldError(
-                f"cannot keep scene {sha256[:12]} in {self._directory}: {error}; {_remedy(error)}"
+                f"cannot store scene {sha256[:12]} in {self._directory}: {error}; {_remedy(error)}"
             ) from error
         with self._guard:
             self._checked.add(sha256)
@@ -82,8 +82,8 @@ class SceneCache:
         log.warning("cached_scene_damaged", path=str(path))
         return False
 
-    def _bring(self, path: Path, sha256: str, size: int, fetch: Fetch) -> None:
-        for stale in self._directory.glob(f"{sha256}.*{_PART}"):  # of a worker that was killed; the lock is ours
+    def _download(self, path: Path, sha256: str, size: int, fetch: Fetch) -> None:
+        for stale in self._directory.glob(f"{sha256}.*{_PART}"):  # left by a killed worker, since this one has the lock
             stale.unlink(missing_ok=True)
         part = path.with_name(f"{sha256}.{secrets.token_hex(4)}{_PART}")
         digest = hashlib.sha256()
@@ -110,7 +110,7 @@ class SceneCache:
             part.unlink(missing_ok=True)
 
     def _evict(self, keep: Path) -> None:
-        """Deletes the scenes used longest ago until the folder fits; never the one just asked for."""
+        """Deletes the least recently used scenes until the folder is within its size; never the scene `keep`."""
         used = []
         for path in self._directory.glob(f"*{_SUFFIX}"):
             try:
@@ -131,5 +131,5 @@ class SceneCache:
 
 def _remedy(error: OSError) -> str:
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        return "free some space there, or set MINIVLA_CACHE to another folder"
+        return "free space there, or set MINIVLA_CACHE to another folder"
     return "set MINIVLA_CACHE to a writable folder"

@@ -1,4 +1,4 @@
-"""What a worker may be told: where to connect, what to run, and how much of the disk to use. Holds values only."""
+"""Settings of a worker: endpoints, simulation command and disk limits. Contains values only."""
 
 from __future__ import annotations
 
@@ -26,56 +26,60 @@ def _cache(name: str) -> Path:
 
 @dataclass(frozen=True)
 class WorkerSettings:
-    """Everything that may differ between two workers without changing a byte of the dataset."""
+    """Settings that may differ between workers; they do not change the bytes of the dataset."""
 
     connect: tuple[str, ...]
     """Endpoints of coordinators or gateways of one run, e.g. `tcp/10.0.0.1:7447`; one of them is enough."""
     cores: int = 1
-    """Simulations at a time."""
+    """Number of simulations at a time."""
     renderer: RendererKind = "auto"
+    """Renderer of the simulations."""
     run: str | None = None
-    """Name of the run to work for; `None` takes the one that answers."""
+    """Name of the run to work for; `None` selects the run that answers."""
     host: str | None = None
-    """Name of this machine towards the coordinator; `None` takes the system's. With TLS the name in the certificate."""
+    """Name of this machine for the coordinator; `None` selects the system's name. With TLS, the certificate's name."""
     tls: TlsFiles | None = None
-    """To connect with; `None` for plain TCP."""
+    """TLS files of this machine, or `None` for plain TCP."""
     spool_dir: Path = field(default_factory=lambda: _cache("spool"))
-    """Finished bundles wait here until the coordinator has them."""
+    """Folder of finished bundles that the coordinator has not archived yet."""
     scene_dir: Path = field(default_factory=lambda: _cache("fetched"))
-    """Compiled scenes by digest; may be shared by all workers of the host."""
+    """Folder of compiled scenes by digest; all workers of the host may share it."""
     hang_s: float = 60.0
-    """Silence after which a simulation counts as hung, loading its scene included."""
+    """Time without progress after which a simulation is killed as hung, scene loading included, seconds."""
     wait_s: float = 30.0
-    """How long to look for a coordinator at the start; afterwards a worker waits for ever."""
+    """Timeout for finding a coordinator at the start, seconds; later, a worker waits without limit."""
     max_bundles: int | None = None
-    """Bundles that may wait; `None` takes two a core and eight more. A full spool stops the simulations."""
+    """Largest number of bundles in the spool; `None` selects two per core plus eight. A full spool pauses the
+    simulations."""
     max_spool_bytes: int = 16 << 30
+    """Largest size of the spool, bytes."""
     min_free_bytes: int = 512 << 20
-    """Free space on the spool's disk below which nothing is simulated."""
+    """Free space on the spool's disk below which simulations pause, bytes."""
     max_scene_bytes: int = 4 << 30
+    """Largest size of the scene cache, bytes."""
     command: tuple[str, ...] = ()
-    """How to start a simulation; empty takes our own."""
-    errand_command: tuple[str, ...] = ()
-    """How to start what carries out errands; empty refuses runs of errands."""
+    """Command line of a simulation process; empty selects the default."""
+    eval_command: tuple[str, ...] = ()
+    """Command line of a process that executes evaluation tasks; if empty, the worker rejects evaluations."""
 
     @property
     def simulation_command(self) -> tuple[str, ...]:
-        """The command line of a simulation process."""
+        """Command line of a simulation process."""
         return self.command or python_module("workers.sim.simulate", "--renderer", self.renderer)
 
     def command_for(self, trade: Trade) -> tuple[str, ...]:
-        """Returns the command line of a process that does the jobs of a run.
+        """Returns the command line of a process that executes the jobs of a run.
 
         Raises:
-            WorldError: this worker cannot do such jobs.
+            WorldError: this worker cannot execute jobs of that type.
         """
         if trade is Trade.COLLECTION:
             return self.simulation_command
-        if not self.errand_command:
-            raise WorldError(f"the run is an {trade}, and this worker has no errand_command: use `factory worker`")
-        return self.errand_command
+        if not self.eval_command:
+            raise WorldError(f"the run is an {trade}, and this worker has no eval_command: use `factory worker`")
+        return self.eval_command
 
     @property
     def spool_limit(self) -> int:
-        """Bundles that may wait."""
+        """Largest number of bundles in the spool."""
         return self.max_bundles if self.max_bundles is not None else 2 * self.cores + _SPARE_BUNDLES

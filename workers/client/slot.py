@@ -1,6 +1,6 @@
-"""One core's story, over and over: a ready simulation, a claim, a scene, an attempt, and what came of it.
+"""Worker loop of one core: starts a simulation, claims a job, fetches its scene, runs an attempt, reports the result.
 
-One claim is one attempt; a slot decides nothing about the job, it reports.
+One claim is one attempt. The loop does not decide about the job; the coordinator does.
 """
 
 from __future__ import annotations
@@ -36,35 +36,35 @@ log = structlog.get_logger(__name__)
 
 
 class _Stopped(Exception):
-    """The worker was told to stop."""
+    """Exception that ends the loop of a slot when the worker stops."""
 
 
 class Slot:
-    """Runs one simulation at a time until the worker closes."""
+    """Loop that runs one simulation at a time until the worker closes."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
         self._simulation = Simulation(host.command, host.settings.hang_s)
-        self._trouble = Backoff(1.0, 60.0)
-        self._failing = Repeated(log, "attempts_fail_here")
+        self._backoff = Backoff(1.0, 60.0)
+        self._failing = Repeated(log, "attempts_failing")
 
     def run(self) -> None:
-        """Works until there is no more to do; whatever breaks it ends the whole worker."""
+        """Executes jobs until the worker closes; an exception ends the worker."""
         try:
             while not self._host.phase.closing.is_set():
-                self._turn()
+                self._run_once()
         except _Stopped:
             pass
-        except Exception as error:  # noqa: BLE001 - the worker loop: told to the supervisor, which raises it
+        except Exception as error:  # noqa: BLE001 - the worker loop: passed to the supervisor, which raises it
             self._host.phase.fail(error)
         finally:
             self._simulation.kill()
 
-    def _turn(self) -> None:
+    def _run_once(self) -> None:
         if self._host.spool.is_full:
             self._host.pause(0.5)
             return
-        self._be_ready()
+        self._ensure_simulation()
         reply = self._claim()
         if reply is None:
             return
@@ -75,34 +75,34 @@ class Slot:
         else:
             self._host.pause(min(max(reply.retry_after_s, 0.05), _LONGEST_IDLE_S))
 
-    def _be_ready(self) -> None:
-        """Has a process at hand before a job is taken, so that no job suffers from one that cannot start."""
+    def _ensure_simulation(self) -> None:
+        """Starts the simulation process before a job is claimed, so that no job fails if the process cannot start."""
         starts = Backoff(0.5, 5.0)
         while not (self._simulation.is_running or self._host.phase.closing.is_set()):
             self._simulation.start()
-            heard = self._hear_ready()
-            if isinstance(heard, SimulationReport):
-                self._tell_renderer(heard.renderer)
+            report = self._receive_ready()
+            if isinstance(report, SimulationReport):
+                self._log_renderer(report.renderer)
                 return
             pause_s = starts.fail()
             if starts.failures >= _STARTS:
                 command = " ".join(self._host.command)
                 raise WorldError(
-                    f"a simulation does not start after {_STARTS} tries of `{command}`: {heard.detail}; run this "
+                    f"a simulation does not start after {_STARTS} tries of `{command}`: {report.detail}; run this "
                     "command by hand to see why, or choose another --renderer"
                 )
             self._host.pause(pause_s)
 
-    def _hear_ready(self) -> SimulationReport | Death:
+    def _receive_ready(self) -> SimulationReport | Death:
         while True:
-            heard = self._simulation.hear(_POLL_S)
+            report = self._simulation.receive(_POLL_S)
             if self._host.phase.closing.is_set():
-                raise _Stopped  # nothing is claimed any more, so that nobody needs the process
-            if heard is not None:
-                return heard
+                raise _Stopped  # no job will be claimed, so that the process is not needed
+            if report is not None:
+                return report
 
-    def _tell_renderer(self, renderer: str) -> None:
-        """Says once a worker, not once a core, what draws; the simulation's own warnings stay in its stderr."""
+    def _log_renderer(self, renderer: str) -> None:
+        """Logs the renderer once per worker, not per core; warnings of the simulation stay in its stderr."""
         host = self._host
         log.debug("simulation_ready", renderer=renderer, pid=self._simulation.pid)
         if renderer in host.renderers:
@@ -114,36 +114,36 @@ class Slot:
             log.info("renderer", renderer=renderer)
 
     def _claim(self) -> ClaimReply | None:
-        """Asks under one token until an answer is known; `None` when the worker closes before."""
-        host, away = self._host, Backoff(0.1, 5.0)
+        """Claims a job with one token until a reply arrives; returns `None` if the worker closes before."""
+        host, backoff = self._host, Backoff(0.1, 5.0)
         claim = Claim(sid=host.sid, token=secrets.token_hex(16))
         while not host.phase.closing.is_set():
             reply = host.link.ask(Verb.CLAIM, claim, ClaimReply, host.phase.ask_timeout_s)
             if reply is not None:
                 return reply
-            host.pause(away.fail())
+            host.pause(backoff.fail())
         return None
 
     def _work(self, job: Job, lease: Lease, given: ClaimReply) -> None:
-        begun = time.monotonic()
+        started = time.monotonic()
         with self._host.leases.held(lease):
             try:
                 report = self._attempt(job, lease, given)
             except LeaseLost:
-                self._give_up(lease)
+                self._abort(lease)
                 log.info("lease_lost", job=lease.job_id, fence=lease.fence, episode=job.episode_id)
                 return
             except _Stopped:
-                self._give_up(lease)
-                report = failure(FailReason.RELEASED, "the worker was told to stop")
+                self._abort(lease)
+                report = failure(FailReason.RELEASED, "the worker stopped")
             if report.kind is SimulationReportKind.SUCCESS:
-                report = self._hand_over(job, lease, report)
+                report = self._spool_bundle(job, lease, report)
             if report.kind is SimulationReportKind.FAILURE:
                 self._host.spool.clear(lease)
-                self._report_failure(job, lease, report, time.monotonic() - begun)
-        self._rest_after(report)
+                self._report_failure(job, lease, report, time.monotonic() - started)
+        self._pause_after(report)
 
-    def _give_up(self, lease: Lease) -> None:
+    def _abort(self, lease: Lease) -> None:
         self._simulation.kill()
         self._host.spool.clear(lease)
 
@@ -151,7 +151,7 @@ class Slot:
         host = self._host
         try:
             scene = self._fetch(job.scene_sha256, job.scene_bytes, lease)
-            more = given.attachment
+            more = None if given.evaluation is None else given.evaluation.attachment
             attached = self._fetch(more.sha256, more.size, lease) if more is not None else None
         except FactoryError as error:
             if isinstance(error, LeaseLost):
@@ -163,24 +163,24 @@ class Slot:
             scene_path=scene,
             bundle_path=bundle,
             sid=host.sid,
-            errand=given.errand,
+            eval_task=None if given.evaluation is None else given.evaluation.task,
             attachment_path=attached,
         )
         self._simulation.order(order)
         step = 0
         while True:
-            heard = self._simulation.hear(_POLL_S)
-            if isinstance(heard, Death):
-                return failure(heard.reason, heard.detail, step)
-            if heard is not None and heard.kind in {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}:
-                return heard
+            report = self._simulation.receive(_POLL_S)
+            if isinstance(report, Death):
+                return failure(report.reason, report.detail, step)
+            if report is not None and report.kind in {SimulationReportKind.SUCCESS, SimulationReportKind.FAILURE}:
+                return report
             self._check(lease)
-            if heard is not None:
-                step = heard.step
+            if report is not None:
+                step = report.step
                 host.leases.note_step(lease, step)
 
     def _fetch(self, sha256: str, size: int, lease: Lease) -> Path:
-        """Returns the file of that digest, a scene or what is attached to an errand."""
+        """Returns the path of the file with that digest, a scene or the attachment of an evaluation task."""
         host = self._host
 
         def wait() -> None:
@@ -188,13 +188,13 @@ class Slot:
             time.sleep(_POLL_S)
 
         def fetch(chunk: Chunk) -> bytes:
-            away = Backoff(0.1, 2.0)
+            backoff = Backoff(0.1, 2.0)
             while True:
                 self._check(lease)
                 data = host.link.fetch_scene(sha256, chunk)
                 if data is not None:
                     return data
-                host.phase.stopping.wait(away.fail())
+                host.phase.stopping.wait(backoff.fail())
 
         return host.scenes.ensure(sha256, size, fetch, wait)
 
@@ -204,26 +204,26 @@ class Slot:
         if self._host.leases.is_lost(lease):
             raise LeaseLost(f"lease on job {lease.job_id} (fence {lease.fence}) belongs to another worker")
 
-    def _hand_over(self, job: Job, lease: Lease, report: SimulationReport) -> SimulationReport:
-        """Spools and announces a bundle; returns the report, or the failure that a full disk has made of it."""
+    def _spool_bundle(self, job: Job, lease: Lease, report: SimulationReport) -> SimulationReport:
+        """Spools and announces a bundle; returns the report, or a failure if the spool cannot store the bundle."""
         host = self._host
         if report.sha256 is None or report.size is None:
-            self._bug(report)
+            self._raise_invalid(report)
         try:
             entry = host.spool.add(lease, report.sha256, report.size)
         except WorldError as error:
             return failure(FailReason.RELEASED, str(error), report.step, report.seconds)
         log.info("bundle_spooled", episode=job.episode_id, steps=report.step, seconds=round(report.seconds, 1))
-        # once is enough: the heartbeat repeats it until the coordinator says drop
+        # once is enough: the heartbeat repeats it until the coordinator requests to drop the bundle
         done = Done(sid=host.sid, lease=lease, sha256=entry.sha256, size=entry.size, via=host.link.via)
         host.link.ask(Verb.DONE, done, Ack, host.phase.ask_timeout_s)
         return report
 
     def _report_failure(self, job: Job, lease: Lease, report: SimulationReport, seconds: float) -> None:
-        """Reports a failed attempt until the answer is known, the lease is lost, or time is up."""
-        host, away = self._host, Backoff(0.1, 5.0)
+        """Reports a failed attempt until a reply arrives, the lease is lost, or the worker ends."""
+        host, backoff = self._host, Backoff(0.1, 5.0)
         if report.reason is None:
-            self._bug(report)
+            self._raise_invalid(report)
         fail = Fail(
             sid=host.sid,
             lease=lease,
@@ -236,21 +236,21 @@ class Slot:
         while host.phase.left_s > 0 and not host.leases.is_lost(lease):
             if host.link.ask(Verb.FAIL, fail, Ack, host.phase.ask_timeout_s) is not None:
                 return
-            pause_s = away.fail()
-            if host.phase.stopping.is_set() and away.failures >= _LAST_TRIES:
-                return  # nobody there: the lease runs out by itself
+            pause_s = backoff.fail()
+            if host.phase.stopping.is_set() and backoff.failures >= _LAST_TRIES:
+                return  # the coordinator is unreachable; the lease expires
             if host.phase.stopping.wait(pause_s):
                 time.sleep(min(pause_s, host.phase.left_s))
 
-    def _rest_after(self, report: SimulationReport) -> None:
-        """Pauses longer and longer when this machine seems to be at fault, so that it spoils few jobs."""
+    def _pause_after(self, report: SimulationReport) -> None:
+        """Pauses with a backoff after failures that this machine may have caused, so that it fails few jobs."""
         if report.reason in {FailReason.CRASH, FailReason.HANG, FailReason.RELEASED}:
             if not self._host.phase.stopping.is_set():
                 self._failing.fail(report.detail, reason=str(report.reason))
-            self._host.pause(self._trouble.fail())
+            self._host.pause(self._backoff.fail())
         else:
-            self._trouble.succeed()
+            self._backoff.succeed()
             self._failing.succeed()
 
-    def _bug(self, report: SimulationReport) -> NoReturn:
-        raise AssertionError(f"a report that its own model forbids: {report}")
+    def _raise_invalid(self, report: SimulationReport) -> NoReturn:
+        raise AssertionError(f"invalid report: {report}")

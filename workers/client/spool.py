@@ -1,6 +1,6 @@
-"""The spool: finished bundles on disk until the coordinator has them, across restarts of the worker.
+"""Spool: stores finished bundles on disk until the coordinator has archived them, across restarts of the worker.
 
-Never asks anybody what to keep; it is told what to drop.
+Does not decide which bundles to keep; the caller drops them.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ __all__ = ["Spool", "Spooled", "find_bundle", "folder_of"]
 
 _MAX_SIBLINGS = 256
 _FOLDER_MODE, _FILE_MODE = 0o700, 0o600
-"""A sidecar holds the token of a lease."""
+"""Permissions of the owner only, because a sidecar contains the token of a lease."""
 _LOCK, _PART, _BUNDLE, _SIDECAR = "lock", ".part", ".zip", ".json"
 
 log = structlog.get_logger(__name__)
 
 
 def folder_of(root: Path, run: str) -> Path:
-    """Returns the folder of a run under a root; it is named by digest, for the run's name came over the network."""
+    """Returns the folder of a run under a root; its name is a digest, because the run's name comes from the network."""
     return root / hashlib.sha256(run.encode()).hexdigest()[:16]
 
 
 def find_bundle(folder: Path, lease: Lease) -> Path | None:
-    """Returns the finished bundle made under a lease that some worker keeps in a run's folder, or `None`."""
+    """Returns the path of the finished bundle of a lease in a run's folder, of any worker, or `None`."""
     for sidecar in folder.glob(f"*/{_stem(lease)}{_SIDECAR}"):
         entry = _read_sidecar(sidecar)
         if entry is not None and entry.lease == lease:
@@ -49,23 +49,27 @@ def find_bundle(folder: Path, lease: Lease) -> Path | None:
 
 
 class Spooled(Model):
-    """The sidecar of a finished bundle: all that its announcement says."""
+    """Sidecar of a finished bundle, with the facts of its announcement."""
 
     lease: Lease
+    """Lease of the job."""
     sha256: Sha256
+    """SHA-256 of the bundle."""
     size: Annotated[Bytes, Field(ge=1)]
+    """Size of the bundle, bytes."""
 
 
 class Spool(Closing):
-    """A locked folder of bundles; a context manager.
+    """Locked folder of bundles; a context manager.
 
-    Takes the first folder under `root` that no living worker uses, and with it what dead workers left in the others.
+    Uses the first folder under `root` that no running worker has locked, and moves the bundles of all other unlocked
+    folders into it.
 
     Args:
-        root: folder of the run; made when missing.
-        max_bundles: from this many on the spool is full.
-        max_bytes: the same in bytes.
-        min_free_bytes: below this much free space the spool is full, whatever it holds.
+        root: folder of the run; it is created if missing.
+        max_bundles: number of bundles from which the spool is full.
+        max_bytes: size from which the spool is full, bytes.
+        min_free_bytes: free space of the disk below which the spool is full, bytes.
 
     Raises:
         WorldError: the folder cannot be written.
@@ -74,7 +78,7 @@ class Spool(Closing):
     def __init__(self, root: Path, max_bundles: int, max_bytes: int, min_free_bytes: int = 0) -> None:
         self._max_bundles, self._max_bytes, self._min_free_bytes = max_bundles, max_bytes, min_free_bytes
         self._guard = threading.Lock()
-        self._short = Repeated(log.bind(remedy="free some space; the worker then continues"), "spool_disk_low")
+        self._disk_low = Repeated(log.bind(remedy="free some space; the worker then continues"), "spool_disk_low")
         try:
             self.directory, self._lock = _take_folder(root)
             for orphaned in _idle_siblings(root, self.directory):
@@ -85,10 +89,10 @@ class Spool(Closing):
 
     @property
     def is_full(self) -> bool:
-        """Whether no further attempt should begin; attempts under way still find room.
+        """Whether no new attempt should start; bundles of current attempts can still be added.
 
         Raises:
-            WorldError: the folder is gone or cannot be used.
+            WorldError: the folder is missing or cannot be used.
         """
         with self._guard:
             held, size = len(self._entries), sum(entry.size for entry in self._entries.values())
@@ -98,21 +102,21 @@ class Spool(Closing):
         with self._translated():
             free = shutil.disk_usage(self.directory).free
         if free >= self._min_free_bytes:
-            self._short.succeed()
+            self._disk_low.succeed()
             return False
-        self._short.fail(f"{free} bytes free, {self._min_free_bytes} required", spool=str(self.directory))
+        self._disk_low.fail(f"{free} bytes free, {self._min_free_bytes} required", spool=str(self.directory))
         return True
 
     def path_for(self, lease: Lease) -> Path:
-        """Returns where the bundle made under a lease has to lie before it is added."""
+        """Returns the path at which the caller writes the bundle of a lease before it calls `add`."""
         with self._guard:
-            stranger = self._entries.get(_key(lease))
-        if stranger is not None and stranger.lease != lease:  # of a former ledger under the same name of run
-            self.drop(stranger.lease)
+            previous = self._entries.get(_key(lease))
+        if previous is not None and previous.lease != lease:  # from an earlier ledger of a run with the same name
+            self.drop(previous.lease)
         return self._file(lease, _BUNDLE)
 
     def clear(self, lease: Lease) -> None:
-        """Removes what an attempt without a bundle has left at `path_for(lease)`.
+        """Removes the files that a failed attempt has left at `path_for(lease)`.
 
         Raises:
             WorldError: the folder cannot be used.
@@ -126,10 +130,15 @@ class Spool(Closing):
             bundle.with_name(bundle.name + _PART).unlink(missing_ok=True)
 
     def add(self, lease: Lease, sha256: str, size: int) -> Spooled:
-        """Takes a bundle that lies whole and synced at `path_for(lease)`; from now on it survives a crash.
+        """Adds the complete and synced bundle at `path_for(lease)`; from now on it survives a crash.
+
+        Args:
+            lease: lease of the job.
+            sha256: SHA-256 of the bundle.
+            size: size of the bundle, bytes.
 
         Raises:
-            WorldError: the disk does not take the note about it.
+            WorldError: the sidecar cannot be written.
         """
         entry = Spooled(lease=lease, sha256=sha256, size=size)
         with self._translated():
@@ -139,12 +148,12 @@ class Spool(Closing):
         return entry
 
     def entries(self) -> tuple[Spooled, ...]:
-        """Returns what waits, oldest first."""
+        """Returns the bundles in the spool, oldest first."""
         with self._guard:
             return tuple(self._entries.values())
 
     def drop(self, lease: Lease) -> bool:
-        """Deletes a bundle that is wanted no more; returns whether it was there.
+        """Deletes the bundle of a lease; returns whether the spool contained it.
 
         Raises:
             WorldError: the folder cannot be used.
@@ -161,12 +170,13 @@ class Spool(Closing):
         return True
 
     def read(self, job_id: int, fence: int, offset: int, length: int) -> bytes:
-        """Returns bytes of a bundle, fewer than asked for at its end.
+        """Returns bytes of a bundle, fewer than requested at its end.
 
-        A bundle that was deleted or cut from outside is forgotten: its lease runs out, and it is made again.
+        A bundle that another process deleted or truncated is removed from the spool; its lease expires, and its job
+        runs again.
 
         Raises:
-            KeyError: no such bundle waits here.
+            KeyError: the spool does not contain the bundle.
         """
         with self._guard:
             entry = self._entries[job_id, fence]
@@ -176,12 +186,12 @@ class Spool(Closing):
             self._forget(entry, str(error))
             raise KeyError((job_id, fence)) from error
         if len(data) < min(length, entry.size - offset):
-            self._forget(entry, f"{offset + len(data)} bytes are left of {entry.size}")
+            self._forget(entry, f"it has {offset + len(data)} bytes instead of {entry.size}")
             raise KeyError((job_id, fence))
         return data
 
     def close(self) -> None:
-        """Lets another worker have the folder; the bundles stay."""
+        """Unlocks the folder; the bundles stay in it."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -193,7 +203,7 @@ class Spool(Closing):
     def _forget(self, entry: Spooled, why: str) -> None:
         with self._guard:
             self._entries.pop(_key(entry.lease), None)
-        log.warning("bundle_lost", job=entry.lease.job_id, why=why, remedy="none; its job is done again")
+        log.warning("bundle_lost", job=entry.lease.job_id, why=why, remedy="not needed; the job runs again")
 
     @contextlib.contextmanager
     def _translated(self) -> Iterator[None]:
@@ -229,7 +239,7 @@ def _take_folder(root: Path) -> tuple[Path, int]:
     for number in range(_MAX_SIBLINGS):
         folder = root / str(number)
         folder.mkdir(mode=_FOLDER_MODE, parents=True, exist_ok=True)
-        folder.chmod(_FOLDER_MODE)  # one of an older version could be read by everybody
+        folder.chmod(_FOLDER_MODE)  # older versions created it readable for all users
         lock = _try_lock(folder)
         if lock is not None:
             return folder, lock
@@ -268,13 +278,13 @@ def _adopt(orphaned: Path, mine: Path) -> None:
             stem = _stem(entry.lease)
             if (mine / f"{stem}{_SIDECAR}").exists():
                 continue
-            for suffix in (_BUNDLE, _SIDECAR):  # the sidecar last: it makes the bundle count
+            for suffix in (_BUNDLE, _SIDECAR):  # the sidecar last, because a bundle without sidecar is deleted
                 (orphaned / f"{stem}{suffix}").rename(mine / f"{stem}{suffix}")
             log.info("bundle_adopted", job=entry.lease.job_id, fence=entry.lease.fence)
 
 
 def _clean(folder: Path) -> list[Spooled]:
-    """Removes what a crash left half done; returns what is whole, oldest first."""
+    """Removes incomplete files of a crashed worker; returns the complete bundles, oldest first."""
     whole = {}
     for sidecar in sorted(folder.glob(f"*{_SIDECAR}"), key=lambda path: path.stat().st_mtime_ns):
         entry = _read_sidecar(sidecar)

@@ -1,4 +1,4 @@
-"""Signals and closed pipes turned into events; for the entry points of long-running commands."""
+"""Converts signals and closed pipes to threading events, for the entry points of long-running commands."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 @contextmanager
 def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
-    """Gives two events for the length of the block: set by the first SIGTERM or Ctrl-C, and by the second."""
+    """Yields two events: the first SIGTERM or Ctrl-C sets the first event, and the second signal the second event."""
     stop, at_once = threading.Event(), threading.Event()
 
     def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
         event = at_once if stop.is_set() else stop
-        # from a thread: this handler may have interrupted the very lock that set() needs
+        # in a thread: this handler may have interrupted the holder of the lock that set() needs
         threading.Thread(target=event.set, daemon=True).start()
 
     former = {number: signal.signal(number, note) for number in _SIGNALS}
@@ -33,7 +33,7 @@ def stop_on_signals() -> Iterator[tuple[threading.Event, threading.Event]]:
 
 
 def stop_at_eof(descriptor: int, stop: threading.Event) -> None:
-    """Sets `stop` once the pipe `descriptor` is closed at its other end, whoever has died there."""
+    """Sets `stop` when the other end of the pipe `descriptor` is closed, also by the death of its process."""
 
     def watch() -> None:
         while os.read(descriptor, 4096):

@@ -1,6 +1,6 @@
-"""The worker of a host: finds the run, keeps a slot a core and one heartbeat going, and leaves in good order.
+"""Supervisor of a worker: finds the run, runs one slot per core and one heartbeat, and shuts down cleanly.
 
-Simulates nothing itself and never forks once the link is open: simulations are processes of their own.
+Does not simulate, and does not fork while the link is open: simulations are separate processes.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ __all__ = ["Ending", "Supervisor", "run_worker"]
 _POLL_S = 0.2
 _DRAIN_S = 3.5
 _JOIN_S = 2.0
-_FAREWELL_S = 5.0
-"""How long the coordinator of a finished run is asked what to do with bundles that wait: it may be gone."""
+_FINISH_TIMEOUT_S = 5.0
+"""Time for asking the coordinator of a finished run about spooled bundles, seconds; it may have ended."""
 
 log = structlog.get_logger(__name__)
 
 
 class Ending(Enum):
-    """Why a worker has no more to do for a run."""
+    """Reason for the end of a worker's work for a run."""
 
-    FINISHED = "finished"  # every job of the run has reached its end, or the coordinator sends workers away
-    STOPPED = "stopped"  # it was told to stop
-    MOVED = "moved"  # another run has come: in its place, or an evaluation that goes first
+    FINISHED = "finished"  # all jobs of the run have ended, or the coordinator drains its workers
+    STOPPED = "stopped"  # the worker was stopped
+    MOVED = "moved"  # another run replaced this one, or an evaluation has priority
 
 
 def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threading.Event | None = None) -> int:
-    """Works until the run is finished or `stop` is set; then gives back what is under way, within five seconds.
+    """Runs a worker until the run is finished or `stop` is set; then returns its jobs within five seconds.
 
     Args:
-        settings: of this worker.
-        stop: leave in good order: give jobs back, let waiting bundles be fetched for a moment.
-        at_once: do not even wait for that.
+        settings: settings of the worker.
+        stop: event for a clean shutdown: the worker returns its jobs and waits a moment for its bundles to be fetched.
+        at_once: event for an immediate shutdown without that wait.
 
     Returns:
         The exit status, 0.
 
     Raises:
-        WorldError: no coordinator was found in `wait_s`, it refuses this worker, or simulations do not start.
+        WorldError: no coordinator answered within `wait_s`, it refuses this worker, or simulations do not start.
     """
     at_once = at_once or threading.Event()
     name = tidy_host(settings.host or socket.gethostname())
@@ -63,7 +63,7 @@ def run_worker(settings: WorkerSettings, stop: threading.Event, at_once: threadi
     settled: str | None = None
     with Link(settings.connect, name, settings.tls) as link:
         while True:
-            terms = _meet(link, settings, name, sid, stop, settled)
+            terms = _find_run(link, settings, name, sid, stop, settled)
             if terms is None:
                 return 0
             link.join(terms.run)
@@ -104,7 +104,7 @@ def _work_for(
 
 
 class Supervisor:
-    """Slots and heartbeat of one worker for one run."""
+    """Threads of one worker for one run: slots and heartbeat."""
 
     def __init__(self, host: Host, stop: threading.Event, at_once: threading.Event) -> None:
         self._host = host
@@ -113,26 +113,26 @@ class Supervisor:
         slots = [Slot(host) for _ in range(host.settings.cores)]
         self._slots = [threading.Thread(target=slot.run, name=f"slot-{n}") for n, slot in enumerate(slots)]
         self._heartbeat = Heartbeat(host)
-        self._heart = threading.Thread(target=self._heartbeat.run, name="heartbeat")
+        self._heartbeat_thread = threading.Thread(target=self._heartbeat.run, name="heartbeat")
 
     def run(self) -> Ending:
-        """Works until there is no more to do or to wait for.
+        """Runs the threads until the worker ends, and returns the reason.
 
         Raises:
-            WorldError: this machine cannot work, e.g. because simulations do not start.
+            WorldError: the worker failed, e.g. because simulations do not start.
         """
         host = self._host
         host.link.serve(host.sid, lambda asked: host.spool.read(asked.job_id, asked.fence, *asked.chunk))
         log.info("worker_started", run=host.run, sid=host.sid, cores=host.settings.cores, spooled=len(host.spool))
-        threads = [*self._slots, self._heart]
+        threads = [*self._slots, self._heartbeat_thread]
         for thread in threads:
             thread.start()
         try:
             while not self._is_over():
-                self._heed_stop()
+                self._poll_stop()
         finally:
             self._phase.stop(0.0)
-            host.link.close()  # ends every question under way
+            host.link.close()  # ends all open requests
             for thread in threads:
                 thread.join(_JOIN_S)
         if self._phase.error is not None:
@@ -141,8 +141,8 @@ class Supervisor:
             return Ending.MOVED
         return Ending.STOPPED if self._stop.is_set() else Ending.FINISHED
 
-    def _heed_stop(self) -> None:
-        # never a bare wait(): the signal may be handled on another thread and this one would sleep on
+    def _poll_stop(self) -> None:
+        # not wait() without timeout: another thread may handle the signal, and this thread would not wake up
         if not self._phase.stopping.is_set() and self._stop.wait(_POLL_S):
             log.info("draining", by="stop", spooled=len(self._host.spool))
             self._phase.stop(_DRAIN_S)
@@ -152,23 +152,24 @@ class Supervisor:
     def _is_over(self) -> bool:
         if self._at_once.is_set():
             return True
-        if self._phase.left_s == 0.0 or self._phase.finished_s > _FAREWELL_S:
+        if self._phase.left_s == 0.0 or self._phase.finished_s > _FINISH_TIMEOUT_S:
             return True
         if any(slot.is_alive() for slot in self._slots):
             return False
         if self._phase.stopping.is_set() and not self._heartbeat.is_answered:
-            return True  # nobody there to fetch what waits: it keeps until the next start
+            return True  # no coordinator fetches the bundles; they stay in the spool until the next start
         return len(self._host.spool) == 0
 
 
-def _meet(
+def _find_run(
     link: Link, settings: WorkerSettings, name: str, sid: str, stop: threading.Event, settled: str | None
 ) -> HelloReply | None:
-    """Looks for the run until it answers, `wait_s` is over or the worker is stopped (`None`).
+    """Waits for the reply of a run until `wait_s` is over; returns `None` if the worker is stopped.
 
-    A worker that has settled an evaluation goes back to the collection it interrupted, if there is one (else `None`).
+    After the evaluation `settled`, a worker returns to the collection that it interrupted, or gets `None` if there is
+    none.
     """
-    hello, pause, begun = make_hello(sid, name, settings.cores), Backoff(0.2, 2.0), time.monotonic()
+    hello, pause, started = make_hello(sid, name, settings.cores), Backoff(0.2, 2.0), time.monotonic()
     is_open = False
     while not stop.is_set():
         is_open = is_open or link.open()
@@ -178,14 +179,13 @@ def _meet(
                 return terms
         if settled is not None:
             return None
-        if time.monotonic() - begun > settings.wait_s:
+        if time.monotonic() - started > settings.wait_s:
             where = ", ".join(settings.connect)
             refused = ", or it does not admit this host (its hosts.txt)" if settings.tls is not None else ""
             found = f" ({link.last_error})" if link.last_error else ""
             raise WorldError(
                 f"no coordinator answered at {where} within {settings.wait_s:g} s{found}{refused}: start one with "
-                "`factory "
-                "coordinator start`, give its endpoint with --connect, or wait longer with --connect-timeout"
+                "`factory coordinator start`, give its endpoint with --connect, or wait longer with --connect-timeout"
             )
         stop.wait(pause.fail())
     return None
@@ -194,7 +194,7 @@ def _meet(
 def _choose(
     replies: tuple[HelloReply | Refusal, ...], settings: WorkerSettings, settled: str | None
 ) -> HelloReply | None:
-    """Returns the terms to work under; evaluations go first, in the order of their names, for they are short."""
+    """Returns the reply of the run to work for; evaluations have priority, in the order of their names."""
     greetings = (reply for reply in replies if isinstance(reply, HelloReply) and reply.run != settled)
     terms = sorted((reply for reply in greetings if settings.run in {None, reply.run}), key=lambda reply: reply.run)
     short = [reply for reply in terms if reply.trade is Trade.EVALUATION]

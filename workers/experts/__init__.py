@@ -1,4 +1,4 @@
-"""Experts: controllers that know the goal and produce the demonstrations. One registry, one protocol."""
+"""Experts: controllers that know the goal and produce the demonstrations, with a registry and a common protocol."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ EXPERTS: Mapping[ExpertName, Callable[[Job], Expert]] = MappingProxyType(
         ExpertName.PLANNER: PlannerExpert,
     }
 )
-"""Every expert this version can drive with."""
+"""Constructor of each expert, by name."""
 
 
 def make_expert(job: Job) -> Expert:
-    """Returns the expert a job asks for.
+    """Returns the expert of a job.
 
     Raises:
-        UsageError: this version has no such expert.
+        UsageError: this version does not have the expert.
     """
     require_expert(job.expert)
     return EXPERTS[job.expert](job)
 
 
 def require_expert(name: ExpertName) -> None:
-    """Makes sure that this version has an expert.
+    """Checks that this version has an expert.
 
     Raises:
-        UsageError: it has not.
+        UsageError: this version does not have the expert.
     """
     if name not in EXPERTS:
         known = ", ".join(EXPERTS)

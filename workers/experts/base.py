@@ -1,4 +1,4 @@
-"""The protocol of an expert: what it is shown each step and what it answers."""
+"""Protocols of an expert and of its observation at each step. Implements no expert."""
 
 from __future__ import annotations
 
@@ -15,43 +15,46 @@ __all__ = ["Expert", "Senses"]
 
 
 class Senses(Protocol):
-    """What an expert may use; all but `sighting` is ground truth. What the camera shows may be looked at when asked."""
+    """Observation of an expert; all but `sighting` and `obstacle_near` is ground truth. Image properties are lazy."""
 
     @property
     def sighting(self) -> Sighting:
-        """The target in the image."""
+        """Measurements of the target in the image."""
 
     @property
     def bearing_rad(self) -> float:
-        """Angle from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi]."""
+        """Angle from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi], radians."""
 
     @property
     def distance_m(self) -> float:
-        """Planar distance from base_link to the target's centroid."""
+        """Planar distance from base_link to the target's centroid, metres."""
 
     @property
     def obstacle_near(self) -> bool:
-        """Whether something stands close before the camera."""
+        """Whether an obstacle is close in front of the camera."""
 
     @property
     def pose(self) -> Pose:
-        """Of base_link in the world frame."""
+        """Pose of base_link in the world frame."""
 
 
 @runtime_checkable
 class Expert(Protocol):
-    """A controller of one drive; `begin` is called once, then `act` once a step, in order."""
+    """Controller of one episode; the caller calls `begin` once, then `act` at each step."""
 
     def begin(self, start: Pose, grid: Grid, target: Target) -> tuple[Waypoint, ...] | None:
-        """Returns the path it means to follow: empty where it follows none, `None` where it needs one and finds none.
+        """Prepares the controller and returns its planned path.
 
         Args:
             start: pose of base_link at rest.
-            grid: of the scene.
-            target: to drive to.
+            grid: occupancy grid of the scene.
+            target: target to drive to.
+
+        Returns:
+            The path; empty for an expert without a plan, `None` if the expert needs a path and none exists.
         """
         ...
 
     def act(self, seen: Senses) -> Twist:
-        """Returns the wanted twist, within the action bounds and before the slew limit."""
+        """Returns the desired twist, within the action bounds and before the slew limit."""
         ...

@@ -1,6 +1,6 @@
-"""What there is before an action: where the robot stands, and what its camera shows once somebody looks.
+"""Observation before each action: pose of the robot, and a camera image that is rendered on the first access.
 
-An expert's senses, and all that a policy is shown comes from here; judges nothing.
+Experts and policies get their input from this module. It does not decide when an episode ends.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ __all__ = ["LazyFrame", "Observation"]
 
 
 class LazyFrame:
-    """What the camera shows from one pose; drawn when somebody first looks, for most drivers never do.
+    """Camera image from one pose, rendered on the first access, because many controllers do not use it.
 
     Args:
-        renderer: returns what draws, with the scene loaded; may raise when it is too late to look.
-        pose: of base_link.
-        job: says what counts as visible and as near.
-        instance_id: of the target.
+        renderer: returns the renderer with the scene loaded; raises if the episode is over.
+        pose: pose of base_link.
+        job: gives the thresholds for a visible target and a near obstacle.
+        instance_id: id of the target.
     """
 
     def __init__(self, renderer: Callable[[], Renderer], pose: Pose, job: Job, instance_id: int) -> None:
@@ -34,52 +34,53 @@ class LazyFrame:
 
     @cached_property
     def frame(self) -> RenderedFrame:
-        """Colour, depth and ids."""
+        """Frame with colour, depth and ids."""
         return self._renderer().render(self._pose)
 
     @cached_property
     def relief(self) -> RenderedFrame | DepthAndIds:
-        """Depth and ids, without colour where that has not been drawn already."""
+        """Depth and ids, from the frame if it has been rendered, else rendered without colour."""
         return self.frame if "frame" in self.__dict__ else self._renderer().render_depth_and_ids(self._pose)
 
     @cached_property
     def sighting(self) -> Sighting:
-        """The target in the image."""
+        """Measurements of the target in the image."""
         return see(self.relief.ids, self.relief.depth, self._instance_id, self._job.gains.min_mask_px)
 
     @cached_property
     def obstacle_near(self) -> bool:
-        """Whether something stands close before it."""
+        """Whether an obstacle is close in front of the camera."""
         return is_obstacle_near(self.relief.depth, self._job.task)
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What there is before an action; after the end, what the last action was judged on. An expert's senses."""
+    """State before an action, or after the end the state before the last action; implements `Senses`."""
 
     camera: LazyFrame
+    """Camera image."""
     pose: Pose
-    """Of base_link in the world frame."""
+    """Pose of base_link in the world frame."""
     distance_m: float
-    """Planar, from base_link to the target's centroid."""
+    """Planar distance from base_link to the target's centroid, metres."""
     bearing_rad: float
-    """From the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi]."""
+    """Angle from the robot's heading to the target's centroid, counter-clockwise, in [-pi, pi], radians."""
     is_touching: bool
-    """Whether there is a contact other than the floor."""
+    """Whether the robot has a contact other than the floor."""
     end: EndReason | None = None
-    """Why the episode has ended, or `None` while it goes on."""
+    """Reason for the end of the episode, or `None` before it."""
 
     @property
     def frame(self) -> RenderedFrame:
-        """What the camera shows."""
+        """Frame of the camera."""
         return self.camera.frame
 
     @property
     def sighting(self) -> Sighting:
-        """The target in the image."""
+        """Measurements of the target in the image."""
         return self.camera.sighting
 
     @property
     def obstacle_near(self) -> bool:
-        """Whether something stands close before the camera."""
+        """Whether an obstacle is close in front of the camera."""
         return self.camera.obstacle_near

@@ -1,8 +1,8 @@
-"""The planner expert: plans a forward-only path on the occupancy grid and follows it by pure pursuit.
+"""Planner expert: plans a forward-only path on the occupancy grid and follows it with pure pursuit.
 
 Design: docs/design/experts.md#planner.
 
-Knows the map and never looks at the image; near the goal it has the proportional expert's speed law and stop.
+Uses the map and not the image. Near the goal it applies the speed law and the stop of the proportional expert.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from workers.planning.follow import Follower
 __all__ = ["PlannerExpert"]
 
 _LAST_MARGIN_M = 0.01
-"""How far within the circle the end of a path must lie for a stop there."""
+"""Distance to the edge of the success circle, inside it, at which the robot may stop at the end of a path, metres."""
 
 
 class PlannerExpert:
-    """Plans once, then follows."""
+    """Expert that plans a path at the start and then follows it."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -32,7 +32,7 @@ class PlannerExpert:
         self._has_stopped = False
 
     def begin(self, start: Pose, grid: Grid, target: Target) -> tuple[Waypoint, ...] | None:
-        """Plans from a start pose; returns the path, or `None` where there is none."""
+        """Plans from a start pose; returns the path, or `None` if none exists."""
         self._grid, self._target = grid, target
         pose = Waypoint(start.x, start.y, start.yaw)
         path = plan_path(grid, pose, target, self._job.task.success_radius_m, self._job.planner)
@@ -40,10 +40,10 @@ class PlannerExpert:
         return path
 
     def act(self, seen: Senses) -> Twist:
-        """Returns the wanted twist; stands still once inside the success circle with sight of the target.
+        """Returns the desired twist; zero after arrival inside the success circle with line of sight to the target.
 
         Raises:
-            RuntimeError: `begin` has not been called or found no path.
+            RuntimeError: `begin` was not called or found no path.
         """
         if self._follower is None:
             raise RuntimeError("act() has no path; call begin() first, and act() only if begin() found a path")
@@ -53,7 +53,7 @@ class PlannerExpert:
         return self._follower.act(seen.pose, self._job.gains.speed_gain * seen.distance_m)
 
     def _has_arrived(self, seen: Senses) -> bool:
-        """Distance alone would stop the robot behind a wall that the target leans on."""
+        """Returns whether the robot is close to the target and sees it; without sight it could stop behind a wall."""
         is_done = self._follower is not None and self._follower.is_done
         near_enough_m = self._job.task.success_radius_m - _LAST_MARGIN_M if is_done else self._stop_m
         return seen.distance_m <= near_enough_m and self._grid.has_sight((seen.pose.x, seen.pose.y), self._target)

@@ -1,6 +1,6 @@
-"""The proportional expert (paper Eq. 2-5) and its speed laws; heads for the mask, else for the bearing.
+"""Proportional expert (paper Eq. 2-5) and its speed laws; it steers by the target's mask, or else by the bearing.
 
-Knows nothing of obstacles beyond the paper's speed cap; it cannot pass corners.
+Reacts to obstacles with the paper's speed limit only. It cannot drive around corners.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from workers.planning import Waypoint
 __all__ = ["ProportionalExpert", "centroid_speed", "depth_speed", "literal_speed"]
 
 SpeedLaw = Callable[[Senses, ExpertConfig, float], float]
-"""(observation, gains, success radius) -> speed in m/s before clamping."""
+"""Function (observation, gains, success radius in metres) -> speed in m/s before clamping."""
 
 
 def centroid_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
-    """k_v * d with d the planar distance to the centroid, and 0 inside the circle: the published behaviour."""
+    """Returns k_v * d for the planar distance d to the centroid, and 0 inside the circle, m/s; published behaviour."""
     return gains.speed_gain * seen.distance_m if seen.distance_m > radius_m else 0.0
 
 
 def depth_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
-    """k_v * (median mask depth) while visible, else k_v * d; 0 inside the circle."""
+    """Returns k_v * (median mask depth) if the target is visible, else k_v * d; 0 inside the circle, m/s."""
     if seen.distance_m <= radius_m:
         return 0.0
     return gains.speed_gain * (seen.sighting.measure_depth() if _is_visible(seen, gains) else seen.distance_m)
 
 
 def literal_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
-    """Paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) while visible, else k_v * d.
+    """Returns paper Eq. 3 and 5 as printed: k_v * (median mask depth - radius) if visible, else k_v * d, m/s.
 
-    Measured from the camera to the surface, the speed reaches 0 before the base is within the radius of the
-    centroid, so that this law only times out (docs/design/experts.md#proportional-expert).
+    The depth is measured from the camera to the surface, and the speed reaches 0 before the base is within the radius
+    of the centroid. So every episode with this law ends with a timeout (docs/design/experts.md#proportional-expert).
     """
     if _is_visible(seen, gains):
         return gains.speed_gain * (seen.sighting.measure_depth() - radius_m)
@@ -47,7 +47,10 @@ def literal_speed(seen: Senses, gains: ExpertConfig, radius_m: float) -> float:
 
 
 class ProportionalExpert:
-    """Yaw rate from the mask's column or the bearing, speed from a speed law, capped near obstacles."""
+    """Expert that computes the yaw rate from the mask's column or the bearing, and the speed from a speed law.
+
+    The speed is limited near obstacles.
+    """
 
     def __init__(self, job: Job, speed_law: SpeedLaw) -> None:
         self._gains = job.gains
@@ -56,15 +59,15 @@ class ProportionalExpert:
         self._speed_law = speed_law
 
     def begin(self, start: Pose, grid: Grid, target: Target) -> tuple[Waypoint, ...]:  # noqa: ARG002
-        """Returns the empty path: it follows none."""
+        """Returns an empty path, because this expert plans none."""
         return ()
 
     def act(self, seen: Senses) -> Twist:
-        """Returns the wanted twist; standing still, heading and all, once the speed law says 0 inside the circle."""
+        """Returns the desired twist; zero speed and yaw rate once the speed law gives 0 inside the circle."""
         gains = self._gains
         speed = self._speed_law(seen, gains, self._radius_m)
         if speed <= 0.0 and seen.distance_m <= self._radius_m:
-            return Twist(0.0, 0.0)  # without a look, which costs more than all the rest
+            return Twist(0.0, 0.0)  # without rendering an image, which takes most of the time of a step
         if speed > gains.avoidance_speed_mps and seen.obstacle_near:
             speed = gains.avoidance_speed_mps
         half = FRAME_SIZE_PX / 2

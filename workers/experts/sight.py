@@ -1,6 +1,6 @@
-"""What an expert reads off a frame: where its target stands in the image, how deep, and whether something is near.
+"""Image measurements of an expert: position and depth of the target in the frame, and detection of a near obstacle.
 
-Pure functions over the id and depth images; they never look at the simulation's ground truth.
+Pure functions of the id and depth images. They use no ground truth of the simulation.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from schemas.config import TaskConfig
 __all__ = ["Sighting", "is_obstacle_near", "see"]
 
 _BYTE_SUM_ROWS = 255
-"""Rows of ones that a column's sum of bytes can hold."""
+"""Largest number of rows whose true pixels can be summed in one byte."""
 
 
 class Sighting(NamedTuple):
-    """The target in the image."""
+    """Measurements of the target in the image."""
 
     pixels: int
-    """Size of the mask."""
+    """Size of the mask, pixels."""
     column: float
-    """Mean column of the mask, pixels from the left edge; the image centre when nothing is seen."""
+    """Mean column of the mask, pixels from the left edge; the image centre if the target is not visible."""
     measure_depth: Callable[[], float]
-    """Returns the median depth over the mask in metres, 0 when nothing is seen; only while the frame is at hand. Most
-    experts never ask, and the median costs more than all the rest."""
+    """Function that returns the median depth over the mask in metres, 0 if the target is not visible. It is lazy,
+    because the median takes longer than all other measurements and most experts do not use it."""
 
 
 def see(ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, min_pixels: int) -> Sighting:
@@ -37,8 +37,8 @@ def see(ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, m
     Args:
         ids: (H, W) instance ids.
         depth: (H, W) metres along the optical axis.
-        instance_id: of the target.
-        min_pixels: masks smaller than this are reported without column and depth.
+        instance_id: id of the target.
+        min_pixels: smallest mask for which column and depth are measured, pixels.
     """
     width = ids.shape[1]
     mask = ids == instance_id
@@ -51,7 +51,7 @@ def see(ids: NDArray[np.uint16], depth: NDArray[np.float32], instance_id: int, m
 
 
 def _pixels_by_column(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Returns (W,) the count of true pixels in each column; sums of bytes are ten times as fast as sums of integers."""
+    """Returns (W,) number of true pixels in each column; sums of bytes are ten times as fast as sums of integers."""
     ones = mask.view(np.uint8)
     counts = np.zeros(mask.shape[1], np.int64)
     for top in range(0, len(ones), _BYTE_SUM_ROWS):
@@ -60,9 +60,13 @@ def _pixels_by_column(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def is_obstacle_near(depth: NDArray[np.float32], task: TaskConfig) -> bool:
-    """Whether the 5th-percentile depth of the foreground crop is below the limit (paper Sec. III-F).
+    """Returns whether the 5th-percentile depth of the foreground crop is below the limit (paper Sec. III-F).
 
-    The percentile is told by counting: it is below the limit when more than 5 % of the valid pixels are.
+    The percentile is below the limit if more than 5 % of the valid pixels are, so counting replaces sorting.
+
+    Args:
+        depth: (H, W) metres, 0 for invalid pixels.
+        task: gives the crop and the limit.
     """
     height, width = depth.shape
     top, bottom = (round(side * height) for side in task.crop_rows)

@@ -1,1 +1,1 @@
-"""Poses, camera projection, occupancy grid and velocity limits. Pure."""
+"""Poses, camera projection, occupancy grid and velocity limits. Pure functions."""

@@ -1,6 +1,6 @@
-"""Where in the image a target's mask would stand, told from its triangles without drawing.
+"""Estimates the position and size of a target's mask in the image from its triangles, without rendering.
 
-Every facing bit of surface counts, for what it covers in the image, whatever stands before it. Pure.
+Adds up the image area of all triangles that face the camera. Does not account for occlusion.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from schemas.scene import CompiledScene
 __all__ = ["Appearance"]
 
 _LONGEST_M = 0.7
-"""Triangles with a longer side are cut: each is looked at from its middle alone, and near ends must weigh more."""
+"""Longest side of a triangle, metres; longer ones are subdivided, because a triangle is evaluated at its centre only
+and its near part covers more of the image."""
 _CUTS = 3
 
 Floats = NDArray[np.float64]
 
 
 class Appearance:
-    """The surface of one target; looked at from poses of base_link on the floor."""
+    """Surface of one target, for evaluation from poses of base_link on the floor."""
 
     def __init__(self, scene: CompiledScene, instance_id: int, camera: CameraConfig) -> None:
-        """Takes the triangles of an instance, heights from the floor.
+        """Collects the triangles of an instance, with heights above the floor.
 
         Args:
-            scene: the place.
-            instance_id: of the target.
-            camera: of the robot.
+            scene: scene that contains the target.
+            instance_id: id of the target.
+            camera: camera of the robot.
         """
         parts = np.flatnonzero((scene.part_instance == instance_id) & (scene.part_count > 0))
         runs = [slice(scene.part_first[part], scene.part_first[part] + scene.part_count[part]) for part in parts]
@@ -43,19 +44,19 @@ class Appearance:
         triangles = _cut(corners)
         self._centres: Floats = triangles.mean(axis=1)
         self._faces: Floats = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
-        """As long as the area."""
+        """Normal vectors whose length is the area, square metres."""
 
     def look(self, x: float, y: float, yaw: float) -> tuple[float, float]:
-        """Returns how many pixels the target would cover, and the mean column of its mask.
+        """Returns the size of the target's mask and its mean column.
 
         Args:
-            x: of base_link in the world, metres.
-            y: of base_link in the world, metres.
-            yaw: radians.
+            x: x of base_link in the world, metres.
+            y: y of base_link in the world, metres.
+            yaw: heading of base_link, radians.
 
         Returns:
-            Pixels, surfaces behind others counted too; and the column from -1 at the left edge to 1 at the right one, 0
-            when nothing is in view.
+            Number of pixels, occluded surfaces included; and the column from -1 at the left edge to 1 at the right
+            edge, 0 if the target is not in view.
         """
         camera, cos, sin = self._camera, math.cos(yaw), math.sin(yaw)
         eye = (x + camera.x_m * cos - camera.y_m * sin, y + camera.x_m * sin + camera.y_m * cos, camera.z_m)
@@ -66,7 +67,7 @@ class Appearance:
         edge = depth * self._half
         seen = (facing > 0) & (depth > camera.near_m) & (np.abs(right) < edge) & (np.abs(ray[:, 2]) < edge)
         ahead = depth[seen]
-        cover = facing[seen] / (ahead * ahead * ahead)  # area on a plane 1 m before the eye
+        cover = facing[seen] / (ahead * ahead * ahead)  # area on a plane 1 m in front of the camera
         total = float(cover.sum())
         if total == 0.0:
             return 0.0, 0.0
@@ -75,7 +76,7 @@ class Appearance:
 
 
 def _cut(triangles: Floats) -> Floats:
-    """Cuts triangles (N, 3, 3) in four, at most `_CUTS` times, until no side is longer than `_LONGEST_M`."""
+    """Subdivides triangles (N, 3, 3) into four, at most `_CUTS` times, until no side is longer than `_LONGEST_M`."""
     for _ in range(_CUTS):
         longest = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1, initial=0.0)
         long = triangles[longest > _LONGEST_M]

@@ -1,6 +1,6 @@
-"""The pinhole camera on the robot: where it is, what it projects to where.
+"""Geometry of the robot's pinhole camera: pose, view matrix, projection matrix and intrinsics.
 
-Pure geometry in float64; it never renders and knows no graphics library.
+Pure functions in float64. Does not render and uses no graphics library.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ class OpticalPose:
     """Pose of the optical frame (x right, y down, z forward) in the world frame."""
 
     eye: Matrix
-    """(3,) the projection centre, metres."""
+    """(3,) projection centre, metres."""
     rotation: Matrix
-    """(3, 3) columns are the optical axes x, y, z as unit vectors of the world."""
+    """(3, 3) rotation matrix; its columns are the optical axes x, y, z as unit vectors in the world frame."""
 
 
 def optical_pose(pose: Pose, camera: CameraConfig) -> OpticalPose:
-    """Returns the pose of the optical frame for a base_link pose; the camera looks along base_link's x."""
+    """Returns the pose of the optical frame for a pose of base_link; the optical axis is parallel to base_link's x."""
     base = _rotation(pose)
     eye = product(base, np.array(((camera.x_m,), (camera.y_m,), (camera.z_m,))))[:, 0] + (pose.x, pose.y, pose.z)
     return OpticalPose(eye, base[:, _OPTICAL_AXES] * _OPTICAL_SIGNS)
 
 
 def view_matrix(optical: OpticalPose) -> Matrix:
-    """Returns the (4, 4) matrix from the world to the eye frame of OpenGL (x right, y up, z backward), for columns."""
+    """Returns the (4, 4) matrix from world to OpenGL eye frame (x right, y up, z backward), for column vectors."""
     view = np.eye(4)
     view[:3, :3] = optical.rotation.T * np.array([[1.0], [-1.0], [-1.0]])
     view[:3, 3] = -product(view[:3, :3], optical.eye[:, None])[:, 0]
@@ -50,7 +50,7 @@ def view_matrix(optical: OpticalPose) -> Matrix:
 
 
 def projection_matrix(camera: CameraConfig) -> Matrix:
-    """Returns the (4, 4) perspective of OpenGL for a square image; its clip w is the depth in metres."""
+    """Returns the (4, 4) OpenGL perspective matrix of a square image; its clip w is the depth in metres."""
     scale = 1.0 / math.tan(math.radians(camera.fov_deg) / 2)
     near, far = camera.near_m, camera.far_m
     matrix = np.zeros((4, 4))
@@ -61,7 +61,7 @@ def projection_matrix(camera: CameraConfig) -> Matrix:
 
 
 def intrinsics(camera: CameraConfig, size: int) -> Matrix:
-    """Returns the (3, 3) matrix from the optical frame to pixels of a `size` x `size` image.
+    """Returns the (3, 3) intrinsic matrix, from the optical frame to pixels of a `size` x `size` image.
 
     The image spans [0, size) in both directions, so that the centre of pixel (row, column) is
     (column + 0.5, row + 0.5).

@@ -1,6 +1,6 @@
-"""The occupancy grid: where the robot's footprint fits, which straight lines are free, which floor is connected.
+"""Occupancy grid: free poses of the footprint, free straight lines, lines of sight, and the connected floor.
 
-Pure geometry over arrays in the world frame, metres and radians; never draws, plans a path or touches physics.
+Pure geometry of arrays in the world frame, metres and radians. Does not render, plan paths or simulate.
 """
 
 from __future__ import annotations
@@ -30,15 +30,17 @@ __all__ = [
 DISC_OFFSETS_M = (-0.46, -0.2335, -0.01)
 """Centres of the three discs that cover the footprint, x in base_link (docs/design/robot.md#footprint-on-the-grid)."""
 DISC_RADIUS_M = 0.29
+"""Radius of those discs, metres."""
 BODY_CENTRE_M = -0.2335
-"""Centre of the footprint, x in base_link."""
+"""Centre of the footprint, x in base_link, metres."""
 HALF_WIDTH_M = 0.25
+"""Half the width of the footprint, metres."""
 FRONT_M = 0.14
-"""Foremost point of the footprint, x in base_link."""
+"""Foremost point of the footprint, x in base_link, metres."""
 CONNECT_CLEARANCE_M = 0.36
-"""Clearance of the body centre that lets the robot pass: half its width and a hand's breadth."""
+"""Clearance of the body centre with which the robot can pass, metres: half its width and a margin."""
 FREE, OCCUPIED, HIDING = 0, 1, 2
-"""Values of `CompiledScene.occupancy`; `HIDING` also blocks the sight of what stands behind."""
+"""Values of `CompiledScene.occupancy`; `HIDING` is occupied and blocks the line of sight."""
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -46,13 +48,14 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Occupancy of the robot's height band; cell (row, column) covers y, x from the origin; outside is occupied."""
+    """Occupancy of the robot's height band; rows are y and columns are x; space outside the grid is occupied."""
 
     occupancy: NDArray[np.uint8]
-    """(H, W) 0 free, 1 occupied, 2 occupied and hiding what is behind."""
+    """(H, W) 0 free, 1 occupied, 2 occupied and blocking the line of sight."""
     origin_m: tuple[float, float]
-    """World x, y of the outer corner of cell (0, 0)."""
+    """World x, y of the outer corner of cell (0, 0), metres."""
     resolution_m: float
+    """Side of a cell, metres."""
 
     @classmethod
     def from_scene(cls, scene: CompiledScene) -> Self:
@@ -61,23 +64,23 @@ class Grid:
 
     @cached_property
     def clearance(self) -> Floats:
-        """(H, W) distance in metres from each cell's centre to the nearest occupied cell's centre; 0 on those."""
+        """(H, W) distance from each cell's centre to that of the nearest occupied cell, metres; 0 if occupied."""
         walled = np.pad(self.occupancy == FREE, 1)
         field: Floats = scipy.ndimage.distance_transform_edt(walled)[1:-1, 1:-1] * self.resolution_m
         return field
 
     def cell_of(self, xy: ArrayLike) -> NDArray[np.int64]:
-        """Returns (row, column) of the cells that hold the points (..., 2); they may lie outside of the grid."""
+        """Returns (row, column) of the cells that contain the points (..., 2); they may be outside the grid."""
         column_row = np.floor((np.asarray(xy, float) - self.origin_m) / self.resolution_m).astype(np.int64)
         return column_row[..., ::-1]
 
     def centre_of(self, cells: ArrayLike) -> Floats:
-        """Returns world x, y of the centres of cells (..., 2) given as (row, column)."""
+        """Returns world x, y of the centres of cells (..., 2) given as (row, column), metres."""
         row_column = np.asarray(cells, float)
         return np.asarray(self.origin_m) + (row_column[..., ::-1] + 0.5) * self.resolution_m
 
     def values_at(self, field: NDArray[np.generic], xy: ArrayLike, outside: float) -> NDArray[np.generic]:
-        """Looks a field (H, W) up at points (..., 2); `outside` is the value beyond the grid."""
+        """Returns the values of a field (H, W) at points (..., 2); `outside` is the value outside the grid."""
         cells = self.cell_of(xy)
         rows, columns = cells[..., 0], cells[..., 1]
         height, width = field.shape
@@ -86,11 +89,11 @@ class Grid:
         return np.where(inside, found, field.dtype.type(outside))
 
     def clearance_at(self, xy: ArrayLike) -> Floats:
-        """Returns the clearance in metres at points (..., 2); 0 outside of the grid."""
+        """Returns the clearance at points (..., 2), metres; 0 outside the grid."""
         return self.values_at(self.clearance, xy, 0.0).astype(np.float64)
 
     def are_poses_free(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike, margin_m: float = 0.0) -> Bools:
-        """Tells for arrays of base_link poses whether the footprint and `margin_m` around it are free."""
+        """Returns for arrays of base_link poses whether the footprint with `margin_m` around it is free."""
         return self._least_clearance(x, y, yaw) >= DISC_RADIUS_M + margin_m
 
     def room_at_poses(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Floats:
@@ -110,14 +113,14 @@ class Grid:
         return np.asarray(self.clearance_at(discs).min(axis=-1))
 
     def is_pose_free(self, x: float, y: float, yaw: float, margin_m: float = 0.0) -> bool:
-        """Whether the footprint of a base_link pose and `margin_m` around it are free."""
+        """Returns whether the footprint of a base_link pose with `margin_m` around it is free."""
         return bool(self.are_poses_free(x, y, yaw, margin_m))
 
     def are_lines_free(self, starts: ArrayLike, ends: ArrayLike, clearance_m: float) -> Bools:
-        """Tells for segments (N, 2) -> (N, 2) of the base_link whether the robot can drive along them.
+        """Returns for segments from (N, 2) to (N, 2) of base_link whether the robot can drive along them.
 
-        The swept body, from its front at the end pose on back, must keep `clearance_m` of free space on both sides.
-        Three tracks of discs cover that band; they are sampled at half the grid's resolution.
+        The area that the body sweeps, up to its front at the end pose, must have `clearance_m` of free space on both
+        sides. Three tracks of discs, sampled at half the grid's resolution, cover that area.
         """
         a, b = np.atleast_2d(np.asarray(starts, float)), np.atleast_2d(np.asarray(ends, float))
         a, b = np.broadcast_arrays(a, b)
@@ -134,11 +137,11 @@ class Grid:
         return free
 
     def is_line_free(self, start: ArrayLike, end: ArrayLike, clearance_m: float) -> bool:
-        """Whether the robot can drive straight from `start` to `end` with `clearance_m` free on both sides."""
+        """Returns whether the robot can drive straight from `start` to `end` with `clearance_m` free on both sides."""
         return bool(self.are_lines_free(start, end, clearance_m)[0])
 
     def _are_tracks_free(self, a: Floats, b: Floats, radius: float) -> Bools:
-        """Whether discs of `radius` metres fit all along the segments."""
+        """Returns for each segment whether a disc of `radius` metres is free everywhere on it."""
         owner, points = self._samples(a, b)
         blocked = self.clearance_at(points) < radius
         free = np.ones(len(a), bool)
@@ -146,7 +149,7 @@ class Grid:
         return free
 
     def _samples(self, a: Floats, b: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """Points on the segments at half the resolution or closer, ends included, and the segment of each."""
+        """Returns points on the segments at half the resolution or closer, ends included, and the segment of each."""
         counts = np.ceil(np.linalg.norm(b - a, axis=1) / (self.resolution_m / 2)).astype(np.int64) + 1
         owner = np.repeat(np.arange(len(a)), counts)
         rank = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -154,10 +157,10 @@ class Grid:
         return owner, a[owner] + (b - a)[owner] * share[:, None]
 
     def have_sight(self, xy: ArrayLike, target: Target) -> Bools:
-        """Tells for points (N, 2) whether nothing tall stands between them and a target.
+        """Returns for points (N, 2) whether they have a line of sight to a target.
 
-        Tall is what fills the robot's height band and stands above its camera and a person's head alike: walls and
-        full racks, not desks. The target's own box and one cell around it never hide it.
+        Only tall obstacles block it: walls and full racks that fill the robot's height band and are higher than its
+        camera and a person, but not desks. The target's box and one cell around it never block it.
         """
         points = np.atleast_2d(np.asarray(xy, float))
         centre = np.asarray(target.centroid_m[:2])
@@ -170,15 +173,16 @@ class Grid:
         return seen
 
     def has_sight(self, xy: ArrayLike, target: Target) -> bool:
-        """Whether nothing tall stands between a point and a target."""
+        """Returns whether a point has a line of sight to a target."""
         return bool(self.have_sight(xy, target)[0])
 
     def connected_floor(self, seed_xy: ArrayLike | None = None, clearance_m: float = CONNECT_CLEARANCE_M) -> Bools:
         """Returns (H, W) the connected cells on which the body centre has `clearance_m`.
 
         Args:
-            seed_xy: a point of the wanted component; `None`, or a seed on no floor, takes the largest component.
-            clearance_m: clearance that the body centre needs, metres.
+            seed_xy: world x, y of a point in the component, metres; `None`, or a point outside the floor, selects the
+                largest component.
+            clearance_m: required clearance of the body centre, metres.
         """
         parts, count = scipy.ndimage.label(self.clearance >= clearance_m, structure=np.ones((3, 3)))
         if count == 0:
@@ -191,9 +195,9 @@ class Grid:
 
 
 def straight_end(spawn_xy: ArrayLike, centroid_xy: ArrayLike, radius_m: float) -> Floats:
-    """Returns where the straight line from the spawn enters the success circle, (..., 2).
+    """Returns the points (..., 2) at which straight lines from spawns to the centroid enter the success circle.
 
-    A spawn inside the circle is its own end.
+    For a spawn inside the circle, returns the spawn.
     """
     spawn, centroid = np.asarray(spawn_xy, float), np.asarray(centroid_xy, float)
     away = spawn - centroid
@@ -202,7 +206,7 @@ def straight_end(spawn_xy: ArrayLike, centroid_xy: ArrayLike, radius_m: float) -
 
 
 def are_within(points: Floats, boxes: Floats) -> Bools:
-    """Tells for (N, 2) points whether each lies within any of the rectangles (K, 2, 2), lower and upper corner."""
+    """Returns for points (N, 2) whether each is inside any of the rectangles (K, 2, 2), lower and upper corner."""
     inside: Bools = (points[:, None] > boxes[:, 0]) & (points[:, None] < boxes[:, 1])
     return np.asarray((inside[..., 0] & inside[..., 1]).any(axis=1))
 

@@ -1,7 +1,4 @@
-"""Where the robot stands: the pose of base_link in the world frame.
-
-A value, never a simulation: no physics and no rendering is imported here.
-"""
+"""Pose of base_link in the world frame, as a value type. Imports no physics and no rendering."""
 
 from __future__ import annotations
 
@@ -15,8 +12,8 @@ __all__ = ["Pose"]
 class Pose:
     """Pose of base_link (x forward, y left, z up) in the world frame, float64.
 
-    base_link lies on the floor midway between the drive wheels. The quaternion (w, x, y, z) has unit length and turns
-    vectors of base_link into vectors of the world.
+    The origin of base_link is on the floor midway between the drive wheels. The unit quaternion (w, x, y, z) rotates
+    vectors from base_link to the world frame.
     """
 
     x: float
@@ -36,7 +33,7 @@ class Pose:
         return cls(x, y, z, math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
 
     def levelled(self, limit_rad: float) -> Pose:
-        """Returns the upright pose of the same place and heading if this one leans by no more than `limit_rad`."""
+        """Returns an upright pose with this position and heading if the tilt is at most `limit_rad`, else this pose."""
         if 2 * math.hypot(self.qx, self.qy) > limit_rad:
             return self
         scale = 1 / math.hypot(self.qw, self.qz)

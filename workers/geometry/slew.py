@@ -1,6 +1,6 @@
-"""The limit on how fast the commanded twist may change, as the real robot's velocity smoother has it.
+"""Acceleration limit of the commanded twist, like the velocity smoother of the real robot.
 
-A pure function of two twists and the period; never a controller and never physics.
+A pure function of two twists and the control period. Contains no controller and no physics.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["Twist", "slew"]
 
 
 class Twist(NamedTuple):
-    """A planar velocity of base_link."""
+    """Planar velocity of base_link."""
 
     v_mps: float
     """Forward speed, m/s."""
@@ -24,18 +24,18 @@ class Twist(NamedTuple):
 
 
 def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
-    """Returns the twist to command next: `wanted`, held to the accelerations the robot can do.
+    """Returns the next commanded twist: `wanted` within the acceleration limits of the robot.
 
     Without the limit the wheels slip by half a metre a second and the robot drifts 25 cm over 6 m
-    (docs/design/robot.md#limits-of-commands). The limits of speed itself are not applied here. The twist is rounded
-    to float32, the precision it is recorded in, so that what was recorded is what was carried out, and carrying it
-    out again gives the same poses: slewing towards a recorded twist returns it unchanged.
+    (docs/design/robot.md#limits-of-commands). The speed limits are not applied here. The twist is rounded to float32,
+    the precision of the recording, so that a replay of the recorded twists gives the same poses: the limit returns a
+    recorded twist unchanged.
 
     Args:
-        current: the twist commanded in the period before.
-        wanted: the twist the driver asks for.
-        robot: gives the limits of speeding up, braking (m/s2) and turning (rad/s2).
-        dt: the control period, seconds.
+        current: twist of the previous control period.
+        wanted: twist that the controller requests.
+        robot: gives the limits of acceleration and braking (m/s2) and of yaw acceleration (rad/s2).
+        dt: control period, seconds.
     """
     yaw_step = robot.max_yaw_acceleration_rps2 * dt
     turned = min(max(wanted.w_rps, current.w_rps - yaw_step), current.w_rps + yaw_step)
@@ -43,7 +43,7 @@ def slew(current: Twist, wanted: Twist, robot: RobotConfig, dt: float) -> Twist:
 
 
 def _slew_speed(current: float, wanted: float, robot: RobotConfig, dt: float) -> float:
-    """Moves the speed towards `wanted`; braking means towards zero, and a reversal brakes first."""
+    """Returns the next speed towards `wanted`; braking is a change towards zero, and a reversal brakes first."""
     if current < 0:
         return -_slew_speed(-current, -wanted, robot, dt)
     if wanted >= current:

@@ -1,1 +1,1 @@
-"""The PyBullet world: robot, colliders, stepping."""
+"""Physics simulation with PyBullet: robot, colliders, stepping."""

@@ -1,6 +1,6 @@
-"""The door to PyBullet: the only module that imports it, typed, one private DIRECT client an object.
+"""Typed wrapper of PyBullet, with one private DIRECT client per object; the only module that imports PyBullet.
 
-Quaternions are (w, x, y, z) on this side of the door. It never decides what is simulated: worlds and renderers do.
+Quaternions of this interface are (w, x, y, z). Does not decide what is simulated; worlds and renderers do.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Quaternion = tuple[float, float, float, float]
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Points stdout and stderr at nothing: PyBullet's C code prints its build time past Python's streams."""
+    """Redirects stdout and stderr to the null device, because PyBullet's C code prints its build time."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = [os.dup(1), os.dup(2)]
@@ -50,7 +50,7 @@ def _silence() -> Iterator[None]:
             os.dup2(nothing.fileno(), 2)
         yield
     finally:
-        ctypes.CDLL(None).fflush(None)  # C keeps what it printed until its buffer is full
+        ctypes.CDLL(None).fflush(None)  # writes the buffer of the C library while the redirection is active
         for descriptor, copy in enumerate(kept, 1):
             os.dup2(copy, descriptor)
             os.close(copy)
@@ -67,39 +67,41 @@ _p = _import_pybullet()
 
 
 class Contact(NamedTuple):
-    """One contact point of a body."""
+    """Contact point of a body."""
 
     other: int
-    """Id of the body it meets."""
+    """Id of the other body."""
     distance_m: float
-    """Gap between the surfaces in metres; negative where they overlap."""
+    """Distance between the surfaces, metres; negative if they overlap."""
 
 
 class ShapePlacement(NamedTuple):
-    """Pose of a frame in the world: metres and quaternion (w, x, y, z)."""
+    """Pose of a frame in the world."""
 
     position: Vector
+    """x, y, z, metres."""
     orientation: Quaternion
+    """Quaternion (w, x, y, z)."""
 
 
 class CameraImage(NamedTuple):
-    """What the TinyRenderer saw; rows from the top."""
+    """Image of the TinyRenderer; rows from the top."""
 
     rgba: NDArray[np.uint8]
-    """(H, W, 4)."""
+    """(H, W, 4) colour."""
     depth: NDArray[np.float32]
-    """(H, W) OpenGL's window depth, 0 at the near plane to 1 at the far plane."""
+    """(H, W) OpenGL window depth, from 0 at the near plane to 1 at the far plane."""
     bodies: NDArray[np.int32]
-    """(H, W) body id, -1 for nothing."""
+    """(H, W) body id, -1 for no body."""
 
 
 def bullet_version() -> str:
-    """Returns the version of PyBullet's interface."""
+    """Returns the version of the installed package `pybullet`."""
     return version("pybullet")
 
 
 class BulletClient(Closing):
-    """One physics server within this process; bodies, shapes and textures belong to it and die with it."""
+    """Physics server within this process; it owns its bodies, shapes and textures and frees them when it is closed."""
 
     def __init__(self) -> None:
         self._id: int = _p.connect(_p.DIRECT)
@@ -108,7 +110,7 @@ class BulletClient(Closing):
         self._inertial: dict[int, tuple[Vector, tuple[float, float, float, float]]] = {}
 
     def close(self) -> None:
-        """Frees the client; closing twice is harmless."""
+        """Frees the client; further calls have no effect."""
         if self._id >= 0:
             _p.disconnect(physicsClientId=self._id)
             self._id = -1
@@ -116,7 +118,7 @@ class BulletClient(Closing):
     # Physics ---------------------------------------------------------------------------------------------------
 
     def set_engine(self, period_s: float, substeps: int, iterations: int) -> None:
-        """Sets gravity, the period of one `step` in seconds, its substeps and the iterations of the solver."""
+        """Sets gravity, the period of one `step` in seconds, its substeps, and the iterations of the solver."""
         _p.setGravity(0, 0, -9.81, physicsClientId=self._id)
         _p.setPhysicsEngineParameter(
             fixedTimeStep=period_s,
@@ -128,7 +130,7 @@ class BulletClient(Closing):
         )
 
     def add_plane(self, height_m: float) -> int:
-        """Adds an endless floor at a height and returns its body id."""
+        """Adds an infinite floor at a height in metres and returns its body id."""
         shape = _p.createCollisionShape(_p.GEOM_PLANE, physicsClientId=self._id)
         return self._add_static(height_m, collision=shape)
 
@@ -136,7 +138,7 @@ class BulletClient(Closing):
         """Adds a static concave mesh in world coordinates, metres, and returns its body id.
 
         Raises:
-            WorldError: Bullet refuses the mesh.
+            WorldError: PyBullet rejects the mesh.
         """
         try:
             shape = _p.createCollisionShape(
@@ -152,7 +154,7 @@ class BulletClient(Closing):
         return self._add_static(0.0, collision=shape)
 
     def add_urdf(self, urdf: str) -> int:
-        """Adds the body that a URDF text describes, its root link at the origin, and returns its body id."""
+        """Adds the body of a URDF text, with its root link at the origin, and returns its body id."""
         with tempfile.NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
             file.write(urdf)
             file.flush()
@@ -162,13 +164,13 @@ class BulletClient(Closing):
         return body
 
     def links(self, body: int) -> dict[str, int]:
-        """Returns the index of every link but the root, which is -1, by name."""
+        """Returns the index of every link by name, except the root link, whose index is -1."""
         count = _p.getNumJoints(body, physicsClientId=self._id)
         infos = (_p.getJointInfo(body, joint, physicsClientId=self._id) for joint in range(count))
         return {info[12].decode(): info[0] for info in infos}
 
     def set_surface(self, body: int, link: int, friction: float) -> None:
-        """Gives a link its sliding friction and takes away all damping, bounce and rolling resistance."""
+        """Sets the sliding friction of a link, and sets damping, restitution and rolling resistance to zero."""
         _p.changeDynamics(
             body,
             link,
@@ -183,11 +185,11 @@ class BulletClient(Closing):
         )
 
     def set_collision_group(self, body: int, link: int, group: int, meets: int) -> None:
-        """Puts a link into a collision group; two links collide when each one's `meets` holds the other's group."""
+        """Assigns a link to a collision group; two links collide if each one's `meets` contains the other's group."""
         _p.setCollisionFilterGroupMask(body, link, group, meets, physicsClientId=self._id)
 
     def drive_joints(self, body: int, joints: Sequence[int], speeds_rps: Sequence[float], torque_nm: float) -> None:
-        """Sets the wanted speeds of joints, rad/s, and the largest torque of their motors, N m."""
+        """Sets the target speeds of joints, rad/s, and the largest torque of their motors, N m."""
         _p.setJointMotorControlArray(
             body,
             joints,
@@ -198,7 +200,7 @@ class BulletClient(Closing):
         )
 
     def place_base(self, body: int, placement: ShapePlacement) -> None:
-        """Puts the root link frame of a URDF body somewhere, with everything at rest and all joints at zero."""
+        """Moves the root link frame of a URDF body to a pose, with zero velocity and all joints at zero."""
         w, x, y, z = placement.orientation
         position, rotation = _p.multiplyTransforms(placement.position, (x, y, z, w), *self._inertial[body])
         _p.resetBasePositionAndOrientation(body, position, rotation, physicsClientId=self._id)
@@ -207,17 +209,17 @@ class BulletClient(Closing):
             _p.resetJointState(body, joint, 0, 0, physicsClientId=self._id)
 
     def base_placement(self, body: int) -> ShapePlacement:
-        """Returns the pose of the root link frame of a URDF body, not that of its centre of mass."""
+        """Returns the pose of the root link frame of a URDF body, not of its centre of mass."""
         centre = _p.getBasePositionAndOrientation(body, physicsClientId=self._id)
         position, (x, y, z, w) = _p.multiplyTransforms(*centre, *_p.invertTransform(*self._inertial[body]))
         return ShapePlacement(position, (w, x, y, z))
 
     def step(self) -> None:
-        """Simulates one period."""
+        """Simulates one control period."""
         _p.stepSimulation(physicsClientId=self._id)
 
     def detect_collisions(self) -> None:
-        """Finds the contacts of the present poses without moving anything."""
+        """Computes the contacts of the current poses without a simulation step."""
         _p.performCollisionDetection(physicsClientId=self._id)
 
     def contacts(self, body: int) -> list[Contact]:
@@ -228,15 +230,15 @@ class BulletClient(Closing):
     # TinyRenderer ----------------------------------------------------------------------------------------------
 
     def add_visual(self, positions: NDArray[np.float32], uvs: NDArray[np.float32], rgb: Vector) -> int:
-        """Adds something to see: un-welded triangles of one colour, of at most `MESH_TRIANGLES`.
+        """Adds a visual body: at most `MESH_TRIANGLES` triangles of one colour that share no vertices.
 
         Args:
-            positions: (3n, 3) metres, counter-clockwise seen from outside.
+            positions: (3n, 3) corners, metres, counter-clockwise seen from outside.
             uvs: (3n, 2) texture coordinates.
             rgb: colour that multiplies the texture, 0 to 1.
 
         Returns:
-            The body id, which the camera image shows.
+            The body id, as in the camera image.
         """
         lists = [as_lists(each) for each in (positions, _corner_normals(positions), uvs)]
         indices = list(range(len(positions)))
@@ -260,13 +262,20 @@ class BulletClient(Closing):
         return texture
 
     def set_texture(self, body: int, texture: int) -> None:
-        """Dresses a body in a texture."""
+        """Assigns a texture to a body."""
         _p.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self._id)
 
     def camera_image(
         self, size: int, view: NDArray[np.float64], projection: NDArray[np.float64], *, is_lit: bool = False
     ) -> CameraImage:
-        """Renders a `size` x `size` image by OpenGL matrices for columns; `is_lit` with PyBullet's light and shadow."""
+        """Renders an image with the TinyRenderer.
+
+        Args:
+            size: width and height, pixels.
+            view: (4, 4) OpenGL view matrix for column vectors.
+            projection: (4, 4) OpenGL projection matrix for column vectors.
+            is_lit: whether PyBullet's light and shadow are applied.
+        """
         _, _, rgba, depth, bodies = _p.getCameraImage(
             size,
             size,

@@ -1,4 +1,4 @@
-"""Meshes as the plain lists that PyBullet reads, and those lists used again; knows nothing of PyBullet itself."""
+"""Converts meshes to the lists that PyBullet reads, and reuses these lists. Does not use PyBullet."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ from numpy.typing import NDArray
 __all__ = ["MESH_TRIANGLES", "MeshLists", "as_lists", "mesh_lists", "recycle", "take_back"]
 
 MESH_TRIANGLES = 40_000
-"""Most triangles a shape is given; Bullet refuses more than 131072 vertices or 524288 indices."""
+"""Largest number of triangles in a shape; Bullet rejects more than 131072 vertices or 524288 indices."""
 
 _spare: list[list[float]] = []
-"""Vertices of meshes that are no longer needed."""
+"""Rows of recycled lists, available for the next mesh."""
 
 
 class MeshLists(NamedTuple):
-    """A piece of a mesh as the plain lists PyBullet reads fastest; within the limits of one shape.
+    """Piece of a mesh within the limits of one shape, as lists, which PyBullet reads fastest.
 
-    PyBullet never lets go of a list it was given, so `recycle` what is no longer needed.
+    PyBullet keeps a reference to every list, so call `recycle` for lists that are no longer needed.
     """
 
     vertices: list[list[float]]
+    """Vertices x, y, z, metres."""
     indices: list[int]
+    """Vertex indices, three for each triangle."""
 
 
 def mesh_lists(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> tuple[MeshLists, ...]:
-    """Cuts an indexed mesh into pieces that a shape can hold.
+    """Splits an indexed mesh into pieces within the limits of one shape.
 
     Args:
         vertices: (M, 3) metres.
@@ -41,10 +43,10 @@ def mesh_lists(vertices: NDArray[np.float32], triangles: NDArray[np.int32]) -> t
 
 
 def recycle(pieces: tuple[MeshLists, ...]) -> None:
-    """Takes back the lists of a mesh that no world will be built from any more, and leaves it empty.
+    """Empties the lists of a mesh that is no longer needed, and keeps their rows for the next mesh.
 
-    `createCollisionShape` and `createVisualShape` keep a reference to every list for good: 5 MB for each load of a
-    warehouse. So the next mesh is written into the same lists.
+    `createCollisionShape` and `createVisualShape` never release the reference to a list, which costs 5 MB for each load
+    of a warehouse. So the next mesh reuses the same lists.
     """
     for piece in pieces:
         take_back(piece.vertices)
@@ -52,13 +54,13 @@ def recycle(pieces: tuple[MeshLists, ...]) -> None:
 
 
 def take_back(lists: list[list[float]]) -> None:
-    """Empties a list of rows, and keeps the rows for the next mesh."""
+    """Empties a list of rows and keeps the rows for the next mesh."""
     _spare.extend(lists)
     lists.clear()
 
 
 def as_lists(points: NDArray[np.float32]) -> list[list[float]]:
-    """Returns the rows of (N, K) points as lists, those that were taken back first."""
+    """Returns the rows of (N, K) points as lists; reuses the rows of recycled lists first."""
     lists: list[list[float]] = points.tolist()
     for row in range(min(len(lists), len(_spare))):
         spare = _spare.pop()

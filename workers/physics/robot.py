@@ -1,6 +1,6 @@
-"""The robot's URDF, written from our own reading of the Nova Carter's published measures (docs/design/robot.md).
+"""Generates the URDF of the robot from the published dimensions of the Nova Carter (docs/design/robot.md).
 
-Text only: it is never written to a path nor loaded here, and no file of NVIDIA's is copied.
+Returns text only. Does not write or load a file, and copies no file of NVIDIA.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def robot_urdf(robot: RobotConfig) -> str:
     """Returns the URDF text of the robot: base_link on the floor midway between the drive wheels, metres, kilograms.
 
     The wheels roll on spheres: a point contact follows the commanded speed to 0.2 %, a cylinder's edge does not
-    (docs/design/robot.md#wheels-and-physics). A sphere is wider than the wheel, so spheres are meant to touch the floor
-    only; what meets obstacles is the body: the hull, the wider deck above it and a guard around the drive wheels.
+    (docs/design/robot.md#wheels-and-physics). A sphere is wider than the wheel, so spheres must collide with the floor
+    only. The body collides with obstacles: the hull, the wider deck above it, and a guard around the drive wheels.
     """
     half_track = robot.track_m / 2
     return "\n".join(

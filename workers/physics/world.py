@@ -1,6 +1,7 @@
-"""The simulated place: one robot on a floor among obstacles, in a physics client of its own.
+"""Simulated world: one robot on a floor with obstacles, in a separate physics client.
 
-Built afresh for every episode, because restoring a state is not bit-exact; it never draws, renders or decides.
+A new world is built for every episode, because restoring a state is not bit-exact. Does not draw random numbers, render
+or control the robot.
 """
 
 from __future__ import annotations
@@ -23,25 +24,28 @@ from workers.physics.robot import BASE_LINK, CASTERS, LEFT_WHEEL, RIGHT_WHEEL, r
 __all__ = ["CONTACT_DISTANCE_M", "LEVEL_TILT_RAD", "ColliderMesh", "Pose", "World"]
 
 CONTACT_DISTANCE_M = 0.001
-"""Largest gap in metres that counts as a contact."""
+"""Largest distance between surfaces that counts as a contact, metres."""
 LEVEL_TILT_RAD = 1e-4
-"""Lean below which base_link is said to stand level: a thirtieth of a pixel. The contact solver leaves a noise of about
-1e-6 rad on a robot that drives steadily; from a level camera the rows of a floor and the columns of a wall have one
-depth each, which noise would break. Braking leans it by 1e-2 rad, and stays."""
+"""Tilt below which the pose of base_link is reported as level, radians; it moves the image by a thirtieth of a pixel.
+The contact solver causes a tilt noise of about 1e-6 rad while the robot drives at constant speed. In the image of a
+level camera, each row of a floor and each column of a wall has one depth, which that noise would change. The tilt
+during braking is 1e-2 rad and is kept."""
 
 _FLOOR, _OBSTACLE, _ROLLER, _BODY = 1, 2, 4, 8
-"""Collision groups: wheels and casters touch the floor only, the body meets floor and obstacles."""
+"""Collision groups: wheels and casters collide with the floor only, the body with floor and obstacles."""
 _SETTLE_STEPS = 60
 _TYRE_FRICTION = 1.5
-"""The casters are frictionless, so that the tyres alone carry the side force of a bend: at 1.0 the robot spins round
-(5.6 rad/s) when told 1.0 m/s and 1.5 rad/s, which is a token of the action grid; at 1.5 it turns with 1.51 rad/s."""
+"""Sliding friction of the drive wheels. The casters are frictionless, so that the tyres carry all of the lateral force
+in a bend. With 1.0 the robot spins at 5.6 rad/s for the command 1.0 m/s and 1.5 rad/s, which is a point of the action
+grid; with 1.5 it turns at 1.51 rad/s."""
 
 
 @dataclass(frozen=True)
 class ColliderMesh:
-    """What stands in a scene, in the form physics takes; prepared once a scene and shared by all its worlds."""
+    """Obstacles of a scene in the format of the physics engine; prepared once and shared by all worlds of the scene."""
 
     pieces: tuple[MeshLists, ...]
+    """Pieces within the limits of one collision shape."""
 
     @classmethod
     def from_scene(cls, scene: CompiledScene) -> Self:
@@ -52,16 +56,16 @@ class ColliderMesh:
 
 
 class World(Closing):
-    """A floor, obstacles and one robot that follows commanded twists; the same calls give the same bits."""
+    """Simulation of a floor, obstacles and one robot that follows commanded twists; deterministic to the bit."""
 
     def __init__(self, scene: CompiledScene, collider: ColliderMesh, robot: RobotConfig, control_hz: int) -> None:
         """Builds the world with the robot at the scene's origin.
 
         Args:
-            scene: the place; gives the height of its floor.
-            collider: `ColliderMesh.from_scene(scene)`, which the caller keeps from world to world.
-            robot: measures, motor and solver settings.
-            control_hz: how many `step` make a second.
+            scene: compiled scene; gives the height of the floor.
+            collider: `ColliderMesh.from_scene(scene)`, which the caller reuses for all worlds of the scene.
+            robot: dimensions, motor and solver settings.
+            control_hz: control frequency, steps per second.
         """
         self._hz = control_hz
         self._floor_height = scene.info.floor_height_m
@@ -70,25 +74,30 @@ class World(Closing):
         self.place(0.0, 0.0, 0.0)
 
     def close(self) -> None:
-        """Frees the physics client; closing twice is harmless."""
+        """Frees the physics client; further calls have no effect."""
         self._rig.client.close()
 
     def place(self, x: float, y: float, yaw: float) -> None:
-        """Puts the robot at rest on the floor, its springs already settled, wherever that is.
+        """Places the robot at rest and settled on the floor.
 
-        It never refuses: ask `deepest_penetration` whether something else is there.
+        Does not check for obstacles; `deepest_penetration` returns the overlap with them.
 
         Args:
-            x: of base_link in the world, metres.
-            y: of base_link in the world, metres.
-            yaw: heading in radians.
+            x: x of base_link in the world, metres.
+            y: y of base_link in the world, metres.
+            yaw: heading, radians.
         """
         height = self._floor_height + self._stance.height_m
         self._rig.put(ShapePlacement((x, y, height), _heading_and_pitch(yaw, self._stance.pitch)))
         self._pose = self._previous = self._rig.pose().levelled(LEVEL_TILT_RAD)
 
     def command(self, v_mps: float, w_rps: float) -> None:
-        """Sets the twist the wheels are to turn for from the next step on, without any slew limit."""
+        """Sets the wheel speeds for a twist from the next step on, without slew limit.
+
+        Args:
+            v_mps: forward speed, m/s.
+            w_rps: yaw rate, rad/s, counter-clockwise positive.
+        """
         self._rig.drive(v_mps, w_rps)
 
     def step(self) -> None:
@@ -97,38 +106,38 @@ class World(Closing):
         self._previous, self._pose = self._pose, self._rig.pose().levelled(LEVEL_TILT_RAD)
 
     def pose(self) -> Pose:
-        """Returns the pose of base_link in the world, exactly level where it leans by less than `LEVEL_TILT_RAD`."""
+        """Returns the pose of base_link in the world, exactly level if its tilt is less than `LEVEL_TILT_RAD`."""
         return self._pose
 
     def speed(self) -> float:
-        """Returns the planar speed of base_link over the last step: its displacement times `control_hz`, m/s.
+        """Returns the planar speed of base_link over the last step: displacement times `control_hz`, m/s.
 
-        Taken from the poses, it is what really happened, and as deterministic as they are. Zero after `place`.
+        It is computed from the poses, so it is the measured speed and as deterministic as they are. Zero after `place`.
         """
         return math.hypot(self._pose.x - self._previous.x, self._pose.y - self._previous.y) * self._hz
 
     def has_obstacle_contact(self) -> bool:
-        """Says whether the robot touches anything but the floor, to within `CONTACT_DISTANCE_M`."""
+        """Returns whether the robot is within `CONTACT_DISTANCE_M` of any body other than the floor."""
         return any(distance <= CONTACT_DISTANCE_M for distance in self._rig.obstacle_distances())
 
     def deepest_penetration(self) -> float:
-        """Returns the deepest overlap of the robot with anything but the floor at its present pose, metres, >= 0.
+        """Returns the largest overlap of the robot with any body other than the floor at its pose, metres, >= 0.
 
-        Moves nothing. Only surfaces count: a robot wholly inside a hollow body overlaps nothing.
+        Simulates no step. Colliders are surfaces, so a robot completely inside a hollow body has no overlap.
         """
         self._rig.client.detect_collisions()
         return max(0.0, -min(self._rig.obstacle_distances(), default=0.0))
 
 
 def _heading_and_pitch(yaw: float, pitch: float) -> tuple[float, float, float, float]:
-    """Returns the quaternion (w, x, y, z) of a turn about z after a turn about y, radians."""
+    """Returns the quaternion (w, x, y, z) of a rotation about y by `pitch`, then about z by `yaw`, radians."""
     cos_yaw, sin_yaw = math.cos(yaw / 2), math.sin(yaw / 2)
     cos_pitch, sin_pitch = math.cos(pitch / 2), math.sin(pitch / 2)
     return cos_yaw * cos_pitch, -sin_yaw * sin_pitch, cos_yaw * sin_pitch, sin_yaw * cos_pitch
 
 
 class _Rig:
-    """The bodies in one client, and their wiring."""
+    """Bodies of a world in one physics client, with collision groups and motors."""
 
     def __init__(self, robot: RobotConfig, control_hz: int, collider: ColliderMesh, floor_height: float) -> None:
         self._robot = robot
@@ -182,15 +191,17 @@ class _Rig:
 
 @dataclass(frozen=True)
 class _Stance:
-    """How base_link rests on a flat floor: wheels and casters sink in by a hair."""
+    """Rest pose of base_link on a flat floor, into which wheels and casters sink slightly."""
 
     height_m: float
+    """Height of base_link above the floor, metres."""
     pitch: float
+    """Pitch of base_link, radians."""
 
 
 @functools.cache
 def _resting_stance(robot: RobotConfig, control_hz: int) -> _Stance:
-    """Lets a robot settle on an empty floor, so that `place` need not step a world with obstacles in it."""
+    """Simulates a robot on an empty floor until it settles, so that `place` needs no steps among obstacles."""
     rig = _Rig(robot, control_hz, ColliderMesh(()), 0.0)
     with rig.client:
         for _ in range(_SETTLE_STEPS):

@@ -1,4 +1,4 @@
-"""Planning on the occupancy grid: forward-only paths, their following, and distances along the floor."""
+"""Planning on the occupancy grid: forward-only paths, path following, and geodesic distances."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Distances along the floor: from every cell to where a target is reached, and the geodesic distance of a start.
+"""Distances along the floor: from every cell to the success circle of a target, and the geodesic distance of a start.
 
-Dijkstra over cells with 16 neighbours, then a taut string; knows nothing of headings.
+Uses Dijkstra's algorithm on cells with 16 neighbours, then shortens the path to straight segments. Ignores headings.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from workers.geometry.grid import HALF_WIDTH_M, Grid
 __all__ = ["FloorGraph", "arrival_cells", "geodesic_field", "geodesic_m"]
 
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
-"""Row and column steps, one of each opposite pair; no detour is longer than 2.8 % of the way."""
+"""Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -28,26 +28,32 @@ Number = TypeVar("Number", np.int32, np.float64)
 
 
 class DistanceField(NamedTuple):
-    """Distances over the grid."""
+    """Distances of all cells of a grid to the nearest source."""
 
     metres: Floats
-    """(H, W) to the nearest source; infinite where there is no way."""
+    """(H, W) distance to the nearest source, metres; infinite if no path exists."""
     nearer: NDArray[np.int32]
-    """(H, W) flat number of the next cell on the way; negative at sources and where there is no way."""
+    """(H, W) flat index of the next cell on the path; negative at sources and if no path exists."""
 
 
 @dataclass(frozen=True, eq=False)
 class FloorGraph:
-    """The cells that may be crossed, as a graph; built once, asked often."""
+    """Graph of the passable cells; it is built once and queried often."""
 
     numbers: NDArray[np.int32]
-    """(H, W) number of the cell's node, -1 for cells that may not be crossed."""
+    """(H, W) number of the cell's node, -1 for impassable cells."""
     edges: scipy.sparse.coo_array
-    """Length of the way between neighbours times the mean weight of the two cells, metres."""
+    """Distance between neighbours times the mean weight of the two cells, metres."""
 
     @classmethod
     def over(cls, passable: Bools, resolution_m: float, weight: Floats | None = None) -> FloorGraph:
-        """Returns the graph of the passable cells (H, W); `weight` (H, W) makes some of them longer than they are."""
+        """Returns the graph of the passable cells (H, W).
+
+        Args:
+            passable: (H, W) true for passable cells.
+            resolution_m: side of a cell, metres.
+            weight: (H, W) factor of the length of a path in each cell; `None` for 1.
+        """
         numbers = np.full(passable.shape, -1, np.int32)
         numbers[passable] = np.arange(int(passable.sum()))
         weights = np.ones(passable.shape) if weight is None else weight
@@ -79,7 +85,7 @@ class FloorGraph:
 
 
 def _shifted(field: NDArray[Number], row: int, column: int) -> tuple[NDArray[Number], NDArray[Number]]:
-    """The field and the field a step further, cut to where both are."""
+    """Returns the field and the shifted field, cropped to their common cells."""
     height, width = field.shape
     here = field[: height - row, max(0, -column) : width - max(0, column)]
     there = field[row:, max(0, column) : width - max(0, -column)]
@@ -87,7 +93,7 @@ def _shifted(field: NDArray[Number], row: int, column: int) -> tuple[NDArray[Num
 
 
 def arrival_cells(grid: Grid, target: Target, radius_m: float) -> Bools:
-    """Returns (H, W) the cells within a planar radius of a target's centroid and in sight of it."""
+    """Returns (H, W) the cells within a planar radius of a target's centroid and with line of sight to it."""
     rows, columns = np.indices(grid.occupancy.shape)
     points = grid.centre_of(np.stack([rows, columns], axis=-1))
     near = np.linalg.norm(points - np.asarray(target.centroid_m[:2]), axis=-1) <= radius_m
@@ -97,9 +103,9 @@ def arrival_cells(grid: Grid, target: Target, radius_m: float) -> Bools:
 
 @functools.lru_cache(maxsize=8)
 def geodesic_field(grid: Grid, target: Target, radius_m: float) -> DistanceField:
-    """Returns the distance along the floor to the part of the success circle that has sight of the target.
+    """Returns the distances along the floor to the part of the success circle with line of sight to the target.
 
-    The way is base_link's, and leaves half the robot's width on both sides of it.
+    The path is that of base_link, with a clearance of half the robot's width.
     """
     return _wide_floor(grid).distances(arrival_cells(grid, target, radius_m))
 
@@ -110,16 +116,19 @@ def _wide_floor(grid: Grid) -> FloorGraph:
 
 
 def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, radius_m: float) -> float | None:
-    """Returns the length of the shortest way from a start to the success circle, metres; the l of SPL.
+    """Returns the length of the shortest path from a start to the success circle, metres; the l of SPL.
 
-    The cells' way is pulled taut, so that a free straight line counts as its length; where the start has one, no way is
-    looked for, which takes as long as two frames. `None` where no way is.
+    The path of cells is shortened to straight segments, so that it is not longer than a free straight line. If the
+    straight line from the start is free, no path is searched, which would take as long as two frames.
 
     Args:
-        grid: of the scene.
-        start_xy: base_link, world frame, metres.
-        target: to reach.
-        radius_m: success radius.
+        grid: occupancy grid of the scene.
+        start_xy: x, y of base_link in the world frame, metres.
+        target: target to reach.
+        radius_m: success radius, metres.
+
+    Returns:
+        The length, or `None` if no path exists.
     """
     straight = _straight_m(grid, np.asarray(start_xy, float), target, radius_m)
     if straight is not None:
@@ -131,7 +140,7 @@ def geodesic_m(grid: Grid, start_xy: ArrayLike, target: Target, radius_m: float)
 
 
 def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
-    """The points (N, 2) of the cells' way, the start itself first."""
+    """Returns the points (N, 2) of the path of cells; the first point is the start."""
     start = np.asarray(start_xy, float)
     row, column = grid.cell_of(start)
     width = field.nearer.shape[1]
@@ -144,7 +153,7 @@ def _way(grid: Grid, field: DistanceField, start_xy: ArrayLike) -> Floats:
 
 
 def _taut_length(grid: Grid, way: Floats, target: Target, radius_m: float) -> float:
-    """Length of the way with every bend cut that the floor lets cut; it ends where it enters the circle."""
+    """Returns the length of the path after shortening to straight segments, up to its entry into the circle, metres."""
     length, at = 0.0, 0
     while at < len(way) - 1:
         straight = _straight_m(grid, way[at], target, radius_m)
@@ -157,8 +166,8 @@ def _taut_length(grid: Grid, way: Floats, target: Target, radius_m: float) -> fl
 
 
 def _straight_m(grid: Grid, point: Floats, target: Target, radius_m: float) -> float | None:
-    """Length of the straight line from a point into the circle, 0 inside it; `None` where the floor is not free, or the
-    line ends out of the target's sight."""
+    """Returns the length of the straight line from a point to the circle, 0 inside it, metres; `None` if the line is
+    not free, or its end has no line of sight to the target."""
     centre = np.asarray(target.centroid_m[:2])
     gap = math.dist(point, centre) - radius_m
     if gap <= 0:
@@ -168,9 +177,9 @@ def _straight_m(grid: Grid, point: Floats, target: Target, radius_m: float) -> f
 
 
 def _farthest_in_line(grid: Grid, way: Floats, at: int) -> int:
-    """Number of the last point that can be reached straight; at least the next one."""
+    """Returns the index of the last point with a free straight line from `at`; at least the next one."""
     low, high = at + 1, len(way) - 1
-    while low < high:  # bisection: what lies farther along the way is less likely in line
+    while low < high:  # bisection: a point farther along the path is less likely to have a free straight line
         middle = (low + high + 1) // 2
         if _is_clear(grid, way[at], way[middle]):
             low = middle

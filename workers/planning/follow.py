@@ -1,6 +1,6 @@
-"""Pure pursuit along a planned path: leg by leg, turning on the spot between legs, slower in bends and towards ends.
+"""Pure pursuit controller for a planned path: drives its legs, turns on the spot between them, and slows down in bends.
 
-Pure of any simulation; it never decides that the goal is reached, and never drives backwards.
+Independent of the simulation. Does not decide whether the goal is reached, and does not drive backwards.
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from workers.planning.lattice import Waypoint
 __all__ = ["Follower", "Leg", "legs_of"]
 
 _ALIGNED_RAD, _LOST_RAD = 0.10, 0.9
-"""Heading error up to which a turn on the spot is done, and from which on driving is given up for one."""
+"""Heading errors, radians: a turn on the spot ends below the first; driving stops for a turn above the second."""
 _LEG_END_M = 0.04
+"""Distance to the end of a leg at which the next leg starts, metres."""
 _SLOWEST_MPS = 0.15
-"""Slower driving could not be told from a stall."""
+"""Smallest speed, m/s; stall detection would report a slower robot as stalled."""
 _LEG_BRAKING_MPS2, _TURN_BRAKING_RPS2 = 0.8, 1.8
-"""Decelerations that speed and yaw rate are planned with, well below the slew limits."""
+"""Planned decelerations of speed, m/s2, and yaw rate, rad/s2; well below the slew limits."""
 _PREVIEW_M = 0.6
-"""Way ahead whose bends limit the speed."""
+"""Length of the path ahead whose curvature limits the speed, metres."""
 _REACH_M = 0.5
-"""How far along the leg the nearest point may lie from the one before."""
+"""Largest distance along the leg from one nearest point to the next, metres."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A part of the path without a turn on the spot."""
+    """Part of a path without a turn on the spot."""
 
     points: Floats
     """(N, 2) world x, y, metres."""
@@ -45,34 +46,34 @@ class Leg:
     yaw: Floats
     """(N,) heading, radians, unwrapped."""
     turn_rad: float
-    """Turn on the spot before the leg, counter-clockwise positive; the way round that is known to be free."""
+    """Turn on the spot before the leg, radians, counter-clockwise positive; this direction is known to be free."""
 
     @property
     def length_m(self) -> float:
-        """From the first point to the last."""
+        """Length from the first point to the last, metres."""
         return float(self.along[-1])
 
     def at(self, along_m: float) -> tuple[float, float]:
-        """Returns the point so far along the leg, straight on beyond its end."""
+        """Returns x, y of the point at a length along the leg, metres; the leg extends straight beyond its end."""
         beyond = max(0.0, along_m - self.length_m)
         x, y = (float(np.interp(along_m, self.along, column)) for column in self.points.T)
         yaw = float(self.yaw[-1])
         return x + beyond * math.cos(yaw), y + beyond * math.sin(yaw)
 
     def curvature(self, along_m: float) -> float:
-        """Returns the mean curvature over the preview from there on, 1/m."""
+        """Returns the mean curvature over the preview length after `along_m`, 1/m."""
         turned = np.interp([along_m, along_m + _PREVIEW_M], self.along, self.yaw)
         return abs(float(turned[1] - turned[0])) / _PREVIEW_M
 
     def nearest(self, x: float, y: float, from_m: float) -> float:
-        """Returns how far along the leg the point nearest to (x, y) lies, not before `from_m`."""
+        """Returns the length along the leg of the point nearest to (x, y), at least `from_m`, metres."""
         candidates = np.linspace(from_m, min(from_m + _REACH_M, self.length_m), 26)
         px, py = (np.interp(candidates, self.along, column) for column in self.points.T)
         return float(candidates[int(np.argmin((px - x) ** 2 + (py - y) ** 2))])
 
 
 def legs_of(path: tuple[Waypoint, ...]) -> tuple[Leg, ...]:
-    """Cuts a path where it turns on the spot."""
+    """Splits a path at its turns on the spot."""
     runs: list[list[Waypoint]] = [[path[0]]]
     turns = [0.0]
     for before, pose in itertools.pairwise(path):
@@ -94,7 +95,7 @@ def _leg(run: list[Waypoint], turn_rad: float) -> Leg:
 
 
 class Follower:
-    """Follows one path, a call a step, in order."""
+    """Controller that follows one path; call `act` once at each step."""
 
     def __init__(self, path: tuple[Waypoint, ...], robot: RobotConfig, config: PlannerConfig) -> None:
         self._legs = legs_of(path)
@@ -106,17 +107,17 @@ class Follower:
 
     @property
     def is_done(self) -> bool:
-        """Whether the end of the path has been reached; from there on the way goes straight on."""
+        """Whether the end of the path has been reached; the controller then drives straight on."""
         if not self._legs:
             return True
         return self._number == len(self._legs) - 1 and self._along_m >= self._legs[-1].length_m
 
     def act(self, pose: Pose, speed_limit_mps: float) -> Twist:
-        """Returns the wanted twist, forward only.
+        """Returns the desired twist, with a speed of at least 0.
 
         Args:
-            pose: of base_link.
-            speed_limit_mps: what the caller allows, e.g. near the goal.
+            pose: pose of base_link.
+            speed_limit_mps: speed limit of the caller, e.g. near the goal, m/s.
         """
         if not self._legs:
             return Twist(0.0, 0.0)
@@ -136,10 +137,10 @@ class Follower:
         return self._turn(error) if abs(error) > _LOST_RAD else self._pursue(leg, error, distance, speed_limit_mps)
 
     def _left_to_turn(self, leg: Leg, pose: Pose) -> float:
-        """Angle to the leg's first heading, and no farther: beyond it the tail may not be free."""
+        """Returns the angle to the leg's first heading, radians; a larger turn could move the tail into an obstacle."""
         error = math.remainder(float(leg.yaw[0]) - pose.yaw, 2 * math.pi)
         if error * leg.turn_rad < 0 and abs(error) > math.pi / 2:
-            error += math.copysign(2 * math.pi, leg.turn_rad)  # the short way round may be blocked
+            error += math.copysign(2 * math.pi, leg.turn_rad)  # the shorter direction may be blocked
         return error
 
     def _turn(self, error: float) -> Twist:

@@ -1,6 +1,6 @@
-"""The poses and moves a path is made of: 36 headings, forward arcs and turns on the spot, and which poses are free.
+"""State lattice of the path planner: 36 headings, forward arcs, turns on the spot, and the table of free poses.
 
-Tables over the occupancy grid; searches nothing. No move goes backwards (docs/design/experts.md#planner).
+No move goes backwards (docs/design/experts.md#planner). Does not search paths.
 """
 
 from __future__ import annotations
@@ -28,36 +28,41 @@ __all__ = [
 ]
 
 HEADINGS = 36
+"""Number of headings."""
 STEP_M = 0.2
-"""Length of an arc."""
+"""Length of an arc, metres."""
 _BENDS = (0, 1, -1, 2, -2)
 """Headings by which an arc turns: straight, radius 1.15 m, radius 0.57 m."""
 _DECIMALS = 12
-"""The tables are rounded, so that no last bit of a library's sine decides between two paths."""
+"""Decimals of the tables; rounding makes the choice between two paths independent of the last bit of a sine."""
 
 
 class Waypoint(NamedTuple):
-    """A planar pose of base_link in the world frame."""
+    """Planar pose of base_link in the world frame."""
 
     x: float
-    """Metres."""
+    """x, metres."""
     y: float
-    """Metres."""
+    """y, metres."""
     yaw: float
-    """Radians in (-pi, pi]."""
+    """Heading, radians in (-pi, pi]."""
 
 
 class MotionPrimitive(NamedTuple):
-    """A move from one heading: an arc of `STEP_M` or, with `length_m` 0, a turn on the spot by one heading."""
+    """Move from one heading: an arc of `STEP_M` or, with `length_m` 0, a turn on the spot by one heading."""
 
     mid_x: float
-    """Displacement at half the arc, metres in the world frame."""
+    """x displacement at half the arc in the world frame, metres."""
     mid_y: float
+    """y displacement at half the arc in the world frame, metres."""
     end_x: float
+    """x displacement at the end in the world frame, metres."""
     end_y: float
+    """y displacement at the end in the world frame, metres."""
     heading: int
-    """At the end."""
+    """Number of the heading at the end."""
     length_m: float
+    """Length of the arc, metres; 0 for a turn on the spot."""
     turn: int
     """Number of headings turned, unsigned."""
 
@@ -74,7 +79,7 @@ def yaw_at(heading: int) -> float:
 
 
 def _arc(yaw: float, angle: float, length: float) -> tuple[float, float]:
-    """Displacement along an arc that starts at `yaw` and turns by `angle`; both radians."""
+    """Returns the displacement along an arc that starts at `yaw` and turns by `angle`, both radians, metres."""
     chord = length if angle == 0 else length * math.sin(angle / 2) / (angle / 2)
     along = yaw + angle / 2
     return round(chord * math.cos(along), _DECIMALS), round(chord * math.sin(along), _DECIMALS)
@@ -97,20 +102,21 @@ def _moves_from(heading: int) -> tuple[MotionPrimitive, ...]:
 
 
 MOVES = tuple(_moves_from(heading) for heading in range(HEADINGS))
-"""The moves from each heading, in the order in which equal ones are preferred."""
+"""Moves from each heading; the search prefers the first of moves with equal cost."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseTable:
-    """Which poses of base_link are free, by heading and cell; a pose counts as at its cell's centre."""
+    """Table of free poses of base_link by heading and cell; each pose is moved to the centre of its cell."""
 
     grid: Grid
+    """Occupancy grid of the scene."""
     free: NDArray[np.bool_]
-    """(HEADINGS, H, W)."""
+    """(HEADINGS, H, W) true for free poses."""
 
     @functools.cached_property
     def flags(self) -> bytes:
-        """`free` as one byte a pose, in C order: the fastest thing to look up one by one."""
+        """`free` with one byte per pose, in C order; the fastest format for single lookups."""
         return self.free.tobytes()
 
     @functools.cached_property
@@ -119,13 +125,13 @@ class PoseTable:
         return np.asarray(self.free.any(axis=0))
 
     def holds(self, x: float, y: float, yaw: float) -> bool:
-        """Whether the footprint is free at a pose, up to the table's resolution."""
+        """Returns whether the footprint is free at a pose, within the table's resolution."""
         return bool(self.grid.values_at(self.free[heading_of(yaw)], (x, y), False))
 
 
 @functools.lru_cache(maxsize=4)
 def pose_table(grid: Grid, margin_m: float) -> PoseTable:
-    """Returns the free poses of a grid with `margin_m` of free space around the three discs of the footprint."""
+    """Returns the table of poses of a grid with `margin_m` of free space around the three discs of the footprint."""
     wide = grid.clearance >= DISC_RADIUS_M + margin_m
     height, width = wide.shape
     rim = math.ceil(max(map(abs, DISC_OFFSETS_M)) / grid.resolution_m) + 1

@@ -1,6 +1,7 @@
-"""Hybrid A* with forward moves only: from a start pose to where a target is reached, around what stands between.
+"""Hybrid A* search with forward moves only, from a start pose to the success circle of a target.
 
-Deterministic and pure: the same grid, start, target and settings give the same path; an expansion limit, no clock.
+Deterministic: the same grid, start, target and settings give the same path. The limit of a search is a number of
+expansions, not a time.
 """
 
 from __future__ import annotations
@@ -21,30 +22,30 @@ from workers.planning.lattice import MOVES, PoseTable, Waypoint, heading_of, pos
 __all__ = ["plan_path"]
 
 _CELL_M = 0.1
-"""Two poses of one heading closer than this, cell by cell, count as one."""
+"""Side of the cells in which two poses with one heading count as one state, metres."""
 _TURN_COST_M, _SPOT_TURN_COST_M = 0.02, 0.06
-"""What turning by one heading costs, in metres of way: on an arc, and on the spot, where the robot must stop."""
+"""Cost of a turn by one heading, on an arc and on the spot, where the robot must stop; metres of path."""
 _WIDE_M, _NARROW_COST = 0.6, 0.8
-"""Clearance from which on a way is no longer than it is, and what a way without any costs more, as a share."""
+"""Clearance from which a path has no extra cost, metres, and the largest extra cost per length, a fraction."""
 
 
 def plan_path(
     grid: Grid, start: Waypoint, target: Target, radius_m: float, config: PlannerConfig
 ) -> tuple[Waypoint, ...] | None:
-    """Returns poses at most 0.2 m apart, from the start to inside the success circle with sight of the target.
+    """Returns a path from the start to a pose inside the success circle with line of sight to the target.
 
-    Consecutive poses are joined by a forward arc or, where they share a point, by a turn on the spot. The wide
-    margins are tried first, then the tight ones.
+    Consecutive poses are at most 0.2 m apart. A forward arc connects them or, if they have the same position, a turn on
+    the spot. The search uses the wide margins first, then the tight ones.
 
     Args:
-        grid: of the scene.
+        grid: occupancy grid of the scene.
         start: pose of base_link.
-        target: to reach.
-        radius_m: success radius; the path ends a margin within.
+        target: target to reach.
+        radius_m: success radius, metres; the path ends inside it by the arrival margin.
         config: margins and limits.
 
     Returns:
-        The path, or `None` when there is none or the search gave up.
+        The path, or `None` if none exists or the search reached its limit.
     """
     tries = (
         (config.margin_m, config.arrival_margin_m),
@@ -63,7 +64,7 @@ def plan_path(
 
 @functools.lru_cache(maxsize=2)
 def _weights(grid: Grid) -> NDArray[np.float64]:
-    """(H, W) how much longer a way through a cell counts than it is; narrow places are avoided, not forbidden."""
+    """Returns (H, W) the cost of each cell per metre of path, at least 1; it is higher where clearance is small."""
     lack = np.clip((_WIDE_M - grid.clearance) / (_WIDE_M - DISC_RADIUS_M), 0.0, 1.0)
     weights: NDArray[np.float64] = 1.0 + _NARROW_COST * lack**2
     return weights
@@ -86,13 +87,13 @@ def _search(
 
 
 Node = tuple[float, float, int, int]
-"""x, y, heading, number of the node before."""
+"""x and y in metres, number of the heading, index of the previous node."""
 
 
 def _expand(
     table: PoseTable, to_go: NDArray[np.float64], start: Waypoint, arrival: NDArray[np.bool_], max_expansions: int
 ) -> list[Waypoint] | None:
-    """The search itself. A free pose keeps more than a step from the grid's rim, so that no index leaves it."""
+    """Searches a path; free poses are more than a step from the edge of the grid, so that all indices are valid."""
     grid, flags, ahead, goal = table.grid, table.flags, to_go.ravel().tolist(), arrival.tobytes()
     weights = _weights(grid).ravel().tolist()
     (left, low), per_cell = grid.origin_m, 1.0 / grid.resolution_m
@@ -136,7 +137,7 @@ def _expand(
 
 
 def _trace(nodes: list[Node]) -> list[Waypoint]:
-    """The poses on the way to the last node, in order; the first is the start with its heading rounded."""
+    """Returns the poses on the path to the last node; the first is the start with its heading rounded."""
     path: list[Waypoint] = []
     number = len(nodes) - 1
     while number >= 0:

@@ -1,1 +1,1 @@
-"""Starts simulation processes and exchanges JSON lines with them."""
+"""Simulation processes, and the JSON lines exchanged with them."""

@@ -1,4 +1,4 @@
-"""What supervisor and simulation say to each other over a pipe, one JSON line at a time. Opens no pipe."""
+"""Messages between supervisor and simulation, encoded as JSON lines. Opens no pipe."""
 
 from __future__ import annotations
 
@@ -17,46 +17,50 @@ __all__ = ["SimulationOrder", "SimulationReport", "SimulationReportKind", "failu
 
 
 class SimulationOrder(Model):
-    """One attempt to simulate."""
+    """Order to simulate one attempt."""
 
     job: Job
+    """Job to simulate."""
     scene_path: Path
-    """The compiled scene, already fetched and checked."""
+    """Path of the compiled scene, already fetched and checked."""
     bundle_path: Path
-    """Where the finished bundle shall lie; nothing lies there before it is whole."""
+    """Path of the finished bundle; the file appears there when it is complete."""
     sid: str
     """Session id of the worker, for the provenance."""
-    errand: str | None = None
-    """What a run of errands says beside the job, as it came."""
+    eval_task: str | None = None
+    """Evaluation task, unparsed."""
     attachment_path: Path | None = None
-    """The file that came with the errand, fetched and checked."""
+    """Path of the task's attachment, already fetched and checked."""
 
 
 class SimulationReportKind(StrEnum):
-    """What a report is about."""
+    """Type of a report."""
 
-    READY = "ready"  # the renderer is open; orders may come
-    PROGRESS = "progress"  # the simulation has stepped
-    SUCCESS = "success"  # the bundle lies where it was ordered
-    FAILURE = "failure"  # the attempt brought no bundle
+    READY = "ready"  # the renderer is open, and the process accepts orders
+    PROGRESS = "progress"  # the simulation has advanced
+    SUCCESS = "success"  # the bundle is complete at its path
+    FAILURE = "failure"  # the attempt produced no bundle
 
 
 class SimulationReport(Model):
-    """What a simulation has to say."""
+    """Report of a simulation process."""
 
     kind: SimulationReportKind
+    """Type of the report."""
     step: Count = 0
-    """Steps of the attempt so far."""
+    """Number of steps of the attempt."""
     reason: FailReason | None = None
+    """Reason of a failure."""
     detail: Detail = ""
+    """Explanation of a failure with measured values."""
     sha256: Sha256 | None = None
-    """Of the bundle."""
+    """SHA-256 of the bundle."""
     size: Annotated[Bytes, Field(ge=1)] | None = None
-    """Of the bundle, bytes."""
+    """Size of the bundle, bytes."""
     renderer: Line = ""
-    """What draws, when ready."""
+    """Description of the renderer, in the report `ready`."""
     seconds: NonNegative = 0.0
-    """Wall time of the attempt."""
+    """Wall time of the attempt, seconds."""
 
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
@@ -68,7 +72,7 @@ class SimulationReport(Model):
 
 
 def failure(reason: FailReason, detail: str, step: int = 0, seconds: float = 0.0) -> SimulationReport:
-    """Returns the report of an attempt without a bundle; a long detail loses its middle."""
+    """Returns the report of a failed attempt; the middle of a long detail is cut out."""
     detail = detail.replace("\0", "")
     if len(detail) > MAX_DETAIL_CHARS:
         half = MAX_DETAIL_CHARS // 2 - 3
@@ -77,12 +81,12 @@ def failure(reason: FailReason, detail: str, step: int = 0, seconds: float = 0.0
 
 
 def to_line(message: SimulationOrder | SimulationReport) -> bytes:
-    """Returns the message as one line."""
+    """Returns the message as one JSON line."""
     return message.model_dump_json().encode() + b"\n"
 
 
 def read_report(line: bytes) -> SimulationReport | None:
-    """Returns the report on a line; `None` for anything else, such as the chatter of a library."""
+    """Parses a line as a report; returns `None` for any other line, such as the output of a library."""
     try:
         return SimulationReport.model_validate_json(line)
     except ValidationError:

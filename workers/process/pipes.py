@@ -1,4 +1,4 @@
-"""The pipes of a process that takes orders on stdin and reports on what was its stdout. Knows not what lines say."""
+"""Pipes of a process that reads orders from stdin and reports to its original stdout. Does not parse the lines."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ __all__ = ["listen", "take_stdout"]
 
 
 def take_stdout() -> BinaryIO:
-    """Keeps stdout for reports and lets everything else that is printed, by libraries too, go to stderr."""
-    mine = os.dup(1)
+    """Returns the original stdout for reports, and redirects all other output, also of libraries, to stderr."""
+    reports = os.dup(1)
     os.dup2(2, 1)
-    return os.fdopen(mine, "wb", buffering=0)
+    return os.fdopen(reports, "wb", buffering=0)
 
 
 def listen(descriptor: int) -> queue.Queue[bytes]:
-    """Returns a queue of the lines that arrive; when the other side closes or dies, so does this process, at once."""
+    """Returns a queue of the received lines; this process exits as soon as the other side closes the pipe or dies."""
     lines: queue.Queue[bytes] = queue.Queue()
 
     def read() -> None:
@@ -28,7 +28,7 @@ def listen(descriptor: int) -> queue.Queue[bytes]:
                     if line.endswith(b"\n"):
                         lines.put(line)
         finally:
-            os._exit(0)  # nobody is left to use what is being done
+            os._exit(0)  # the result of the current work is no longer needed
 
     threading.Thread(target=read, name="orders", daemon=True).start()
     return lines

@@ -1,4 +1,4 @@
-"""The supervisor's handle on one simulation process: start it, order, hear, kill. Knows no lease and no network."""
+"""Handle of a simulation process: starts it, sends orders, receives reports, kills it. Uses no lease and no network."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from workers.process.one_core import one_core
 
 __all__ = ["Death", "Simulation"]
 
-_CHATTER_BYTES = 1 << 20
+_MAX_OUTPUT_BYTES = 1 << 20
 _TAIL_BYTES = 2000
 _REAP_S = 2.0
 
@@ -32,19 +32,20 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Death:
-    """The process is no more; it has been reaped."""
+    """End of a simulation process, which has been reaped."""
 
     reason: FailReason
-    """`crash`, or `hang` when it was killed for its silence."""
+    """`crash`, or `hang` if the process was killed because it made no progress."""
     detail: str
+    """Explanation with the exit status and the last output."""
 
 
 class Simulation:
-    """A process that simulates; restarted at will.
+    """Simulation process that can be restarted.
 
     Args:
-        command: how to start it; it must take orders on stdin and report on stdout.
-        hang_s: silence in seconds after which it is killed while something is expected of it.
+        command: command line of the process, which reads orders from stdin and reports to stdout.
+        hang_s: time without a report after which a busy process is killed, seconds.
     """
 
     def __init__(self, command: Sequence[str], hang_s: float) -> None:
@@ -58,16 +59,20 @@ class Simulation:
 
     @property
     def is_running(self) -> bool:
-        """Whether there is a process that has not been found dead."""
+        """Whether a process was started and its death has not been detected."""
         return self._process is not None
 
     @property
     def pid(self) -> int | None:
-        """Of the process, if there is one."""
+        """Process id, or `None` if no process is running."""
         return self._process.pid if self._process is not None else None
 
     def start(self) -> None:
-        """Starts a fresh process; the first thing to hear of it is that it is ready."""
+        """Starts a new process; its first report is `ready`.
+
+        Raises:
+            WorldError: the process cannot be started.
+        """
         self.kill()
         self._stderr = tempfile.TemporaryFile(mode="a+b")  # noqa: SIM115 - closed by kill
         try:
@@ -77,7 +82,7 @@ class Simulation:
                 stdout=subprocess.PIPE,
                 stderr=self._stderr,
                 env=one_core(child_environment(os.environ)),
-                start_new_session=True,  # Ctrl-C is for the supervisor, which gives leases back
+                start_new_session=True,  # Ctrl-C reaches the supervisor only, which returns its leases
             )
         except OSError as error:
             self._stderr.close()
@@ -88,24 +93,24 @@ class Simulation:
         self._reader.start()
 
     def order(self, order: SimulationOrder) -> None:
-        """Hands an order over; that the process died meanwhile is heard from `hear`."""
+        """Sends an order; if the process died meanwhile, `receive` returns its death."""
         if self._process is None or self._process.stdin is None:
             raise RuntimeError("order() before start()")
-        self._forget_chatter()
+        self._truncate_output()
         self._silence_s = 0.0
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write(to_line(order))
             self._process.stdin.flush()
 
-    def hear(self, timeout_s: float) -> SimulationReport | Death | None:
-        """Returns what it says next, its death, or `None` after `timeout_s` without news.
+    def receive(self, timeout_s: float) -> SimulationReport | Death | None:
+        """Returns the next report, the death of the process, or `None` after `timeout_s` seconds without a report.
 
-        A process that is silent for longer than it may be is killed here and reported as hung.
+        Kills a process that sends no report for more than `hang_s`, and returns its death as a hang.
         """
         try:
             report = self._reports.get(timeout=timeout_s)
         except queue.Empty:
-            # counted in waiting, not by the clock: a supervisor that was frozen itself accuses nobody
+            # sum of the waiting times, not wall time, so that a suspended supervisor does not report a hang
             self._silence_s += timeout_s
             return self._give_up() if self._silence_s > self._hang_s else None
         if report is None:
@@ -114,7 +119,7 @@ class Simulation:
         return report
 
     def kill(self) -> None:
-        """Ends the process at once, if there is one."""
+        """Kills the process, if one is running."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -132,24 +137,24 @@ class Simulation:
                     pipe.close()
 
     def _give_up(self) -> Death:
-        pid, said = self.pid, self._last_output()
+        pid, output = self.pid, self._last_output()
         self.kill()
-        detail = f"no progress for {self._silence_s:.1f} s (limit {self._hang_s:g} s), killed" + said
+        detail = f"no progress for {self._silence_s:.1f} s (limit {self._hang_s:g} s), killed" + output
         log.warning("simulation_hung", pid=pid, detail=detail)
         return Death(FailReason.HANG, detail)
 
     def _reap(self) -> Death:
-        process, said = self._process, self._last_output()
+        process, output = self._process, self._last_output()
         if process is None:
             return Death(FailReason.CRASH, "not started")
         try:
             status = process.wait(_REAP_S)
         except subprocess.TimeoutExpired:
-            status = -signal.SIGKILL  # closed its stdout and lives on: not ours any more
+            status = -signal.SIGKILL  # it closed its stdout but still runs; `kill` ends it
         self.kill()
         how = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        log.warning("simulation_died", pid=process.pid, detail=how + said)
-        return Death(FailReason.CRASH, how + said)
+        log.warning("simulation_died", pid=process.pid, detail=how + output)
+        return Death(FailReason.CRASH, how + output)
 
     def _last_output(self) -> str:
         if self._stderr is None:
@@ -159,17 +164,17 @@ class Simulation:
         lines = self._stderr.read().decode(errors="replace").strip().splitlines()
         return f"; last output: {lines[-1].strip()}" if lines else ""
 
-    def _forget_chatter(self) -> None:
-        if self._stderr is not None and os.fstat(self._stderr.fileno()).st_size > _CHATTER_BYTES:
+    def _truncate_output(self) -> None:
+        if self._stderr is not None and os.fstat(self._stderr.fileno()).st_size > _MAX_OUTPUT_BYTES:
             os.ftruncate(self._stderr.fileno(), 0)
 
 
 def _read(stream: IO[bytes], reports: queue.Queue[SimulationReport | None]) -> None:
-    with contextlib.suppress(ValueError, OSError):  # closed under our hands when killed
+    with contextlib.suppress(ValueError, OSError):  # `kill` closes the stream
         for line in stream:
             report = read_report(line)
             if report is None:
-                log.warning("simulation_unintelligible", line=line[:200].decode(errors="replace"))
+                log.warning("simulation_output_invalid", line=line[:200].decode(errors="replace"))
             else:
                 reports.put(report)
     reports.put(None)

@@ -1,6 +1,6 @@
-"""Renderers: what the front camera sees as colour, depth and instance ids, behind one protocol.
+"""Protocol of the renderers of the front camera, and the types of their frames: colour, depth and instance ids.
 
-Says what a renderer and a frame are; it never draws and imports no graphics library.
+Does not render and imports no graphics library.
 """
 
 from __future__ import annotations
@@ -21,54 +21,54 @@ __all__ = ["DepthAndIds", "RenderedFrame", "Renderer"]
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """One look of the camera; rows from the top, arrays freshly owned by the frame."""
+    """Image of the camera; rows from the top, arrays not shared with the renderer."""
 
     rgb: NDArray[np.uint8]
-    """(size, size, 3) sRGB; black where nothing was hit."""
+    """(size, size, 3) sRGB; black where no surface is visible."""
     depth: NDArray[np.float32]
-    """(size, size) metres along the optical axis; 0 where nothing was hit within the clip range."""
+    """(size, size) metres along the optical axis; 0 where no surface is within the clip range."""
     ids: NDArray[np.uint16]
-    """(size, size) instance id of the nearest surface; 0 is nothing."""
+    """(size, size) instance id of the nearest surface; 0 for no surface."""
 
 
 @dataclass(frozen=True)
 class DepthAndIds:
-    """A look without its colour; what it has is a frame's, bit for bit."""
+    """Image without colour; its arrays equal those of a frame, bit for bit."""
 
     depth: NDArray[np.float32]
-    """As `Frame.depth`."""
+    """Depth, as `RenderedFrame.depth`."""
     ids: NDArray[np.uint16]
-    """As `Frame.ids`."""
+    """Instance ids, as `RenderedFrame.ids`."""
 
 
 class Renderer(AbstractContextManager["Renderer", None], Protocol):
-    """Something that can show a compiled scene from the robot's camera; opened once, closed once."""
+    """Renderer of compiled scenes from the robot's camera; it is opened once and closed once."""
 
     @property
     def description(self) -> str:
-        """The renderer in its own words, driver and version included; recorded with every episode."""
+        """Description of the renderer with driver and version; every episode records it."""
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
-        """Makes `scene` the one that `camera` shows. Scenes shown lately stay ready, so that going back is cheap."""
+        """Selects the scene and the camera. Recently used scenes stay prepared, so that their next use is fast."""
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
-        """Returns what the camera sees when base_link stands at `pose` in the world.
+        """Returns the camera image for a pose of base_link.
 
         Args:
-            pose: of base_link in the world.
-            size: width and height of the frame, pixels; `None` is the size that the renderer was opened with. The
-                field of view does not depend on it.
+            pose: pose of base_link in the world.
+            size: width and height of the frame, pixels; `None` is the default size of the renderer. The field of view
+                does not depend on the size.
 
         Raises:
             UsageError: no scene was loaded.
         """
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
-        """Returns depth and ids of what `render` returns; on OpenGL at half the cost.
+        """Returns depth and ids of the frame that `render` returns; takes half the time with OpenGL.
 
         Raises:
             UsageError: no scene was loaded.
         """
 
     def close(self) -> None:
-        """Frees everything; closing twice is harmless."""
+        """Frees all resources; further calls have no effect."""

@@ -1,6 +1,6 @@
-"""Opens the renderer that was asked for, or the best one this machine has.
+"""Opens the requested renderer, or the best renderer of this machine.
 
-Says in one log line when it has to fall back; it never renders.
+Logs a warning when it falls back to another renderer. Does not render.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ def open_renderer(
     """Opens a renderer; the caller closes it.
 
     Args:
-        kind: which one.
+        kind: type of the renderer.
         size: width and height of the frames, pixels.
-        lap: told the end of the stages `render` and `read-back` of every frame.
-        apart: whether it runs in a process of its own. Needed where this process loads libraries of the user's, which
-            OpenGL's may crash, and where it may be forked; the frames are the same.
+        lap: called at the end of the stages `render` and `read-back` of every frame.
+        apart: whether the renderer runs in a separate process. This is necessary if this process loads libraries of the
+            user, which may crash together with those of OpenGL, or if it may be forked; the frames are the same.
 
     Raises:
-        UsageError: there is no renderer of that kind.
-        WorldError: `gl` was asked for and this machine has no usable EGL driver.
+        UsageError: no renderer of that type exists.
+        WorldError: `kind` is `gl` and this machine has no usable EGL driver.
     """
     if kind not in get_args(RendererKind):
         raise UsageError(f"unknown renderer {kind!r}; valid renderers: {', '.join(get_args(RendererKind))}")
@@ -54,7 +54,7 @@ def open_renderer(
 def open_first(
     preferred: Callable[[int, StageTimer], Renderer], size: int, lap: StageTimer = no_stage_timer
 ) -> Renderer:
-    """Opens the preferred renderer, or TinyRenderer with a word of warning where that one has no driver."""
+    """Opens the preferred renderer; if it has no driver, logs a warning and opens TinyRenderer."""
     try:
         return preferred(size, lap)
     except WorldError as error:

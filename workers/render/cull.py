@@ -1,6 +1,6 @@
-"""Which parts of a scene the camera can see at all, nearest far corner first.
+"""View frustum culling: selects the parts of a scene in the camera's view, in order of their far corner, nearest first.
 
-Pure geometry on bounding boxes; it never draws, and what one part hides of another is left to the depth test.
+Pure geometry of bounding boxes. Does not render, and does not account for occlusion; the depth test does.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ __all__ = ["PartBounds", "reach_of_planes", "visible_parts"]
 
 @dataclass(frozen=True)
 class PartBounds:
-    """Bounding boxes along the world axes, one a part."""
+    """Bounding boxes of the parts along the world axes."""
 
     centre: NDArray[np.float64]
-    """(P, 3) metres."""
+    """(P, 3) centres, metres."""
     half: NDArray[np.float64]
-    """(P, 3) half extents, metres; negative infinity for a part without vertices, which nothing can see."""
+    """(P, 3) half extents, metres; negative infinity for a part without vertices, which is never visible."""
 
     @classmethod
     def of(cls, scene: CompiledScene) -> PartBounds:
-        """Measures the parts of a scene."""
+        """Returns the bounding boxes of the parts of a scene."""
         count = len(scene.part_first)
         centre, half = np.zeros((count, 3)), np.full((count, 3), -np.inf)
         for part in np.flatnonzero(scene.part_count):
@@ -39,7 +39,7 @@ class PartBounds:
 
     @functools.cached_property
     def facts(self) -> NDArray[np.float64]:
-        """(7, P) centre, half extents and 1: what a plane is multiplied with to tell how far each box reaches."""
+        """(7, P) centre, half extents and 1, the right operand of the product with `reach_of_planes`."""
         return np.ascontiguousarray(np.column_stack((self.centre, self.half, np.ones(len(self.centre)))).T)
 
 
@@ -47,21 +47,21 @@ def reach_of_planes(normals: NDArray[np.float64], offsets: NDArray[np.float64]) 
     """Returns (N, 7) rows that, times `PartBounds.facts`, give the height of each box's highest corner above a plane.
 
     Args:
-        normals: (N, 3) of the planes n x + offset = 0, of any length.
-        offsets: (N,)
+        normals: (N, 3) normals n of the planes n x + offset = 0, of any length.
+        offsets: (N,) offsets of the planes.
     """
     return np.column_stack((normals, np.abs(normals), offsets))
 
 
 def visible_parts(bounds: PartBounds, clip: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Returns the indices of the parts whose box reaches into the view; the one whose far corner is nearest first.
+    """Returns the indices of the parts whose box is at least partly in view, the one with the nearest far corner first.
 
-    By that order a floor comes after what stands on it, and is drawn where it is seen.
+    With this order a floor is drawn after the objects on it, so that its hidden pixels are not shaded.
 
     Args:
-        bounds: of the parts.
-        clip: (4, 4) from world to OpenGL clip space, for columns.
-        eye: (3,) the camera's place in the world, metres.
+        bounds: bounding boxes of the parts.
+        clip: (4, 4) matrix from world to OpenGL clip space, for column vectors.
+        eye: (3,) position of the camera in the world, metres.
     """
     w = clip[3]
     planes = np.concatenate((w + clip[:3], w - clip[:3]))  # left, bottom, near, right, top, far; inside is positive

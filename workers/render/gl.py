@@ -1,7 +1,7 @@
-"""The OpenGL renderer: colour, depth and ids in one pass, on EGL without a screen.
+"""OpenGL renderer: renders colour, depth and ids in one pass, on EGL without a display.
 
-It never touches physics, encodes images or reads the environment: `LP_NUM_THREADS=0`, wanted for llvmpipe, is set by
-the process that opens it, before it is opened.
+Does not simulate, encode images or read the environment. The calling process sets `LP_NUM_THREADS=0` for llvmpipe
+before it opens the renderer.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ __all__ = ["GlRenderer"]
 
 _KEPT_SCENES = 2
 _EGL: dict[str, Any] = {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libEGL.so.1"}
-"""libEGL hands out every function of OpenGL by itself; asking for no libGL spares the user a package."""
+"""Libraries of the context. libEGL provides all functions of OpenGL, so that the user need not install libGL."""
 _AFTER_FORK = "start that process with the multiprocessing context 'spawn' or 'forkserver'"
-"""A fork has the driver's memory without its threads: drawing would wait for them for ever."""
+"""Remedy for a forked process, which has the driver's memory without its threads: rendering would wait forever."""
 _used_by: set[int] = set()
-"""The process that has opened a context; after a fork, its number is not that of this process."""
+"""Id of the process that opened a context; a forked process has another id."""
 
 
 class GlRenderer(Closing):
-    """A `Renderer` on an OpenGL 4.5 context of its own; every call makes that context current."""
+    """`Renderer` with a separate OpenGL 4.5 context; every call makes that context current."""
 
     def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
         """Opens the context and its targets.
 
         Args:
             size: width and height of the frames, pixels.
-            lap: told the end of the stages `render` and `read-back` of every frame.
+            lap: called at the end of the stages `render` and `read-back` of every frame.
 
         Raises:
             UsageError: OpenGL was used before this process was forked.
@@ -69,7 +69,7 @@ class GlRenderer(Closing):
             self._context.front_face = "cw"  # because `onto_target` mirrors the image
 
     def close(self) -> None:
-        """Frees the context and all in it; closing twice is harmless."""
+        """Frees the context and its resources; further calls have no effect."""
         if self._is_open:
             self._is_open = False
             self._scene = None
@@ -80,7 +80,7 @@ class GlRenderer(Closing):
             self._context.release()
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
-        """Makes `scene` the one that `camera` shows; the last few scenes stay on the device."""
+        """Selects the scene and the camera; the most recently used scenes stay on the device."""
         self._require_own_process()
         self._camera = camera
         self._projection = projection_matrix(camera)
@@ -88,11 +88,11 @@ class GlRenderer(Closing):
             self._scene = self._shelf.take(scene)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
-        """Returns what the camera sees when base_link stands at `pose` in the world.
+        """Returns the camera image for a pose of base_link.
 
         Args:
-            pose: of base_link in the world.
-            size: width and height of the frame, pixels; `None` is that of the renderer.
+            pose: pose of base_link in the world.
+            size: width and height of the frame, pixels; `None` is the default size of the renderer.
 
         Raises:
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
@@ -103,7 +103,7 @@ class GlRenderer(Closing):
             target = self._target(size or self._size)
             target.begin()
             scene.draw(parts, clip)
-            self._context.finish()  # reading would wait just as long; so the wait is told apart from the copy
+            self._context.finish()  # reading would wait as long; this separates rendering from copying in profiles
             self._lap("render")
             rgb = target.read_colour()
             relief = target.read_relief(self._camera, rgb)
@@ -111,7 +111,7 @@ class GlRenderer(Closing):
         return RenderedFrame(rgb, relief.depth, relief.ids)
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
-        """Returns depth and ids without drawing colour; the same parts in the same order give the same bits.
+        """Returns depth and ids without rendering colour, bit-identical to those of `render`.
 
         Raises:
             UsageError: no scene was loaded.
@@ -129,7 +129,7 @@ class GlRenderer(Closing):
         return relief
 
     def _target(self, size: int) -> GlTarget:
-        """Returns the images of a size; those of the sizes used so far are kept."""
+        """Returns the target of a size; targets are kept for reuse."""
         if size not in self._targets:
             self._targets[size] = GlTarget(self._context, size)
         return self._targets[size]
@@ -141,11 +141,11 @@ class GlRenderer(Closing):
     def _loaded(self) -> GpuScene:
         self._require_own_process()
         if self._scene is None:
-            raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
+            raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
         return self._scene
 
     def _look(self, scene: GpuScene, pose: Pose) -> tuple[bytes, NDArray[np.intp]]:
-        """Returns the matrix for the programs at a pose, and the parts to be drawn from it."""
+        """Returns the matrix of the shader programs for a pose, and the parts to draw."""
         optical = optical_pose(pose, self._camera)
         clip = product(self._projection, view_matrix(optical))
         matrix = onto_target(clip, self._camera).T.astype(np.float32).tobytes()

@@ -1,6 +1,6 @@
-"""A scene on the device, and the programs that draw it: what the OpenGL renderer keeps of each place.
+"""Scenes on the graphics device and the shader programs that draw them, for the OpenGL renderer.
 
-Draws the parts that it is told to; which those are, targets and reading back are the renderer's.
+Selects the visible parts of a scene and draws them. Does not manage targets or read back images.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from schemas.config import CameraConfig
 from schemas.scene import CompiledScene
 from workers.geometry.camera import OpticalPose
 from workers.render.cull import PartBounds, visible_parts
-from workers.render.occlude import Screens
+from workers.render.occlude import Occluders
 from workers.render.shaders import BARE, PLAIN, TEXTURED, VERTEX, ShaderPair
 
 __all__ = ["GpuScene", "Programs"]
@@ -24,12 +24,12 @@ _TEXTURE_UNIT, _LIGHT_UNIT = 0, 1
 _DRAW = np.dtype([("count", "u4"), ("instances", "u4"), ("first", "u4"), ("base_vertex", "i4"), ("base", "u4")])
 """OpenGL's DrawElementsIndirectCommand."""
 _BANDS = 3
-"""In each of so many bands of distance, plain parts are drawn first: what they hide needs no texture looked up. With
-fewer bands far plain parts are drawn over, with more the programs change too often."""
+"""Number of distance bands. In each band, parts without texture are drawn first, because pixels that they hide need no
+texture lookup. With fewer bands, distant parts are drawn and then covered; with more, the programs change too often."""
 
 
 class _Program:
-    """A compiled pair of shaders."""
+    """Compiled pair of shaders."""
 
     def __init__(self, context: moderngl.Context, pair: ShaderPair) -> None:
         self._context = context
@@ -38,16 +38,16 @@ class _Program:
         if "light" in self._program:
             self._program["light"] = _LIGHT_UNIT
 
-    def look_through(self, clip_from_world: bytes) -> None:
+    def set_clip_matrix(self, clip_from_world: bytes) -> None:
         self._program["clip_from_world"].write(clip_from_world)
 
-    def reading(self, mesh: _Mesh) -> moderngl.VertexArray:
+    def vertex_array(self, mesh: _Mesh) -> moderngl.VertexArray:
         content = [(mesh.vertices, self._pair.layout, *self._pair.fields)]
         return self._context.vertex_array(self._program, content, mesh.corners, index_element_size=4)
 
 
 class _Mesh(NamedTuple):
-    """The vertices of a scene, each once, and which of them the triangles' corners are."""
+    """Indexed mesh of a scene on the device, without duplicate vertices."""
 
     vertices: moderngl.Buffer
     corners: moderngl.Buffer
@@ -56,7 +56,7 @@ class _Mesh(NamedTuple):
     def of(cls, context: moderngl.Context, scene: CompiledScene) -> _Mesh:
         every = _interleave(scene)
         _, firsts, found = np.unique(every.view(f"V{VERTEX.itemsize}"), return_index=True, return_inverse=True)
-        order = np.argsort(firsts)  # in the order of their parts, so that a part's vertices lie together
+        order = np.argsort(firsts)  # in the order of the parts, so that the vertices of a part are contiguous
         rank = np.empty(len(order), np.uint32)
         rank[order] = np.arange(len(order))
         vertices, corners = every[firsts[order]], rank[found]
@@ -66,7 +66,7 @@ class _Mesh(NamedTuple):
 
 
 class Programs:
-    """All that draw, each compiled when the first scene needs it."""
+    """Shader programs, each compiled when the first scene needs it."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -80,18 +80,18 @@ class Programs:
 
 
 class GpuScene:
-    """Vertices, textures and light map of a scene; and what tells which of its parts are in view."""
+    """Vertices, textures and light map of a scene on the device, with the bounds for culling."""
 
     def __init__(self, context: moderngl.Context, programs: Programs, scene: CompiledScene) -> None:
         """Uploads a scene.
 
         Args:
-            context: the device, current.
-            programs: of the same context.
-            scene: the place.
+            context: OpenGL context, which must be current.
+            programs: programs of the same context.
+            scene: scene to upload.
         """
         self._is_textured = scene.part_texture >= 0
-        self._bounds, self._screens = PartBounds.of(scene), Screens.of(scene)
+        self._bounds, self._occluders = PartBounds.of(scene), Occluders.of(scene)
         self._draws = np.zeros(len(scene.part_first), _DRAW)
         self._draws["count"], self._draws["first"] = scene.part_count, scene.part_first
         self._draws["instances"] = 1
@@ -100,42 +100,42 @@ class GpuScene:
         pairs = (PLAIN, TEXTURED) if _has_flat_colours(scene) else (PLAIN.blended(), TEXTURED.blended())
         self._coloured = [programs.of(pair) for pair in pairs]
         self._bare = programs.of(BARE)
-        self._plain, self._textured = (program.reading(self._mesh) for program in self._coloured)
-        self._uncoloured = self._bare.reading(self._mesh)
+        self._plain, self._textured = (program.vertex_array(self._mesh) for program in self._coloured)
+        self._uncoloured = self._bare.vertex_array(self._mesh)
         self._textures = _upload_textures(context, scene.textures)
         self._light = _upload_light(context, scene.light_map)
 
     def parts_to_draw(self, clip: NDArray[np.float64], optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
-        """Returns the parts that reach into the view and do not stand behind a wall, nearest first."""
+        """Returns the parts that are in view and not behind a wall, nearest first."""
         parts = visible_parts(self._bounds, clip, optical.eye)
-        return parts[~self._screens.hidden(self._bounds, parts, optical, camera)]
+        return parts[~self._occluders.hidden(self._bounds, parts, optical, camera)]
 
     def draw(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
-        """Draws parts in the order given, but in each band of distance the plain ones first.
+        """Draws parts in the given order, but in each distance band those without texture first.
 
         Args:
-            parts: indices.
-            clip_from_world: (4, 4) float32, by columns.
+            parts: indices of the parts.
+            clip_from_world: (4, 4) float32 matrix in column order.
         """
         for program in self._coloured:
-            program.look_through(clip_from_world)
+            program.set_clip_matrix(clip_from_world)
         self._light.use(_LIGHT_UNIT)
         self._textures.use(_TEXTURE_UNIT)
         first = 0
-        for run, count in enumerate(self._lay_down(parts)):
+        for run, count in enumerate(self._write_commands(parts)):
             if count:
                 (self._plain, self._textured)[run % 2].render_indirect(self._commands, count=count, first=first)
             first += count
 
     def draw_bare(self, parts: NDArray[np.intp], clip_from_world: bytes) -> None:
         """Draws depth and ids of parts, in the order of `draw`."""
-        self._bare.look_through(clip_from_world)
-        count = sum(self._lay_down(parts))
+        self._bare.set_clip_matrix(clip_from_world)
+        count = sum(self._write_commands(parts))
         if count:
             self._uncoloured.render_indirect(self._commands, count=count)
 
-    def _lay_down(self, parts: NDArray[np.intp]) -> list[int]:
-        """Writes what is to be drawn; returns how many parts are plain and textured in each band, alternately."""
+    def _write_commands(self, parts: NDArray[np.intp]) -> list[int]:
+        """Writes the draw commands; returns the numbers of plain and of textured parts in each band, alternately."""
         count = len(parts)
         if not count:
             return []
@@ -156,7 +156,7 @@ def _has_flat_colours(scene: CompiledScene) -> bool:
 
 
 def _interleave(scene: CompiledScene) -> NDArray[np.void]:
-    """Returns the vertices as the shader reads them; what belongs to a part is repeated for each of its vertices."""
+    """Returns the vertices in the layout of the shader; properties of a part are repeated for each of its vertices."""
     vertices = np.zeros(len(scene.positions), VERTEX)
     vertices["position"], vertices["uv"] = scene.positions, scene.uvs
     vertices["colour"][:, :3] = scene.colours
@@ -171,9 +171,10 @@ def _interleave(scene: CompiledScene) -> NDArray[np.void]:
 
 
 def _upload_textures(context: moderngl.Context, textures: NDArray[np.uint8]) -> moderngl.TextureArray:
-    """Uploads the layers upside down, because v = 0 is the bottom row, and makes their mipmaps.
+    """Uploads the layers with rows reversed, because v = 0 is the bottom row, and generates their mipmaps.
 
-    The nearest mipmap alone is sampled: mixing two of them looks the same here and costs as much as the light map.
+    Only the nearest mipmap is sampled: interpolation between two mipmaps gives the same image quality here and takes as
+    long as the light map.
     """
     layers = textures if len(textures) else np.full((1, 1, 1, 3), 255, np.uint8)
     count, height, width, _ = layers.shape
@@ -186,7 +187,7 @@ def _upload_textures(context: moderngl.Context, textures: NDArray[np.uint8]) -> 
 
 
 def _upload_light(context: moderngl.Context, light_map: NDArray[np.uint8]) -> moderngl.Texture:
-    """Uploads the light map, with a fourth channel that llvmpipe is faster with; without one, all is fully lit."""
+    """Uploads the light map with a fourth channel, which llvmpipe reads faster; an empty map gives full brightness."""
     rows, columns = light_map.shape[:2] if light_map.size else (1, 1)
     texels = np.full((rows, columns, 4), 255, np.uint8)
     if light_map.size:

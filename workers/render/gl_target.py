@@ -1,7 +1,7 @@
-"""What the OpenGL renderer draws onto: colour, ids, and a depth buffer that is the depth image.
+"""Render targets of the OpenGL renderer: colour, ids, and a depth buffer that serves as the depth image.
 
-The depth buffer holds near / depth in floats, which tells distances apart as finely as a float does, near and far; so
-that no third image has to be drawn. Knows neither scenes nor programs.
+The depth buffer stores near / depth as float, which has the relative precision of a float at all distances, so that no
+third image has to be rendered. Does not depend on scenes or shader programs.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from workers.render import DepthAndIds
 __all__ = ["GlTarget", "onto_target"]
 
 _GUARD = 3
-"""The viewport is so many times as wide as the target, which is its middle: llvmpipe draws what has a corner beyond the
-viewport at a third of the speed, and what is beyond the target at no cost."""
+"""Width of the viewport as a multiple of the target, which is at its centre. llvmpipe draws a triangle with a corner
+outside the viewport at a third of the speed, and the part of a triangle outside the target at no cost."""
 _ONTO_TARGET = np.array((1.0 / _GUARD, -1.0 / _GUARD, 1.0, 1.0))[:, None]
-"""Into the middle of the viewport, and mirrored, so that an image's top row comes first in memory, where OpenGL has the
-bottom row."""
+"""Scale to the centre of the viewport; y is mirrored, so that the top row of an image is first in memory, where OpenGL
+has the bottom row."""
 _ALL_TARGETS: Any = ((True,) * 4,) * 2
 _DEPTH_ONLY: Any = ((False,) * 4,) * 2
-"""Masks of colour and ids; moderngl's types know only that of one target."""
+"""Write masks of colour and ids; the type stubs of moderngl accept the mask of one target only."""
 _TEXTURE_2D, _LOWER_LEFT, _ZERO_TO_ONE = 0x0DE1, 0x8CA1, 0x935F
 _DEPTH_COMPONENT32F, _DEPTH_COMPONENT, _FLOAT = 0x8CAC, 0x1902, 0x1406
 
 
 def onto_target(clip: NDArray[np.float64], camera: CameraConfig) -> NDArray[np.float64]:
-    """Returns the (4, 4) matrix, for columns, with which a `GlTarget` shows what `clip` shows.
+    """Returns the (4, 4) matrix, for column vectors, with which a `GlTarget` shows the image of `clip`.
 
-    Its z is the near distance, so that near / depth is left after the division by w; the far plane cuts nothing.
+    Its z is the near distance, so that the division by w gives near / depth; it does not clip at the far plane.
 
     Args:
-        clip: (4, 4) from world to OpenGL clip space, for columns; its w is the depth in metres.
+        clip: (4, 4) matrix from world to OpenGL clip space, for column vectors; its w is the depth in metres.
         camera: gives the near distance.
     """
     matrix: NDArray[np.float64] = clip * _ONTO_TARGET
@@ -49,17 +49,17 @@ class GlTarget:
     """Square images on the device; the context must be current in every call."""
 
     def __init__(self, context: moderngl.Context, size: int) -> None:
-        """Makes the images and sets up the context's depth test for them.
+        """Creates the images and configures the context's depth test for them.
 
         Args:
-            context: current, of OpenGL 4.5.
-            size: width and height, pixels.
+            context: OpenGL 4.5 context, which must be current.
+            size: width and height of the images, pixels.
         """
         self._size = size
         shape = (size, size)
         depth = context.depth_texture(shape)
         call = _Functions()
-        call.bind_texture(_TEXTURE_2D, depth.glo)  # moderngl knows depth of 24 bits only
+        call.bind_texture(_TEXTURE_2D, depth.glo)  # moderngl supports 24-bit depth only
         call.tex_image(_TEXTURE_2D, 0, _DEPTH_COMPONENT32F, size, size, 0, _DEPTH_COMPONENT, _FLOAT, None)
         call.clip_control(_LOWER_LEFT, _ZERO_TO_ONE)
         context.depth_func = ">"
@@ -69,20 +69,20 @@ class GlTarget:
         self._images.viewport = (-beside, -beside, size * _GUARD, size * _GUARD)
 
     def begin(self) -> None:
-        """Makes the images those that are drawn onto, and clears what tells where nothing is."""
+        """Binds the images for drawing, and clears the depth buffer."""
         self._images.use()
         self._images.color_mask = _DEPTH_ONLY
         self._images.clear(depth=0.0)
         self._images.color_mask = _ALL_TARGETS
 
     def read_colour(self) -> NDArray[np.uint8]:
-        """Returns (size, size, 3); where nothing is, what an earlier frame had there. `read_relief` blanks it."""
+        """Returns (size, size, 3) colour; pixels without a surface are undefined until `read_relief` clears them."""
         rgb = np.empty((self._size, self._size, 3), np.uint8)
         self._images.read_into(rgb, components=3, attachment=0)
         return rgb
 
     def read_relief(self, camera: CameraConfig, *beside: NDArray[np.uint8]) -> DepthAndIds:
-        """Returns depth and ids; blanks ids, and what was read `beside` them, where nothing is in the clip range."""
+        """Returns depth and ids; sets ids and the images `beside` to 0 where no surface is within the clip range."""
         shape = (self._size, self._size)
         depth, ids = np.empty(shape, np.float32), np.empty(shape, np.uint16)
         self._images.read_into(depth, components=1, attachment=-1, dtype="f4")
@@ -90,7 +90,7 @@ class GlTarget:
         near, farthest = np.float32(camera.near_m), _least_height(camera)
         if depth.min() < farthest:
             void = np.flatnonzero(depth < farthest)
-            depth.reshape(-1)[void] = np.inf  # 0 when divided by
+            depth.reshape(-1)[void] = np.inf  # the division gives 0
             images: tuple[NDArray[Any], ...] = (ids, *beside)
             for image in images:
                 image.reshape(self._size * self._size, -1)[void] = 0
@@ -99,14 +99,14 @@ class GlTarget:
 
 
 def _least_height(camera: CameraConfig) -> np.float32:
-    """Returns what the depth buffer holds of the farthest surface whose depth, rounded, is within the clip range."""
+    """Returns the smallest value in the depth buffer whose depth, rounded to float32, is within the clip range."""
     near, far = np.float32(camera.near_m), np.float32(camera.far_m)
     height = near / far
     return height if near / height <= far else np.nextafter(height, np.float32(np.inf))
 
 
 class _Functions:
-    """The functions of OpenGL that moderngl does not offer, from libEGL, which hands out all of them."""
+    """OpenGL functions that moderngl does not provide, loaded through libEGL."""
 
     def __init__(self) -> None:
         egl = ctypes.CDLL("libEGL.so.1")

@@ -1,6 +1,6 @@
-"""Which parts stand wholly behind one wall and need not be drawn; walls are found in the scene's own triangles.
+"""Occlusion culling: finds the parts that are completely behind one wall; walls are large rectangles in the scene.
 
-Pure geometry; it errs on the side of drawing, so that an image is the same with and without it.
+Pure geometry. The test is conservative, so that an image is the same with and without it.
 """
 
 from __future__ import annotations
@@ -18,90 +18,92 @@ from schemas.scene import CompiledScene
 from workers.geometry.camera import OpticalPose
 from workers.render.cull import PartBounds, reach_of_planes
 
-__all__ = ["Screens"]
+__all__ = ["Occluders"]
 
 F64 = NDArray[np.float64]
 
 _LEAST_AREA_M2 = 0.5
-"""Rectangles smaller than this hide too little to be asked. Boxes in a rack are larger, and hide the next rack's."""
+"""Smallest area of an occluder, square metres; smaller ones hide too few parts. The boxes in a rack are larger and hide
+those of the next rack."""
 _MOST_ASKED = 16
-"""Rectangles asked a frame: those that fill most of the view."""
+"""Largest number of occluders tested per frame; those with the largest image area are selected."""
 _SAME_M = 1e-4
-"""Corners closer than this are one."""
+"""Largest distance between equal corners, metres."""
 _MARGIN_M = 0.005
-"""How far inside the shadow of a rectangle a box must lie: more than rounding and the depth buffer's steps."""
+"""Distance by which a box must be inside the shadow of an occluder, metres; larger than rounding errors and the
+resolution of the depth buffer."""
 
 
 @dataclass(frozen=True, eq=False)
-class Screens:
-    """Large flat rectangles that hide what stands behind them, seen from the side they face."""
+class Occluders:
+    """Large flat rectangles that hide the parts behind them, seen from the side of their normal."""
 
     corners: F64
-    """(S, 4, 3) metres, counter-clockwise seen from the side they face."""
+    """(S, 4, 3) corners, metres, counter-clockwise seen from the side of the normal."""
     normals: F64
-    """(S, 3) unit vectors towards that side."""
+    """(S, 3) unit normals."""
     areas: F64
-    """(S,) square metres."""
+    """(S,) areas, square metres."""
 
     @functools.cached_property
     def _heights(self) -> F64:
-        """(S,) how far along its normal each rectangle lies, metres."""
+        """(S,) distance of each rectangle's plane from the origin along its normal, metres."""
         return np.asarray(np.einsum("sk,sk->s", self.normals, self.corners[:, 0]))
 
     @functools.cached_property
     def _centres(self) -> F64:
-        """(S, 3) metres."""
+        """(S, 3) centres, metres."""
         return np.asarray(self.corners.mean(axis=1))
 
     @functools.cached_property
     def _radii(self) -> F64:
-        """(S,) from the centre to the farthest corner, metres."""
+        """(S,) distance from the centre to the farthest corner, metres."""
         return np.asarray(np.linalg.norm(self.corners - self._centres[:, None], axis=2).max(axis=1, initial=0.0))
 
     @functools.cached_property
     def _edges(self) -> tuple[F64, F64]:
-        """(S, 4, 3) each: the cross product of an edge's end with its start, and the edge itself."""
+        """(S, 4, 3) cross products of each edge's end with its start, and (S, 4, 3) edges."""
         ends = np.roll(self.corners, -1, axis=1)
         return np.cross(ends, self.corners), ends - self.corners
 
     @classmethod
     def of(cls, scene: CompiledScene) -> Self:
-        """Finds the rectangles made up of two neighbours in the list of triangles, as far as they have parts behind."""
+        """Finds the rectangles that consist of two consecutive triangles and have parts behind them."""
         triangles = scene.positions.reshape(-1, 3, 3).astype(np.float64)
         corners = _rectangles(triangles[:-1], triangles[1:])
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
         areas = np.linalg.norm(across, axis=1)
         large = areas >= _LEAST_AREA_M2
         found = cls(corners[large], across[large] / areas[large, None], areas[large])
-        useful = found._have_parts_behind(PartBounds.of(scene))  # not so the outer walls
+        useful = found._have_parts_behind(PartBounds.of(scene))  # excludes the outer walls
         return cls(found.corners[useful], found.normals[useful], found.areas[useful])
 
     def _have_parts_behind(self, bounds: PartBounds) -> NDArray[np.bool_]:
-        parts = np.isfinite(bounds.half).all(axis=1)  # the others have no vertices
+        parts = np.isfinite(bounds.half).all(axis=1)  # parts without vertices are infinite
         highest = self.normals @ bounds.centre[parts].T + np.abs(self.normals) @ bounds.half[parts].T
         return np.asarray(highest.min(axis=1, initial=np.inf) < self._heights - _MARGIN_M)
 
     def hidden(
         self, bounds: PartBounds, parts: NDArray[np.intp], optical: OpticalPose, camera: CameraConfig
     ) -> NDArray[np.bool_]:
-        """Returns (len(parts),) true where a part lies wholly in the shadow of one rectangle.
+        """Returns (len(parts),) true for parts that are completely in the shadow of one rectangle.
 
         Args:
-            bounds: of all parts.
-            parts: indices of those to judge.
-            optical: where the camera is.
+            bounds: bounding boxes of all parts.
+            parts: indices of the parts to test.
+            optical: pose of the camera.
             camera: gives near plane and field of view.
         """
         planes, offsets = self._shadows(optical, camera)
-        high = reach_of_planes(-planes, -offsets) @ bounds.facts[:, parts]  # over the planes turned round
+        high = reach_of_planes(-planes, -offsets) @ bounds.facts[:, parts]  # height above the inverted planes
         within = high.reshape(5, len(planes) // 5, len(parts)).max(axis=0) < -_MARGIN_M
         return np.asarray(within.any(axis=0))
 
     def _shadows(self, optical: OpticalPose, camera: CameraConfig) -> tuple[F64, F64]:
-        """Returns the planes of the shadows, the first of every rectangle first: (5 R, 3) normals to the inside and
-        (5 R,) offsets.
+        """Returns the planes of the shadows: (5 R, 3) normals that point inside and (5 R,) offsets, the first plane of
+        all R rectangles first.
 
-        A shadow is what lies behind the rectangle and between the four planes through the eye and its edges. The plane
+        A shadow is the space behind the rectangle and between the four planes through the eye and its edges. The plane
         through the eye e and an edge from p to q has the normal (q - e) x (p - e) = q x p + e x (q - p).
         """
         chosen = self._choose(optical, camera)
@@ -116,7 +118,7 @@ class Screens:
         return planes.transpose(1, 0, 2).reshape(-1, 3), offsets.T.ravel()
 
     def _choose(self, optical: OpticalPose, camera: CameraConfig) -> NDArray[np.intp]:
-        """Returns the rectangles that face the eye, are not behind it or cut by the near plane, and look largest."""
+        """Returns the rectangles with the largest image that face the eye and are in front of the near plane."""
         height = self.normals @ optical.eye - self._heights
         away = self._centres - optical.eye
         square = np.einsum("sk,sk->s", away, away)
@@ -129,18 +131,18 @@ class Screens:
 
 
 def _rectangles(first: NDArray[np.float64], second: NDArray[np.float64]) -> F64:
-    """Returns (R, 4, 3) corners of the pairs of triangles that make up a rectangle, in the order of the first one.
+    """Returns (R, 4, 3) corners of the pairs of triangles that form a rectangle, in the order of the first triangle.
 
     Args:
-        first: (N, 3, 3) corners of triangles.
-        second: (N, 3, 3) corners of their partners.
+        first: (N, 3, 3) corners of the first triangles.
+        second: (N, 3, 3) corners of the second triangles.
     """
     same: NDArray[np.bool_] = np.asarray((np.abs(first[:, :, None] - second[:, None]) < _SAME_M).all(axis=3))
     is_pair = same.sum(axis=(1, 2)) == 2
     first, second, same = first[is_pair], second[is_pair], same[is_pair]
     own, other = (~same.any(axis=2)).argmax(axis=1), (~same.any(axis=1)).argmax(axis=1)
     rows = np.arange(len(first))
-    # from the corner that is only the first one's: it, the next, the partner's own corner, the one before
+    # unshared corner of the first triangle, its next corner, unshared corner of the second, its previous corner
     corners = np.stack(
         (
             first[rows, own],

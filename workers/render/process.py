@@ -1,4 +1,4 @@
-"""A renderer in a process of its own, for programs that run the user's code beside the simulation.
+"""Renderer in a separate process, for programs that run code of the user in the process of the simulation.
 
 Mesa loads its driver, and with it LLVM, with RTLD_GLOBAL. A library with another LLVM that is loaded into the same
 process later, such as triton, is bound to Mesa's LLVM and crashes. The driver's threads do not survive a fork either.
@@ -26,7 +26,7 @@ _KEPT_SCENES = 2
 
 
 class ProcessRenderer(Closing):
-    """A `Renderer` whose frames equal, bit for bit, those of the renderer that its process opens."""
+    """`Renderer` in a separate process; its frames equal those of an in-process renderer, bit for bit."""
 
     def __init__(
         self, kind: RendererKind = "auto", size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer
@@ -34,12 +34,12 @@ class ProcessRenderer(Closing):
         """Starts the process and waits until its renderer is open.
 
         Args:
-            kind: the renderer to open there.
+            kind: type of the renderer.
             size: width and height of the frames, pixels.
-            lap: told the end of the stages `render` and `read-back` of every frame.
+            lap: called at the end of the stages `render` and `read-back` of every frame.
 
         Raises:
-            UsageError: the size is not 1 to `MAX_SIZE_PX`.
+            UsageError: the size is not in 1..`MAX_SIZE_PX`.
             WorldError: the process cannot be started, or the machine has no such renderer.
         """
         self._size, self._lap = _checked(size), lap
@@ -48,20 +48,20 @@ class ProcessRenderer(Closing):
         self.description = self._process.description
 
     def close(self) -> None:
-        """Ends the process; closing twice is harmless."""
+        """Ends the process; further calls have no effect."""
         self._process.close()
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
-        """Makes `scene` the one that `camera` shows; the last scenes stay ready."""
+        """Selects the scene and the camera; recently used scenes stay prepared."""
         stored = self._shelf.take(scene)
         self._process.ask(RequestKind.LOAD, scene=stored.number, camera=camera)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
-        """Returns what the camera sees when base_link stands at `pose` in the world.
+        """Returns the camera image for a pose of base_link.
 
         Args:
-            pose: of base_link in the world.
-            size: width and height of the frame, pixels; `None` is that of the renderer.
+            pose: pose of base_link in the world.
+            size: width and height of the frame, pixels; `None` is the default size of the renderer.
 
         Raises:
             UsageError: no scene was loaded, or this process was forked after the renderer was opened.
@@ -75,7 +75,7 @@ class ProcessRenderer(Closing):
         return frame
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
-        """Returns depth and ids of what `render` returns; raises as it does."""
+        """Returns depth and ids of the frame that `render` returns; raises the same errors."""
         self._process.ask(RequestKind.RELIEF, pose=pose)
         self._lap("render")
         relief = self._process.frames.take_relief(self._size)
@@ -85,12 +85,12 @@ class ProcessRenderer(Closing):
 
 def _checked(size: int) -> int:
     if not 1 <= size <= MAX_SIZE_PX:
-        raise UsageError(f"frame size {size}: choose 1 to {MAX_SIZE_PX} pixels")
+        raise UsageError(f"frame size {size} is not valid: choose 1 to {MAX_SIZE_PX} pixels")
     return size
 
 
 class _Storage:
-    """Sends scenes to the process, each under a number of its own."""
+    """Sends scenes to the process, each with a unique number."""
 
     def __init__(self, process: RenderingProcess) -> None:
         self._process, self._count = process, 0
@@ -103,11 +103,11 @@ class _Storage:
 
 
 class _Stored:
-    """A scene that the process keeps."""
+    """Scene that the process stores."""
 
     def __init__(self, process: RenderingProcess, number: int) -> None:
         self._process, self.number = process, number
 
     def close(self) -> None:
-        """Makes the process forget it."""
+        """Deletes the scene in the process."""
         self._process.ask(RequestKind.DROP, scene=self.number)

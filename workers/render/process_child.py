@@ -1,6 +1,6 @@
-"""The rendering process (`python -P -m workers.render.process_child`): opens a renderer and serves one caller.
+"""Entry point of the rendering process (`python -P -m workers.render.process_child`), which serves one caller.
 
-It ends with its caller, whatever it is doing. It simulates nothing and imports no code of the user's.
+The process exits when its caller exits. It does not simulate and imports no code of the user.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ __all__ = ["main"]
 
 
 def main() -> int:
-    """Serves requests until the caller closes its end or dies."""
-    parser = argparse.ArgumentParser(prog="workers.render.process_child", description="Draws frames for one process.")
+    """Serves requests until the caller closes the connection or dies; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="workers.render.process_child", description="Renders frames for one process.")
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), required=True)
     parser.add_argument("--size", type=int, required=True, help="Default width and height of frames, pixels.")
     parser.add_argument("--frames", type=int, required=True, help="File descriptor of the frame memory.")
@@ -38,30 +38,30 @@ def main() -> int:
             while True:
                 out.write(to_line(server.serve(RenderRequest.model_validate_json(lines.get()))))
     except (BrokenPipeError, ConnectionResetError):
-        return 0  # the caller is gone
+        return 0  # the caller has exited
     except FactoryError as error:
         out.write(to_line(_failure(0, error)))
         return 1
 
 
 class _Server:
-    """Answers requests with a renderer; keeps the scenes that the caller has not dropped."""
+    """Server of requests; stores the scenes until the caller drops them."""
 
     def __init__(self, renderer: Renderer, frames: FrameMemory, scene_descriptor: int) -> None:
         self._renderer, self._frames, self._scene_descriptor = renderer, frames, scene_descriptor
         self._scenes: dict[int, CompiledScene] = {}
 
     def serve(self, request: RenderRequest) -> Reply:
-        """Does what is asked; an error goes back to the caller."""
+        """Executes a request and returns its reply, which contains the error if there was one."""
         try:
-            self._do(request)
+            self._execute(request)
         except Exception as error:  # noqa: BLE001 - the worker loop: the caller raises it
             if not isinstance(error, FactoryError):
                 traceback.print_exc()
             return _failure(request.number, error)
         return Reply(number=request.number)
 
-    def _do(self, request: RenderRequest) -> None:
+    def _execute(self, request: RenderRequest) -> None:
         match request.kind:
             case RequestKind.STORE:
                 self._scenes[request.scene] = self._read_scene()
@@ -90,4 +90,4 @@ def _failure(number: int, error: Exception) -> Reply:
 if __name__ == "__main__":
     status = main()
     sys.stderr.flush()
-    os._exit(status)  # the thread that waits for requests would keep the interpreter from ending
+    os._exit(status)  # a normal exit would wait for the thread that reads requests

@@ -1,6 +1,6 @@
-"""The caller's side of the rendering process: starts it, asks it, reports its death, ends it.
+"""Caller's side of the rendering process: starts it, sends requests, reports its death, ends it.
 
-Knows requests and frames, but no scene: those are the renderer's.
+Does not manage scenes; the renderer does.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ _CHILD = python_module("workers.render.process_child")
 
 
 class RenderingProcess:
-    """A handle on it: it answers one request at a time, and ends with this handle or with this process."""
+    """Handle of a rendering process, which serves one request at a time and ends with this handle or this process."""
+
+    description: str
+    """Description of the renderer in the process."""
 
     def __init__(self, kind: RendererKind, size: int) -> None:
         self._pid, self._number, self._unread = os.getpid(), 0, b""
@@ -51,7 +54,7 @@ class RenderingProcess:
             raise
 
     def send_scene(self, package: bytes) -> None:
-        """Replaces what the scene memory holds."""
+        """Replaces the content of the scene memory."""
         self._require_open()
         self._scene.seek(0)
         self._scene.truncate()
@@ -61,27 +64,27 @@ class RenderingProcess:
     def ask(
         self, kind: RequestKind, *, scene: int = 0, camera: CameraConfig = _CAMERA, pose: Pose = _ORIGIN, size: int = 0
     ) -> None:
-        """Waits until the process has done what is asked.
+        """Sends a request and waits for its reply.
 
         Raises:
-            UsageError: the process's renderer refused, or it was closed or belongs to the process before a fork.
-            WorldError: the process's renderer failed, or the process died or did not answer.
+            UsageError: the request is not valid, the process was closed, or this process is a fork of its owner.
+            WorldError: the renderer failed, or the process died or did not answer.
         """
         self._require_open()
         self._number += 1
         request = RenderRequest(number=self._number, kind=kind, scene=scene, camera=camera, pose=pose, size=size)
-        with contextlib.suppress(ConnectionError):  # the death of the process is found when reading
+        with contextlib.suppress(ConnectionError):  # reading the reply detects the death of the process
             self._socket.sendall(to_line(request))
         self._receive(self._number)
 
     def close(self) -> None:
-        """Ends the process; closing twice is harmless."""
+        """Ends the process; further calls have no effect."""
         self._end()
 
     def disown(self) -> None:
-        """Lets go of the process in a fork of its owner, where it must not be ended."""
+        """Releases the handle in a fork of the owner, without ending the process."""
         self._end.detach()
-        self._process.returncode = 0  # not our child: nothing to wait for
+        self._process.returncode = 0  # it is not a child of the fork, which cannot wait for it
         self._socket.close()
         self._scene.close()
 
@@ -95,7 +98,7 @@ class RenderingProcess:
             raise UsageError("this renderer is closed: open another one")
 
     def _receive(self, number: int) -> str:
-        """Returns the detail of the reply to a request; replies to requests that were interrupted are passed over."""
+        """Returns the detail of the reply to a request; ignores replies to interrupted requests."""
         while True:
             reply = Reply.model_validate_json(self._read_line())
             if reply.number == number:
@@ -129,7 +132,7 @@ class RenderingProcess:
         self.close()
         status = self._process.poll()
         if status is None:
-            return "it closed its end and cannot be killed"
+            return "it closed the connection and cannot be killed"
         how = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
         return f"{how}; its messages are on stderr"
 
@@ -155,20 +158,20 @@ def _start(kind: RendererKind, size: int, theirs: socket.socket, frames: int, sc
             stdout=theirs.fileno(),
             pass_fds=(frames, scenes),
             env=_environment(),
-            start_new_session=True,  # Ctrl-C is for the caller, which closes the renderer
+            start_new_session=True,  # Ctrl-C reaches the caller only, which closes the renderer
         )
     except OSError as error:
         raise WorldError(f"cannot start the rendering process `{' '.join(command)}`: {error}") from error
 
 
 def _environment() -> dict[str, str]:
-    """Returns the environment of a process that draws on one core, or on the threads that the user has set for Mesa."""
+    """Returns the environment for rendering on one core, or with the number of threads that the user set for Mesa."""
     chosen = {name: os.environ[name] for name in ("LP_NUM_THREADS",) if name in os.environ}
     return {**one_core(os.environ), **chosen}
 
 
 def _end(process: subprocess.Popen[bytes], held: contextlib.ExitStack) -> None:
-    """Ends the process, which does so by itself once its caller's end is closed."""
+    """Closes the connection, upon which the process exits, and kills it if it does not."""
     held.close()
     try:
         process.wait(_REAP_S)

@@ -1,6 +1,6 @@
-"""What a renderer and its rendering process exchange: requests and replies as JSON lines, frames in shared memory.
+"""Messages between a renderer and its rendering process: requests and replies as JSON lines, frames in shared memory.
 
-Starts no process and draws nothing.
+Starts no process and renders nothing.
 """
 
 from __future__ import annotations
@@ -27,61 +27,65 @@ _BYTES = 9 * _PIXELS
 
 
 class RequestKind(StrEnum):
-    """What the rendering process is asked to do."""
+    """Type of a request to the rendering process."""
 
-    STORE = "store"  # read a scene from the scene memory and keep it
-    DROP = "drop"  # forget a scene
-    LOAD = "load"  # show a stored scene with a camera
-    RENDER = "render"  # draw colour, depth and ids
-    RELIEF = "relief"  # draw depth and ids
+    STORE = "store"  # reads a scene from the scene memory and stores it
+    DROP = "drop"  # deletes a stored scene
+    LOAD = "load"  # selects a stored scene and a camera
+    RENDER = "render"  # renders colour, depth and ids
+    RELIEF = "relief"  # renders depth and ids
 
 
 class RenderRequest(Model):
-    """One request; each gets one reply."""
+    """Request to the rendering process; each gets one reply."""
 
     number: int
+    """Number of the request, from 1."""
     kind: RequestKind
+    """Type of the request."""
     scene: int = 0
     """Number of the scene to store, drop or load."""
     camera: CameraConfig = CameraConfig()
-    """The camera to load the scene with."""
+    """Camera to load the scene with."""
     pose: Pose = Pose(0.0, 0.0, 0.0)
-    """Pose of base_link in the world, to draw from."""
+    """Pose of base_link in the world to render from."""
     size: int = 0
     """Width and height of the frame, pixels."""
 
 
 class ReplyKind(StrEnum):
-    """What came of a request."""
+    """Result of a request."""
 
-    DONE = "done"  # what was asked for
+    DONE = "done"  # success
     USAGE = "usage"  # a `UsageError`
     WORLD = "world"  # any other `FactoryError`
     DEFECT = "defect"  # any other exception
 
 
 class Reply(Model):
-    """The reply to one request, or, with number 0, the renderer's description."""
+    """Reply to one request, or, with number 0, the description of the renderer."""
 
     number: int
+    """Number of the request; 0 for the first reply."""
     kind: ReplyKind = ReplyKind.DONE
+    """Result of the request."""
     detail: str = ""
-    """The description, or the message of an error."""
+    """Description of the renderer, or error message."""
 
 
 def to_line(message: RenderRequest | Reply) -> bytes:
-    """Returns the message as one line."""
+    """Returns the message as one JSON line."""
     return message.model_dump_json(exclude_defaults=True).encode() + b"\n"
 
 
 class FrameMemory:
-    """One frame of up to `MAX_SIZE_PX` in shared memory; pages that no frame has used take no memory."""
+    """Shared memory for one frame of up to `MAX_SIZE_PX`; unused pages take no memory."""
 
     def __init__(self, descriptor: int) -> None:
         """Maps the memory.
 
         Args:
-            descriptor: of a memory file; `create` makes one.
+            descriptor: file descriptor of a memory file; `create` returns one.
         """
         self._memory = mmap.mmap(descriptor, _BYTES)
 
@@ -93,7 +97,7 @@ class FrameMemory:
         return descriptor
 
     def put(self, seen: RenderedFrame | DepthAndIds) -> None:
-        """Stores a frame, or depth and ids of one."""
+        """Stores a frame, or depth and ids only."""
         size = len(seen.depth)
         self._depth(size)[:] = seen.depth
         self._ids(size)[:] = seen.ids
@@ -101,15 +105,15 @@ class FrameMemory:
             self._rgb(size)[:] = seen.rgb
 
     def take_frame(self, size: int) -> RenderedFrame:
-        """Returns a copy of the frame of that size that was stored last."""
+        """Returns a copy of the stored frame, which has that size."""
         return RenderedFrame(self._rgb(size).copy(), self._depth(size).copy(), self._ids(size).copy())
 
     def take_relief(self, size: int) -> DepthAndIds:
-        """Returns a copy of its depth and ids."""
+        """Returns a copy of depth and ids of the stored frame, which has that size."""
         return DepthAndIds(self._depth(size).copy(), self._ids(size).copy())
 
     def close(self) -> None:
-        """Unmaps the memory; closing twice is harmless."""
+        """Unmaps the memory; further calls have no effect."""
         self._memory.close()
 
     def _rgb(self, size: int) -> NDArray[np.uint8]:

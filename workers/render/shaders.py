@@ -1,7 +1,8 @@
-"""The shaders of the OpenGL renderer, and how a vertex lies in memory for them; text and numbers only.
+"""Shaders of the OpenGL renderer and the memory layout of their vertices. Compiles no shader.
 
-Colour has two pairs, because llvmpipe looks a texture up for every pixel of a shader that might need it, and looking up
-is half the cost of a frame; depth and ids alone have a third. None writes depth: the depth buffer is the depth image.
+Colour has two pairs of shaders, because llvmpipe executes the texture lookup for every pixel of a shader that contains
+one, and lookups take half the time of a frame. A third pair renders depth and ids only. No shader writes depth: the
+depth buffer is the depth image.
 """
 
 from __future__ import annotations
@@ -22,20 +23,23 @@ VERTEX = np.dtype(
         ("layer", "i2"),
     ]
 )
-"""One vertex; instance and texture layer are those of its part."""
+"""Layout of one vertex; instance and texture layer are those of its part."""
 
 
 class ShaderPair(NamedTuple):
-    """What OpenGL compiles to a program, and which fields of `VERTEX` that program reads."""
+    """Source of a shader program, and the fields of `VERTEX` that it reads."""
 
     vertex: str
+    """Source of the vertex shader."""
     fragment: str
+    """Source of the fragment shader."""
     layout: str
-    """The fields in moderngl's notation; `x` skips bytes."""
+    """Buffer format of the fields in moderngl's notation; `x` skips bytes."""
     fields: tuple[str, ...]
+    """Names of the fields."""
 
     def blended(self) -> ShaderPair:
-        """Returns the pair for triangles whose corners differ in colour; blending costs 2 % of a frame."""
+        """Returns the pair for triangles with a colour per corner; interpolation takes 2 % of the time of a frame."""
         return self._replace(
             vertex=self.vertex.replace("flat out vec3", "out vec3"),
             fragment=self.fragment.replace("flat in vec3", "in vec3"),
@@ -66,7 +70,7 @@ void main() {
     "3f4 8x 2f4 4f1 1u2 2x",
     ("position", "light_uv", "colour", "instance"),
 )
-"""For parts of plain colour. One colour a triangle."""
+"""Shaders of parts without texture, with one colour per triangle."""
 
 TEXTURED = ShaderPair(
     """
@@ -93,7 +97,7 @@ void main() {
     "3f4 2f4 2f4 4f1 1u2 1i2",
     ("position", "uv", "light_uv", "colour", "instance", "layer"),
 )
-"""For parts with a texture."""
+"""Shaders of parts with a texture."""
 
 BARE = ShaderPair(
     """
@@ -117,4 +121,4 @@ void main() {
     "3f4 20x 1u2 2x",
     ("position", "instance"),
 )
-"""For depth and ids alone, of any part: what an expert needs. A benchmark tells with it what colour costs."""
+"""Shaders for depth and ids of any part, without colour. A benchmark uses them to measure the cost of colour."""

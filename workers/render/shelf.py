@@ -1,7 +1,4 @@
-"""The few scenes a renderer keeps ready, least recently shown out first.
-
-Keeps and forgets; it never builds or draws what it keeps.
-"""
+"""LRU cache of the prepared scenes of a renderer. Does not prepare or render scenes."""
 
 from __future__ import annotations
 
@@ -22,22 +19,22 @@ Prepared = TypeVar("Prepared", bound=_Closable)
 
 
 class SceneShelf(Generic[Prepared]):
-    """Prepared scenes by the identity of the `CompiledScene` object they were made from."""
+    """LRU cache of prepared scenes, keyed by the identity of the `CompiledScene` object."""
 
     def __init__(self, prepare: Callable[[CompiledScene], Prepared], capacity: int) -> None:
-        """Makes an empty shelf.
+        """Creates an empty cache.
 
         Args:
-            prepare: makes of a scene what the renderer draws.
-            capacity: how many prepared scenes are kept; at least 1.
+            prepare: converts a scene to the renderer's format.
+            capacity: largest number of prepared scenes, at least 1.
         """
         self._prepare = prepare
         self._capacity = capacity
         self._kept: OrderedDict[int, tuple[CompiledScene, Prepared]] = OrderedDict()
 
     def take(self, scene: CompiledScene) -> Prepared:
-        """Returns the prepared scene, made now if it is not kept; closes the one that has to make room."""
-        key = id(scene)  # stays unique, because the scene itself is kept beside what was made of it
+        """Returns the prepared scene; prepares it on a cache miss, and closes the least recently used one if full."""
+        key = id(scene)  # unique, because the cache holds a reference to the scene
         if key not in self._kept:
             while len(self._kept) >= self._capacity:
                 self._kept.popitem(last=False)[1][1].close()
@@ -46,6 +43,6 @@ class SceneShelf(Generic[Prepared]):
         return self._kept[key][1]
 
     def clear(self) -> None:
-        """Closes everything."""
+        """Closes all prepared scenes and empties the cache."""
         while self._kept:
             self._kept.popitem()[1][1].close()

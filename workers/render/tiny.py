@@ -1,6 +1,6 @@
-"""The fallback renderer: PyBullet's TinyRenderer, which needs nothing but pip, at about a twentieth of the speed.
+"""Fallback renderer with PyBullet's TinyRenderer, which needs no driver and has about a twentieth of OpenGL's speed.
 
-It shows each part in its mean colour and light, because TinyRenderer has neither by vertex; it never simulates.
+Each part has its mean colour and light, because TinyRenderer supports neither per vertex. Does not simulate.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ __all__ = ["TinyRenderer", "TinyScene"]
 
 _KEPT_SCENES = 2
 _TEXTURE_PX = 128
-"""Textures are shrunk to this: TinyRenderer picks single texels, which flicker at full resolution."""
+"""Size to which textures are reduced, pixels: TinyRenderer samples single texels, which flicker at full resolution."""
 
 
 class TinyRenderer(Closing):
-    """A `Renderer` in software that runs wherever PyBullet does."""
+    """Software `Renderer` that runs wherever PyBullet runs."""
 
     def __init__(self, size: int = FRAME_SIZE_PX, lap: StageTimer = no_stage_timer) -> None:
-        """Makes the renderer.
+        """Creates the renderer.
 
         Args:
             size: width and height of the frames, pixels.
-            lap: told the end of the stages `render` and `read-back` of every frame.
+            lap: called at the end of the stages `render` and `read-back` of every frame.
         """
         self.description = f"PyBullet TinyRenderer {bullet_version()}"
         self._camera = CameraConfig()
@@ -51,27 +51,27 @@ class TinyRenderer(Closing):
         self._scene: TinyScene | None = None
 
     def close(self) -> None:
-        """Frees the physics clients that hold the scenes; closing twice is harmless."""
+        """Frees the physics clients of the scenes; further calls have no effect."""
         self._shelf.clear()
         self._scene = None
 
     def load(self, scene: CompiledScene, camera: CameraConfig) -> None:
-        """Makes `scene` the one that `camera` shows; the last scenes stay ready."""
+        """Selects the scene and the camera; recently used scenes stay prepared."""
         self._camera = camera
         self._scene = self._shelf.take(scene)
 
     def render(self, pose: Pose, size: int | None = None) -> RenderedFrame:
-        """Returns what the camera sees when base_link stands at `pose` in the world.
+        """Returns the camera image for a pose of base_link.
 
         Args:
-            pose: of base_link in the world.
-            size: width and height of the frame, pixels; `None` is that of the renderer.
+            pose: pose of base_link in the world.
+            size: width and height of the frame, pixels; `None` is the default size of the renderer.
 
         Raises:
             UsageError: no scene was loaded.
         """
         if self._scene is None:
-            raise UsageError("nothing to render: call load(scene, camera) before render(pose)")
+            raise UsageError("no scene is loaded: call load(scene, camera) before render(pose)")
         view = view_matrix(optical_pose(pose, self._camera))
         size = size or self._size
         projection = _at_pixel_centres(projection_matrix(self._camera), size)
@@ -82,7 +82,7 @@ class TinyRenderer(Closing):
         return frame
 
     def render_depth_and_ids(self, pose: Pose) -> DepthAndIds:
-        """Returns depth and ids; saves nothing here."""
+        """Returns depth and ids; takes as long as `render`."""
         frame = self.render(pose)
         return DepthAndIds(frame.depth, frame.ids)
 
@@ -98,14 +98,14 @@ class TinyRenderer(Closing):
 
 
 def _at_pixel_centres(projection: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    """Shifts the image by half a pixel: TinyRenderer samples the corner of a pixel, not its centre."""
+    """Returns the projection shifted by half a pixel: TinyRenderer samples the corner of a pixel, not its centre."""
     shifted = projection.copy()
     shifted[:2, 2] += 1.0 / size
     return shifted
 
 
 class TinyScene:
-    """A scene as visual bodies in a client of its own."""
+    """Scene as visual bodies in a separate physics client."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.client = BulletClient()
@@ -129,14 +129,14 @@ class TinyScene:
 
 
 def _runs(scene: CompiledScene) -> Iterator[tuple[int, slice]]:
-    """Yields (part, run of vertices), a part in several runs where it is too large for one shape."""
+    """Yields (part, range of vertices); a part that is too large for one shape has several ranges."""
     for part, (first, count) in enumerate(zip(scene.part_first.tolist(), scene.part_count.tolist(), strict=True)):
         for start in range(first, first + count, 3 * MESH_TRIANGLES):
             yield part, slice(start, min(start + 3 * MESH_TRIANGLES, first + count))
 
 
 def _light_at_vertices(scene: CompiledScene) -> NDArray[np.float64]:
-    """Returns (V, 3) the baked light, 0..1, at the texel nearest to each vertex."""
+    """Returns (V, 3) baked light, 0..1, at the texel nearest to each vertex."""
     if not scene.light_map.size:
         return np.ones((len(scene.positions), 3))
     rows, columns = scene.light_map.shape[:2]

@@ -1,1 +1,1 @@
-"""Simulates one job: start pose, closed loop, end of the episode, bundle."""
+"""Simulation of one job: start pose, closed loop, end of the episode, bundle."""

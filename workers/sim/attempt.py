@@ -1,6 +1,7 @@
-"""One attempt at a job: find a start, drive, and seal the bundle; or say why not.
+"""Simulates one attempt at a job: finds a start pose, drives, and completes the bundle.
 
-A pure function of the job and the scene up to provenance; a failed attempt is a value, never an exception.
+The result is a pure function of job and scene, except for provenance. A failed attempt returns a value and raises no
+exception.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from workers.physics.world import World
 from workers.planning import Waypoint, geodesic_m
 from workers.sim.rollout import Drive, drive
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
-from workers.sim.spawn import draw_poses, is_spawn_firm
+from workers.sim.spawn import draw_poses, is_spawn_stable
 
 __all__ = ["AttemptFailure", "Outcome", "Success", "run_attempt"]
 
@@ -32,18 +33,22 @@ _NO_DIGEST = "0" * 32
 
 @dataclass(frozen=True)
 class Success:
-    """The bundle is complete."""
+    """Result of a successful attempt, whose bundle is complete."""
 
     meta: EpisodeMeta
+    """Metadata of the episode, as written."""
 
 
 @dataclass(frozen=True)
 class AttemptFailure:
-    """The world said no; what was written is rubbish."""
+    """Result of a failed attempt; the caller discards the file."""
 
     reason: FailReason
+    """Reason of the failure."""
     detail: str
+    """Explanation with measured values."""
     steps: int
+    """Number of simulated steps."""
 
 
 Outcome = Success | AttemptFailure
@@ -53,32 +58,32 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     """Simulates one attempt and streams its bundle into `out`.
 
     Args:
-        job: what to do; seeds every draw.
-        stage: gives the renderer and the scene, which must have been loaded.
-        out: a seekable file opened for writing.
+        job: job to simulate; it seeds all random choices.
+        stage: renderer and scenes; the scene of the job must be loaded.
+        out: seekable file, opened for writing.
         sid: session id of the worker, for the provenance.
-        on_step: told the number of steps done, after each.
+        on_step: called after each step with the number of steps.
     """
     place = stage.loaded(job.scene_sha256)
     target = place.scene.info.target(job.target_id)
     rng = job.rng()
-    stage.renderer.load(place.scene, job.camera)  # not beside a world: uploading and Bullet both want room for a while
+    stage.renderer.load(place.scene, job.camera)  # before the world exists, because both need much memory at times
     for draws, start in enumerate(draw_poses(job, target, place, rng), 1):
         with World(place.scene, place.collider, job.robot, job.task.control_hz) as world:
-            if not is_spawn_firm(world, start, job):
+            if not is_spawn_stable(world, start, job):
                 continue
             expert = make_expert(job)
             planned = expert.begin(world.pose(), place.grid, target)
             if planned is None:
                 return AttemptFailure(
-                    FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_words(start)}", 0
+                    FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_pose_text(start)}", 0
                 )
             return _drive_and_seal(job, target, place, stage, world, expert, planned, draws, out, sid, on_step)
-    detail = f"no firm start for {job.target_id} in tier {job.tier} within {job.spawn.physics_draws} draws"
+    detail = f"no valid start pose for {job.target_id} in tier {job.tier} in {job.spawn.physics_draws} draws"
     return AttemptFailure(FailReason.SPAWN, detail, 0)
 
 
-def _words(pose: Pose) -> str:
+def _pose_text(pose: Pose) -> str:
     return f"({pose.x:.2f}, {pose.y:.2f}) m, yaw {pose.yaw:.2f} rad"
 
 
@@ -95,7 +100,7 @@ def _drive_and_seal(
     sid: str,
     on_step: Callable[[int], None],
 ) -> Outcome:
-    """Drives from where the robot stands and completes the bundle, or says why the world refused."""
+    """Drives from the robot's current pose; completes the bundle after a success, else returns the failure."""
     start = world.pose()
     writer = BundleWriter(out, stage.lap)
     stage.lap("start")
@@ -125,7 +130,7 @@ def _drive_and_seal(
 def describe_episode(
     job: Job, target: Target, info: SceneInfo, done: Drive, route: Route, draws: int, provenance: Provenance
 ) -> EpisodeMeta:
-    """Returns the metadata of a successful drive, digests still open."""
+    """Returns the metadata of a successful episode, without digests."""
     return EpisodeMeta(
         episode_id=job.episode_id,
         job=job,

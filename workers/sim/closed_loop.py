@@ -1,6 +1,6 @@
-"""The closed loop of one episode, stepped from outside: slew limit, record, end, physics, view.
+"""Closed loop of one episode, advanced by the caller: slew limit, recording, termination, physics, observation.
 
-The one place where a drive is stepped: collection, evaluation and the Gymnasium environment stand on it. Drives nobody.
+Collection, evaluation and the Gymnasium environment share this loop. It contains no controller.
 """
 
 from __future__ import annotations
@@ -26,52 +26,52 @@ __all__ = ["ClosedLoop"]
 
 
 class ClosedLoop:
-    """`decide` on an action, then `advance`, until a decision ends the episode.
+    """Closed loop of one episode: the caller calls `decide` with an action, then `advance`, until `decide` ends it.
 
     Frame t and pose t are taken before action t; the last action is recorded, not carried out, so that every array
     has the length T and the poses alone prove the end (docs/design/data.md#bundle).
 
     Args:
         job: task, robot and camera settings.
-        target: the object to approach.
-        world: with the robot standing at its start.
-        renderer: with the scene loaded; used when somebody looks.
+        target: target to approach.
+        world: world with the robot at its start pose.
+        renderer: renderer with the scene loaded; used when an image is accessed.
     """
 
     def __init__(self, job: Job, target: Target, world: World, renderer: Renderer) -> None:
         self._job, self._target, self._world = job, target, world
-        self._lent = _Lent(renderer)
+        self._renderer = _RendererHandle(renderer)
         self._termination = Termination(job.task)
         self._poses: list[tuple[float, ...]] = []
         self._actions: list[Twist] = []
         self.command = Twist(0.0, 0.0)
-        """The twist in force, after the slew limit."""
+        """Current commanded twist, after the slew limit."""
         self.contact_steps = 0
-        """Steps with a contact other than the floor."""
-        self.view = self._look()
-        """What there is before the next action."""
+        """Number of steps with a contact other than the floor."""
+        self.view = self._observe()
+        """Observation before the next action."""
 
     @property
     def steps(self) -> int:
-        """Actions so far."""
+        """Number of actions so far."""
         return len(self._actions)
 
     @property
     def track(self) -> NDArray[np.float64]:
-        """(frames, 7) x, y, z, qw, qx, qy, qz of base_link of every frame so far."""
+        """(frames, 7) poses x, y, z, qw, qx, qy, qz of base_link in the world at every frame so far."""
         return np.array(self._poses, np.float64)
 
     def arrays(self) -> EpisodeArrays:
-        """Returns the steps so far as the archive has them: poses and actions of equal length."""
+        """Returns the recorded arrays of the steps so far: poses and actions of equal length."""
         continuous = np.array(self._actions, np.float32).reshape(-1, 2)
         poses = self.track[: len(continuous)].astype(np.float32)
         return EpisodeArrays(continuous, tokens_of(continuous), poses)
 
     def decide(self, wanted: Twist) -> EndReason | None:
-        """Takes the action of the present view; returns why the episode ends with it, or `None` while it goes on.
+        """Records the action for the current observation; returns the reason if the episode ends with it, else `None`.
 
         Args:
-            wanted: within the robot's range, before the slew limit.
+            wanted: desired twist within the robot's limits, before the slew limit.
         """
         view, job = self.view, self._job
         self.command = slew(self.command, wanted, job.robot, 1.0 / job.task.control_hz)
@@ -83,27 +83,27 @@ class ClosedLoop:
         return end
 
     def advance(self) -> None:
-        """Carries the action out for one control period, and looks anew."""
+        """Executes the action for one control period, and updates the observation."""
         self._world.command(self.command.v_mps, self.command.w_rps)
         self._world.step()
-        self.view = self._look()
+        self.view = self._observe()
 
     def leave(self) -> None:
-        """From now on nothing is drawn any more, for the renderer may show another scene; what was drawn stays."""
-        self._lent.take_back()
+        """Releases the renderer, which may load another scene; images that were rendered stay accessible."""
+        self._renderer.release()
 
     def _judge(self, view: Observation) -> EndReason | None:
-        """Looks for obstacles only where it matters: where there is no progress."""
+        """Returns the reason for the end, or `None`; renders an image only if the robot makes no progress."""
         x, y, v = view.pose.x, view.pose.y, self.command.v_mps
         blocked = view.is_touching or (self._termination.would_stall(x, y, v) and view.obstacle_near)
         return self._termination.judge(x, y, view.distance_m, blocked, v)
 
-    def _look(self) -> Observation:
+    def _observe(self) -> Observation:
         pose = self._world.pose()
         self._poses.append((pose.x, pose.y, pose.z, pose.qw, pose.qx, pose.qy, pose.qz))
         dx, dy = self._target.centroid_m[0] - pose.x, self._target.centroid_m[1] - pose.y
         return Observation(
-            camera=LazyFrame(self._lent.renderer, pose, self._job, self._target.instance_id),
+            camera=LazyFrame(self._renderer.get, pose, self._job, self._target.instance_id),
             pose=pose,
             distance_m=math.hypot(dx, dy),
             bearing_rad=math.remainder(math.atan2(dy, dx) - pose.yaw, 2 * math.pi),
@@ -111,16 +111,16 @@ class ClosedLoop:
         )
 
 
-class _Lent:
-    """The renderer while views may use it. Views hold this and not the loop, so that the last frame goes with it."""
+class _RendererHandle:
+    """Releasable reference to the renderer. Observations hold it instead of the loop, so that old frames are freed."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer: Renderer | None = renderer
 
-    def renderer(self) -> Renderer:
+    def get(self) -> Renderer:
         if self._renderer is None:
             raise RuntimeError("the episode of this view has ended; keep the frame, not the view")
         return self._renderer
 
-    def take_back(self) -> None:
+    def release(self) -> None:
         self._renderer = None

@@ -1,6 +1,6 @@
-"""Finds out what software and machine shape the bytes this process makes.
+"""Collects the versions of the software and the machine properties that affect the bytes this process records.
 
-Only asks; it imports none of the libraries it names and changes nothing.
+Does not import the libraries that it lists.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def make_fingerprint(renderer: str) -> Fingerprint:
     """Returns the fingerprint of this process.
 
     Args:
-        renderer: the description of the renderer in use.
+        renderer: description of the renderer in use.
     """
     software = {name: version(name) for name in _PACKAGES}
     software["python"] = platform.python_version()
@@ -30,7 +30,7 @@ def make_fingerprint(renderer: str) -> Fingerprint:
 
 
 def _cpu_model() -> str:
-    """Returns the processor's model name as Linux has it, else what Python knows."""
+    """Returns the processor's model name from `/proc/cpuinfo`, or else from `platform`."""
     if _CPU_INFO.is_file():
         for line in _CPU_INFO.read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

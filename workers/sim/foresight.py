@@ -1,7 +1,8 @@
-"""How a driver that heads straight for its target will move, told without physics and without drawing.
+"""Predicts the path of a controller that drives straight to its target, without physics and rendering.
 
-A unicycle that turns by the column of the target's mask, else by the bearing, under the proportional expert's gains and
-the robot's slew limits. Pure; it chooses starts and never says how a drive ends.
+The model is a unicycle that turns by the column of the target's mask, or else by the bearing, with the gains of the
+proportional expert and the robot's slew limits. It helps to select start poses. It does not predict how an episode
+ends.
 """
 
 from __future__ import annotations
@@ -15,24 +16,24 @@ from schemas.job import Job
 from workers.geometry.appearance import Appearance
 from workers.geometry.slew import Twist, slew
 
-__all__ = ["foresee"]
+__all__ = ["predict_path"]
 
 _HZ = 20
-"""Poses a second; at full speed they lie one cell of the grid apart."""
+"""Predicted poses per second; at full speed they are one cell of the grid apart."""
 _LOOK_EVERY = 3
-"""Poses; a look costs more than all the rest."""
+"""Number of poses between two evaluations of the mask, which take most of the time."""
 
 
-def foresee(
+def predict_path(
     start: tuple[float, float, float], goal: tuple[float, float], job: Job, appearance: Appearance | None = None
 ) -> NDArray[np.float64]:
-    """Returns the poses (N, 3) x, y, yaw that a straight driver passes from `start` to the success circle.
+    """Returns the predicted poses (N, 3) x, y, yaw from `start` to the success circle, metres and radians.
 
     Args:
         start: x, y in metres and yaw in radians of base_link, at rest.
         goal: x, y of the target's centroid, metres.
-        job: gives gains, limits, the success radius and the time.
-        appearance: of the target, whose mask's middle is what is driven at; without it the centroid is.
+        job: gives gains, limits, the success radius and the step limit.
+        appearance: appearance of the target, for steering by its mask; `None` for steering by the centroid.
     """
     gains, robot = job.gains, job.robot
     x, y, yaw = start

@@ -1,6 +1,6 @@
-"""One drive from a start pose to its end: observe, act, record, step. The loop every episode comes from.
+"""Rollout of an expert from a start pose to the end of the episode: observe, act, record, step.
 
-Knows neither bundles nor leases; what it sees goes to a sink frame by frame.
+Passes each frame to a callback. Does not depend on bundles or leases.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ from workers.sim.closed_loop import ClosedLoop
 __all__ = ["Drive", "drive"]
 
 FrameSink = Callable[[RenderedFrame], None]
-"""Takes each frame as it is made."""
+"""Called with each frame."""
 StepCallback = Callable[[int], None]
-"""Is told the number of steps done."""
+"""Called after each step with the number of steps."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What a rollout left behind."""
+    """Result of a rollout."""
 
     end_reason: EndReason
+    """Reason for the end."""
     arrays: EpisodeArrays
+    """Recorded actions and poses."""
     contact_steps: int
-    """Steps with a contact other than the floor."""
+    """Number of steps with a contact other than the floor."""
     steps_visible: int
-    """Steps in which the target's mask was large enough for the expert."""
+    """Number of steps in which the target was visible to the expert."""
     end: str
-    """The end in words, with measured values."""
+    """Description of the end with measured values."""
 
 
 def drive(
@@ -54,13 +56,13 @@ def drive(
 
     Args:
         job: task, robot and camera settings.
-        target: the object to approach.
-        world: with the robot standing at its start.
-        renderer: with the scene loaded.
-        expert: has begun at this start; asked once a step.
-        sink: takes every frame.
-        on_step: told after every step.
-        lap: told the end of the stages `control` and `physics` of every step; renderer and sink tell theirs.
+        target: target to approach.
+        world: world with the robot at its start pose.
+        renderer: renderer with the scene loaded.
+        expert: expert whose `begin` was called for this start; `act` is called once per step.
+        sink: called with every frame.
+        on_step: called after every step.
+        lap: called at the end of the stages `control` and `physics` of every step; renderer and sink report their own.
     """
     loop = ClosedLoop(job, target, world, renderer)
     visible = 0

@@ -1,6 +1,6 @@
-"""What a simulation process keeps between jobs: the open renderer and the scenes it has loaded, keyed by content hash.
+"""State that a simulation process keeps between jobs: the open renderer and the loaded scenes, keyed by content hash.
 
-A cache and nothing else: an attempt never depends on what ran before it.
+It is a cache only: the result of an attempt does not depend on earlier attempts.
 """
 
 from __future__ import annotations
@@ -31,24 +31,28 @@ _KEPT_SCENES = 2
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene with what is derived from it once."""
+    """Compiled scene with its derived data."""
 
     scene: CompiledScene
+    """The compiled scene."""
     grid: Grid
+    """Occupancy grid of the scene."""
     collider: ColliderMesh
+    """Obstacles of the scene for physics."""
 
     def are_connected(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> NDArray[np.bool_]:
-        """Tells for base_link poses whether the body centre stands on the connected floor."""
+        """Returns for base_link poses whether the body centre is on the connected floor."""
         return self.grid.values_at(self.scene.reachable, body_centre(x, y, yaw), 0).astype(bool)
 
     @functools.cached_property
     def taken(self) -> NDArray[np.float64]:
-        """(K, 2, 2) lower and upper corners x, y of what targets take up: nobody starts beneath a shelf."""
+        """(K, 2, 2) lower and upper corners x, y of the floor areas that targets cover, metres; no episode starts in
+        them, for instance under a shelf."""
         return np.array([target.taken_m for target in self.scene.info.targets]).reshape(-1, 2, 2)
 
 
 class SceneRenderer(Closing):
-    """Opens the renderer; loads scenes on demand and keeps the few used last."""
+    """Renderer with an LRU cache of loaded scenes."""
 
     def __init__(
         self, renderer_kind: RendererKind = "auto", lap: StageTimer = no_stage_timer, apart: bool = False
@@ -56,9 +60,9 @@ class SceneRenderer(Closing):
         """Opens the renderer.
 
         Args:
-            renderer_kind: which one.
-            lap: told the end of every stage of every attempt.
-            apart: whether the renderer runs in a process of its own, as `open_renderer` says.
+            renderer_kind: type of the renderer.
+            lap: called at the end of every stage of every attempt.
+            apart: whether the renderer runs in a separate process, see `open_renderer`.
         """
         self.lap = lap
         self.renderer: Renderer = open_renderer(renderer_kind, lap=lap, apart=apart)
@@ -66,7 +70,11 @@ class SceneRenderer(Closing):
         self._loaded: OrderedDict[str, LoadedScene] = OrderedDict()
 
     def load(self, path: Path, sha256: str) -> LoadedScene:
-        """Returns the scene of that digest, read from `path` unless it is at hand."""
+        """Returns the scene with that digest; reads it from `path` if it is not loaded.
+
+        Raises:
+            InvalidBundle: the package is damaged or has another format version.
+        """
         if sha256 not in self._loaded:
             with path.open("rb") as file:
                 self._loaded[sha256] = prepare_scene(decode_scene(file))
@@ -76,7 +84,11 @@ class SceneRenderer(Closing):
         return self._loaded[sha256]
 
     def loaded(self, sha256: str) -> LoadedScene:
-        """Returns a scene that `load` has brought; `KeyError` when it has not."""
+        """Returns a loaded scene.
+
+        Raises:
+            KeyError: the scene is not loaded.
+        """
         return self._loaded[sha256]
 
     def close(self) -> None:
@@ -85,5 +97,5 @@ class SceneRenderer(Closing):
 
 
 def prepare_scene(scene: CompiledScene) -> LoadedScene:
-    """Derives the grid and the collider lists of a scene."""
+    """Returns a scene with its grid and its collider."""
     return LoadedScene(scene, Grid.from_scene(scene), ColliderMesh.from_scene(scene))

@@ -1,6 +1,6 @@
-"""The simulation process (`python -m workers.sim.simulate`): takes orders on stdin, reports on what was its stdout.
+"""Entry point of the simulation process (`python -m workers.sim.simulate`): reads orders from stdin, reports to stdout.
 
-Holds no lease and talks to no network; it ends with its supervisor, whatever it is doing.
+The process exits when its supervisor exits. It uses no lease and no network.
 
 Design: docs/design/protocol.md#threads-and-processes.
 """
@@ -41,7 +41,7 @@ SendReport = Callable[[SimulationReport], None]
 
 
 def main() -> int:
-    """Serves orders until stdin closes; returns 3 when an attempt broke so that the process cannot be trusted."""
+    """Serves orders until stdin closes; returns 3 after an unexpected exception, because its state may be invalid."""
     parser = argparse.ArgumentParser(prog="workers.sim.simulate", description="Simulates attempts for a supervisor.")
     parser.add_argument("--renderer", choices=("auto", "gl", "tiny"), default="auto")
     arguments = parser.parse_args()
@@ -49,49 +49,49 @@ def main() -> int:
     out = take_stdout()
     orders = listen(0)
 
-    def tell(report: SimulationReport) -> None:
+    def send(report: SimulationReport) -> None:
         out.write(to_line(report))
 
     try:
         with SceneRenderer(arguments.renderer) as stage:
-            tell(SimulationReport(kind=SimulationReportKind.READY, renderer=stage.renderer.description))
-            while _serve(SimulationOrder.model_validate_json(orders.get()), stage, tell):
+            send(SimulationReport(kind=SimulationReportKind.READY, renderer=stage.renderer.description))
+            while _serve(SimulationOrder.model_validate_json(orders.get()), stage, send):
                 pass
     except BrokenPipeError:
-        return _OK  # nobody listens any more
+        return _OK  # the supervisor has exited
     except FactoryError as error:
         print(error, file=sys.stderr)  # noqa: T201 - the supervisor reads the last line
         return _WORLD
     return _BUG
 
 
-def _serve(order: SimulationOrder, stage: SceneRenderer, tell: SendReport) -> bool:
-    """Does one order; returns whether the process is still sound."""
-    pace = _Pace(tell)
+def _serve(order: SimulationOrder, stage: SceneRenderer, send: SendReport) -> bool:
+    """Executes one order; returns whether the process can serve another one."""
+    progress = _Progress(send)
     part = Path(f"{order.bundle_path}.part")
-    sound = True
+    is_valid = True
     try:
-        report = _attempt(order, stage, part, pace)
+        report = _attempt(order, stage, part, progress)
     except FactoryError as error:
-        report = failure(FailReason.CRASH, str(error), pace.step, pace.seconds())
+        report = failure(FailReason.CRASH, str(error), progress.step, progress.seconds())
     except OSError as error:
-        # a full disk is no fault of the job
+        # the job does not cause a full disk
         reason = FailReason.RELEASED if error.errno in _DISK_FULL else FailReason.CRASH
-        report = failure(reason, _last_line(error), pace.step, pace.seconds())
-    except Exception as error:  # noqa: BLE001 - the worker loop: told, and the process given up
+        report = failure(reason, _last_line(error), progress.step, progress.seconds())
+    except Exception as error:  # noqa: BLE001 - the worker loop: reported, and the process exits
         traceback.print_exc()
-        report, sound = failure(FailReason.CRASH, _last_line(error), pace.step, pace.seconds()), False
+        report, is_valid = failure(FailReason.CRASH, _last_line(error), progress.step, progress.seconds()), False
     part.unlink(missing_ok=True)
-    tell(report)
-    return sound
+    send(report)
+    return is_valid
 
 
-def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, pace: _Pace) -> SimulationReport:
+def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, progress: _Progress) -> SimulationReport:
     stage.load(order.scene_path, order.job.scene_sha256)
     with part.open("w+b") as file:
-        outcome = run_attempt(order.job, stage, file, order.sid, pace)
+        outcome = run_attempt(order.job, stage, file, order.sid, progress)
         if isinstance(outcome, AttemptFailure):
-            return failure(outcome.reason, outcome.detail, outcome.steps, pace.seconds())
+            return failure(outcome.reason, outcome.detail, outcome.steps, progress.seconds())
         file.flush()
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
@@ -99,28 +99,28 @@ def _attempt(order: SimulationOrder, stage: SceneRenderer, part: Path, pace: _Pa
         os.fsync(file.fileno())
     part.rename(order.bundle_path)
     return SimulationReport(
-        kind=SimulationReportKind.SUCCESS, step=pace.step, sha256=digest, size=size, seconds=pace.seconds()
+        kind=SimulationReportKind.SUCCESS, step=progress.step, sha256=digest, size=size, seconds=progress.seconds()
     )
 
 
-class _Pace:
-    """Passes steps on a few times a second: often enough to be seen alive, too seldom to cost."""
+class _Progress:
+    """Step callback that reports progress at most four times a second."""
 
-    def __init__(self, tell: SendReport) -> None:
+    def __init__(self, send: SendReport) -> None:
         self.step = 0
-        self._tell = tell
-        self._begun = self._told = time.monotonic()
+        self._send = send
+        self._started = self._reported = time.monotonic()
 
     def __call__(self, step: int) -> None:
         self.step = step
         now = time.monotonic()
-        if now - self._told >= _PROGRESS_S:
-            self._told = now
-            self._tell(SimulationReport(kind=SimulationReportKind.PROGRESS, step=step))
+        if now - self._reported >= _PROGRESS_S:
+            self._reported = now
+            self._send(SimulationReport(kind=SimulationReportKind.PROGRESS, step=step))
 
     def seconds(self) -> float:
-        """Wall time since the order."""
-        return time.monotonic() - self._begun
+        """Returns the wall time since the order, seconds."""
+        return time.monotonic() - self._started
 
 
 def _last_line(error: BaseException) -> str:
@@ -132,4 +132,4 @@ def _last_line(error: BaseException) -> str:
 if __name__ == "__main__":
     status = main()
     sys.stderr.flush()
-    os._exit(status)  # the thread that waits for orders would keep the interpreter from ending
+    os._exit(status)  # a normal exit would wait for the thread that reads orders

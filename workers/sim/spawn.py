@@ -1,6 +1,6 @@
-"""Where an attempt starts: tiered draws on the occupancy grid, then a check in physics (paper Sec. III-D).
+"""Samples the start pose of an attempt by tier on the occupancy grid, and tests it in physics (paper Sec. III-D).
 
-Draws come from the attempt's generator only; the grid part is pure.
+Uses the attempt's random generator only. The part on the grid consists of pure functions.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from workers.geometry.grid import are_within, straight_end
 from workers.geometry.pose import Pose
 from workers.physics.world import World
 from workers.planning import geodesic_field, pose_table
-from workers.sim.foresight import foresee
+from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene
 
 ARRIVAL_RADIUS_M = 0.97
-"""Where the robot comes to rest within the success circle, metres from the centroid."""
+"""Distance from the centroid at which the robot stops inside the success circle, metres."""
 _CLOSEST_FAR_M = 1.5
-"""Least distance to the target's centroid of the planner's far starts, metres."""
+"""Smallest distance to the target's centroid of the planner's starts in the far tier, metres."""
 _BEARINGS = 384
-"""Bearings that are tried at a distance before it is given up."""
-_FORESEEN = 32
-"""Starts of a straight driver whose drive is foreseen before the one with the most room along its way is taken."""
-_FORESEEN_MARGIN_M = 0.10
-"""Free space around the footprint along a foreseen drive; with less, drives scrape along what they pass."""
+"""Number of bearings tested at one distance."""
+_PREDICTIONS = 32
+"""Largest number of starts with a predicted path, of an expert that drives straight; if none of them has
+`_PREDICTION_MARGIN_M`, the start with the most free space is selected."""
+_PREDICTION_MARGIN_M = 0.10
+"""Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
 Bools = NDArray[np.bool_]
 Poses = NDArray[np.float64]
@@ -41,24 +42,24 @@ Poses = NDArray[np.float64]
 Start = tuple[float, float, float]
 """x, y in metres and yaw in radians of base_link, world frame."""
 
-__all__ = ["draw_poses", "is_spawn_firm"]
+__all__ = ["draw_poses", "is_spawn_stable"]
 
 
 def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Pose]:
-    """Yields start poses that fit on the grid, at most `job.spawn.physics_draws` of them.
+    """Yields start poses that are free on the grid, at most `job.spawn.physics_draws` of them.
 
-    Near and mid: a uniform distance, then bearings at that distance until one fits, facing the target within the
-    heading noise; another distance only when none of `_BEARINGS` fits. What is blocked thus costs bearings and not
-    distances, whose distribution stays the paper's. Far: a surveyed floor point and a uniform heading. Experts that
-    drive straight get starts whose straight line to the success circle is free, and among these rather one from which
-    the turn towards the target and the way to it are foreseen to touch nothing; the planner gets any start on the
-    connected floor and, far, one whose way is not too long.
+    Near and mid tier: draws a uniform distance, then bearings at that distance until one is free, with a heading
+    towards the target plus noise; draws another distance only if none of `_BEARINGS` is free. So obstacles reject
+    bearings and not distances, whose distribution stays that of the paper. Far tier: draws a surveyed floor point and a
+    uniform heading. For experts that drive straight, the straight line to the success circle is free, and starts are
+    preferred whose predicted turn and path touch no obstacle. For the planner, any start on the connected floor is
+    valid, and in the far tier its path must not be too long.
 
     Args:
         job: gives tier, expert and spawn settings.
-        target: the object to approach.
-        place: the scene with its grid.
-        rng: the attempt's generator; consumed in a fixed order.
+        target: target to approach.
+        place: scene with its grid.
+        rng: random generator of the attempt; consumed in a fixed order.
     """
     z = place.scene.info.floor_height_m
     for _ in range(job.spawn.physics_draws):
@@ -68,12 +69,13 @@ def draw_poses(job: Job, target: Target, place: LoadedScene, rng: np.random.Gene
         yield Pose.planar(*found, z=z)
 
 
-def is_spawn_firm(world: World, pose: Pose, job: Job) -> bool:
-    """Places the robot, lets it stand for the warm-up steps, and returns whether it stayed.
+def is_spawn_stable(world: World, pose: Pose, job: Job) -> bool:
+    """Places the robot, simulates the warm-up steps, and returns whether it kept its place.
 
     Design: docs/design/starts.md#in-physics.
 
-    The paper's displacement test alone misses overlaps of a few centimetres, hence the penetration test before it.
+    The paper's displacement test alone does not detect overlaps of a few centimetres, so a penetration test precedes
+    it.
     """
     spawn = job.spawn
     world.place(pose.x, pose.y, pose.yaw)
@@ -90,12 +92,12 @@ def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.G
     first = next(fitting, None)
     if first is None or job.expert is ExpertName.PLANNER:
         return first
-    some = itertools.chain((first,), itertools.islice(fitting, _FORESEEN - 1))
+    some = itertools.chain((first,), itertools.islice(fitting, _PREDICTIONS - 1))
     appearance = Appearance(place.scene, target.instance_id, job.camera)
     best, most_m = first, -math.inf
     for start in some:
         room_m = _room_along_drive(job, target, place, start, appearance)
-        if room_m >= _FORESEEN_MARGIN_M:
+        if room_m >= _PREDICTION_MARGIN_M:
             return start
         if room_m > most_m:
             best, most_m = start, room_m
@@ -103,7 +105,7 @@ def _draw_on_grid(job: Job, target: Target, place: LoadedScene, rng: np.random.G
 
 
 def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.Generator) -> Iterator[Start]:
-    """Yields starts that may begin an episode: near and mid those at the first distance that has any."""
+    """Yields valid starts; in the near and mid tiers, all those at the first distance that has one."""
     surveyed = _surveyed_points(job, target, place) if job.tier is Tier.FAR else None
     if surveyed is not None and len(surveyed) == 0:
         return
@@ -117,7 +119,7 @@ def _draw_fitting(job: Job, target: Target, place: LoadedScene, rng: np.random.G
 
 
 def _draw_around(job: Job, target: Target, rng: np.random.Generator) -> Poses:
-    """Poses (N, 3) at one distance, in the order in which they are to be tried."""
+    """Returns poses (N, 3) at one random distance, in random order."""
     distance = rng.uniform(*TIER_RANGE_M[job.tier])
     bearing = rng.uniform(-math.pi, math.pi, _BEARINGS)
     noise = rng.uniform(-job.spawn.heading_noise_rad, job.spawn.heading_noise_rad, _BEARINGS)
@@ -140,7 +142,7 @@ def _surveyed_points(job: Job, target: Target, place: LoadedScene) -> NDArray[np
 
 
 def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArray[np.float32]:
-    """Surveyed points from which the way along the floor is short enough to be driven within the step limit."""
+    """Returns the surveyed points whose path to the success circle is short enough for the step limit."""
     points = place.scene.spawns
     way = geodesic_field(place.grid, target, job.task.success_radius_m).metres
     is_short = place.grid.values_at(way, points, np.inf).astype(np.float64) <= job.planner.max_path_m
@@ -149,7 +151,10 @@ def _points_within_reach(job: Job, target: Target, place: LoadedScene) -> NDArra
 
 
 def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bools:
-    """Tells for poses (N, 3) whether an episode of the job may start there; each test sees those left by the former."""
+    """Returns for poses (N, 3) whether an episode of the job may start there.
+
+    Each test evaluates only the poses that passed all tests before it.
+    """
     tests: list[Callable[[Poses], Bools]] = [
         lambda at: place.grid.are_poses_free(at[:, 0], at[:, 1], at[:, 2], job.spawn.margin_m),
         lambda at: place.are_connected(at[:, 0], at[:, 1], at[:, 2]),
@@ -159,7 +164,7 @@ def _can_start(job: Job, target: Target, place: LoadedScene, poses: Poses) -> Bo
     if is_planner:
         table = pose_table(place.grid, job.planner.tight_margin_m)
         tests.append(lambda at: np.array([table.holds(*pose) for pose in at], bool))
-    if job.tier is not Tier.FAR:  # far points were chosen by their way
+    if job.tier is not Tier.FAR:  # far points were selected by their path
         tests.append(lambda at: place.grid.have_sight(at[:, :2], target))
         if not is_planner:
             tests.append(lambda at: _is_way_free(job, target, place, at[:, :2]))
@@ -175,7 +180,7 @@ def _is_way_free(job: Job, target: Target, place: LoadedScene, starts: NDArray[n
 
 
 def _room_along_drive(job: Job, target: Target, place: LoadedScene, start: Start, appearance: Appearance) -> float:
-    """Returns the least free space around the footprint along the foreseen drive, metres."""
+    """Returns the smallest free space around the footprint along the predicted path, metres."""
     x, y = target.centroid_m[:2]
-    drive = foresee(start, (x, y), job, appearance)
+    drive = predict_path(start, (x, y), job, appearance)
     return float(place.grid.room_at_poses(drive[:, 0], drive[:, 1], drive[:, 2]).min())

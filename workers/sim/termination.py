@@ -1,4 +1,7 @@
-"""When an episode ends: success hold, stall and timeout, told from poses and commands alone. Pure of any simulation."""
+"""Termination conditions of an episode: success, collision and timeout, computed from poses and commands.
+
+Does not simulate or render.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,9 @@ __all__ = ["Termination"]
 
 
 class Termination:
-    """Watches the frames of one episode in order (paper Sec. II-A; docs/design/task.md#ends-of-an-episode).
+    """Evaluates the frames of one episode in order (paper Sec. II-A; docs/design/task.md#ends-of-an-episode).
 
-    A frame is judged before its action is carried out: success needs `hold_steps` consecutive frames inside the
+    A frame is evaluated before its action is executed. Success requires `hold_steps` consecutive frames inside the
     radius with a measured speed below the limit, so that the recorded poses alone prove it.
     """
 
@@ -28,17 +31,17 @@ class Termination:
     def judge(
         self, x_m: float, y_m: float, distance_m: float, is_blocked: bool, commanded_mps: float
     ) -> EndReason | None:
-        """Takes the next frame.
+        """Evaluates the next frame.
 
         Args:
-            x_m: base_link in the world frame.
-            y_m: base_link in the world frame.
-            distance_m: planar distance to the target's centroid.
-            is_blocked: whether there is a contact or an obstacle near.
-            commanded_mps: speed of the action of this frame.
+            x_m: x of base_link in the world frame, metres.
+            y_m: y of base_link in the world frame, metres.
+            distance_m: planar distance to the target's centroid, metres.
+            is_blocked: whether the robot has a contact or an obstacle is near.
+            commanded_mps: speed of the action of this frame, m/s.
 
         Returns:
-            Why the episode ends with this frame, or `None` to go on.
+            Reason if the episode ends with this frame, else `None`.
         """
         is_stalled = self.would_stall(x_m, y_m, commanded_mps)
         self._frames += 1
@@ -52,12 +55,12 @@ class Termination:
         return EndReason.TIMEOUT if self._frames >= self._task.max_steps else None
 
     def would_stall(self, x_m: float, y_m: float, commanded_mps: float) -> bool:
-        """Whether the robot has made no progress by the next frame; only then it matters whether it is blocked.
+        """Returns whether the robot has made no progress up to the next frame; only then `is_blocked` has an effect.
 
         Args:
-            x_m: base_link of the next frame.
-            y_m: base_link of the next frame.
-            commanded_mps: speed of its action.
+            x_m: x of base_link in the next frame, metres.
+            y_m: y of base_link in the next frame, metres.
+            commanded_mps: speed of its action, m/s.
         """
         steps = self._task.stall_steps
         if commanded_mps <= 0 or self._forward + 1 < steps or len(self._track) < steps:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 from sqlalchemy import Row, Select, func, select
@@ -14,6 +14,7 @@ from sqlalchemy.engine import Connection
 from coordinator.ledger.states import JobState
 from coordinator.ledger.tables import attempts, episodes, events, jobs
 from schemas.dataset import EpisodeSummary
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import WorldError
 from schemas.terms import Split, Tier
 
@@ -32,7 +33,6 @@ __all__ = [
 ]
 
 _YIELD_ROWS = 1000
-R = TypeVar("R", "JobRecord", "AttemptRecord", "EventRecord")
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,7 @@ class JobRecord:
     draw: int
     state: JobState
     superseded: bool
-    scene: str
-    tier: Tier
-    split: Split
-    category: str
-    target_id: str
-    instruction: str
+    episode: EpisodeSpec
     attempt: int
     """The attempt that is running, or that comes next."""
     misses: int
@@ -119,18 +114,17 @@ def read_attempts(connection: Connection, index: int | None = None) -> Iterator[
     if index is not None:
         query = query.where(attempts.c.idx == index)
     for row in connection.execution_options(yield_per=_YIELD_ROWS).execute(query):
-        yield _printable(
-            AttemptRecord(
-                index=row.idx,
-                draw=row.draw,
-                attempt=row.attempt,
-                outcome=row.outcome,
-                detail=row.detail,
-                steps=row.steps,
-                seconds=row.seconds,
-                worker=row.sid,
-                at=_utc(row.at),
-            )
+        _require_text(row)
+        yield AttemptRecord(
+            index=row.idx,
+            draw=row.draw,
+            attempt=row.attempt,
+            outcome=row.outcome,
+            detail=row.detail,
+            steps=row.steps,
+            seconds=row.seconds,
+            worker=row.sid,
+            at=_utc(row.at),
         )
 
 
@@ -143,8 +137,9 @@ def read_events(connection: Connection, index: int) -> Iterator[EventRecord]:
         .order_by(events.c.id)
     )
     for row in connection.execute(query):
+        _require_text(row)
         state, at = JobState(row.state), _utc(row.at)
-        yield _printable(EventRecord(row.draw, row.attempt, row.event, state, row.sid, row.detail, at))
+        yield EventRecord(row.draw, row.attempt, row.event, state, row.sid, row.detail, at)
 
 
 def read_archived(connection: Connection) -> frozenset[int]:
@@ -207,35 +202,28 @@ def _filtered(query: Select[Any], wanted: JobFilter) -> Select[Any]:
 
 
 def _job_record(row: Row[Any]) -> JobRecord:
-    return _printable(
-        JobRecord(
-            index=row.idx,
-            draw=row.draw,
-            state=JobState(row.state),
-            superseded=row.superseded,
-            scene=row.scene,
-            tier=Tier(row.tier),
-            split=Split(row.split),
-            category=row.category,
-            target_id=row.target_id,
-            instruction=row.instruction,
-            attempt=row.attempt,
-            misses=row.misses,
-            crashes=row.crashes,
-            worker=row.sid or "",
-            step=row.step,
-            reason=row.reason,
-            changed_at=_utc(row.changed_at),
-        )
+    _require_text(row)
+    return JobRecord(
+        index=row.idx,
+        draw=row.draw,
+        state=JobState(row.state),
+        superseded=row.superseded,
+        episode=EpisodeSpec.of(row),
+        attempt=row.attempt,
+        misses=row.misses,
+        crashes=row.crashes,
+        worker=row.sid or "",
+        step=row.step,
+        reason=row.reason,
+        changed_at=_utc(row.changed_at),
     )
 
 
-def _printable(record: R) -> R:
-    """Returns a record without bytes, which SQLite gives from any column of a damaged ledger."""
-    wrong = [field.name for field in fields(record) if isinstance(getattr(record, field.name), bytes)]
+def _require_text(row: Row[Any]) -> None:
+    """Refuses bytes, which SQLite returns from any column of a damaged ledger."""
+    wrong = [name for name, value in row._mapping.items() if isinstance(value, bytes)]
     if wrong:
-        raise ValueError(f"bytes stand for {', '.join(wrong)}")
-    return record
+        raise ValueError(f"bytes in the columns {', '.join(wrong)}")
 
 
 def _utc(seconds: float) -> datetime:

@@ -83,7 +83,7 @@ def command(
         cores=cores,
         renderer=cast(RendererKind, renderer),
         wait_s=wait_s,
-        errand_command=_errand_command(renderer, import_policies),
+        eval_command=_eval_command(renderer, import_policies),
         **more,
     )
     with stop_on_signals() as (stop, at_once):
@@ -92,7 +92,7 @@ def command(
         return run_worker(settings, stop, at_once)
 
 
-def _errand_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
+def _eval_command(renderer: str, import_policies: bool) -> tuple[str, ...]:
     return python_module(
         "factory.eval.remote.eval_worker", "--renderer", renderer, *["--import-policies"] * import_policies
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import click
 
 from coordinator.expansion.file import scene_of
 from coordinator.ledger.opening import read_info
-from coordinator.ledger.reading.records import JobFilter, count_jobs, list_jobs, read_attempts, read_events
+from coordinator.ledger.reading.records import JobFilter, JobRecord, count_jobs, list_jobs, read_attempts, read_events
 from coordinator.ledger.states import JobState
 from coordinator.protocol.tls import read_credentials
 from factory.cli.common.episodes import episode_index
@@ -22,6 +21,7 @@ from factory.cli.common.options import ledger_option, site_argument, tls_option
 from factory.cli.common.output import json_option, print_json, print_table, print_text
 from factory.dataset.site import Site
 from factory.runs.ledger import read_ledger
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.identity import require_host_name
 from schemas.job import episode_id
@@ -74,10 +74,8 @@ def list_(
     if as_json:
         print_json({"total": total, "jobs": [_plain(job) for job in jobs]})
         return
-    rows = [
-        (episode_id(j.index), j.state, j.scene, j.tier, j.split, j.target_id, j.attempt, j.draw, j.reason) for j in jobs
-    ]
-    print_table("", ("episode", "state", "scene", "tier", "split", "target", "attempt", "draw", "reason"), rows)
+    columns = ("episode", "state", "scene", "tier", "split", "target", "attempt", "draw", "reason")
+    print_table("", columns, map(_row_of, jobs))
     if total > len(jobs):
         click.echo(f"{len(jobs)} of {total} jobs are listed; list more with --limit", err=True)
 
@@ -105,8 +103,8 @@ def show(site: Site, episode: str, ledger: str | None, as_json: bool) -> None:
         print_json({name: [_plain(record) for record in records] for name, records in parts.items()})
         return
     last = draws[-1]
-    print_text(f"{episode_id(index)}: {last.state}; {last.scene}, {last.split}, {last.tier}: {last.instruction}")
-    rows = [(d.draw, d.state, d.category, d.target_id, d.misses, d.crashes, d.reason) for d in draws]
+    print_text(f"{episode_id(index)}: {last.state}; {_in_words(last.episode)}")
+    rows = [(d.draw, d.state, d.episode.category, d.episode.target_id, d.misses, d.crashes, d.reason) for d in draws]
     print_table("draws", ("draw", "state", "category", "target", "misses", "crashes", "reason"), rows)
     print_table(
         "attempts",
@@ -222,6 +220,19 @@ def _print_reply(reply: AdminReply, action: AdminAction) -> None:
         click.echo(f"  {episode_id(index)}: {reason}", err=True)
 
 
-def _plain(record: Any) -> dict[str, Any]:
-    fields = asdict(record)
-    return {key: value.isoformat() if isinstance(value, datetime) else value for key, value in fields.items()}
+def _row_of(job: JobRecord) -> tuple[object, ...]:
+    asked = job.episode
+    place = asked.scene, asked.tier, asked.split, asked.target_id
+    return episode_id(job.index), job.state, *place, job.attempt, job.draw, job.reason
+
+
+def _in_words(episode: EpisodeSpec) -> str:
+    return f"{episode.scene}, {episode.split}, {episode.tier}: {episode.instruction}"
+
+
+def _plain(record: object) -> dict[str, Any]:
+    """Returns a record as flat JSON values; the fields of an episode's spec are among its own."""
+    plain: dict[str, Any] = {}
+    for name, value in vars(record).items():
+        plain |= dict(value) if isinstance(value, EpisodeSpec) else {name: value}
+    return {name: value.isoformat() if isinstance(value, datetime) else value for name, value in plain.items()}

@@ -5,9 +5,10 @@ A model sees the camera and the words and nothing else. Drives nothing itself.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NotRequired, Protocol, TypedDict, runtime_checkable
+from typing import Any, ClassVar, NotRequired, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 from factory.eval.driving.simulator import Simulator
 from factory.eval.models.request import Actions
 from schemas.job import Job
+from schemas.terms import ExpertName
 
 __all__ = [
+    "BlindPolicy",
     "EpisodeInfo",
     "Policy",
     "PolicyFailure",
@@ -25,10 +28,8 @@ __all__ = [
     "PrivilegedPolicy",
     "PrivilegedState",
     "ServerAway",
-    "is_built_in",
-    "is_insider",
     "kind_of_actions",
-    "looks",
+    "uses_camera",
 ]
 
 
@@ -74,9 +75,24 @@ class Policy(Protocol):
         ...
 
 
+class BlindPolicy(ABC):
+    """Base of a policy that declares that it uses no camera frames, so that none are rendered for it."""
+
+    knows: ClassVar[str] = "nothing"
+    """What its actions depend on, for the results."""
+
+    @abstractmethod
+    def reset(self, instruction: str, info: EpisodeInfo) -> None:
+        """Begins an episode and forgets the one before."""
+
+    @abstractmethod
+    def act(self, observation: PolicyInput) -> Any:
+        """Returns an action; the observation has the instruction and the step only."""
+
+
 @dataclass(frozen=True)
 class PrivilegedState:
-    """What only built-in policies that say so are let into: the running simulation, goal and map included."""
+    """What a `PrivilegedPolicy` gets: the running simulation, goal and map included."""
 
     simulator: Simulator
     job: Job
@@ -85,13 +101,15 @@ class PrivilegedState:
     """Those of an archived episode, for policies that carry them out."""
 
 
-@runtime_checkable
-class PrivilegedPolicy(Protocol):
-    """A built-in policy with more knowledge than a model has; its attribute `knows` says what."""
+class PrivilegedPolicy(BlindPolicy):
+    """Base of a policy that declares more knowledge than a model has; only built-in policies may derive from it."""
 
+    expert: ExpertName = ExpertName.PROPORTIONAL
+    """Expert of the job in its `PrivilegedState`."""
+
+    @abstractmethod
     def enter(self, situation: PrivilegedState) -> None:
-        """Is called after the simulator's reset and before the policy's own."""
-        ...
+        """Takes the state; called after the simulator's reset and before the policy's own."""
 
 
 class PolicyFault(StrEnum):
@@ -117,19 +135,9 @@ class ServerAway(Exception):
     """A policy's server cannot be reached: no fault of an episode, the run stops and can be resumed."""
 
 
-def is_built_in(policy: Policy) -> bool:
-    """Whether a policy is one of ours; no other is let in or shown more than the camera sees."""
-    return type(policy).__module__.startswith("factory.eval.policies.")
-
-
-def is_insider(policy: Policy) -> bool:
-    """Whether a policy is let into the running simulation."""
-    return isinstance(policy, PrivilegedPolicy) and is_built_in(policy)
-
-
-def looks(policy: Policy) -> bool:
-    """Whether a policy is shown pictures: all but the built-in ones that have no use for them."""
-    return bool(getattr(policy, "looks", True)) or not is_built_in(policy)
+def uses_camera(policy: Policy) -> bool:
+    """Returns whether a policy gets camera frames: all but those that declare that they use none."""
+    return not isinstance(policy, BlindPolicy)
 
 
 def kind_of_actions(policy: Policy) -> str:

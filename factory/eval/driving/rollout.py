@@ -25,21 +25,19 @@ from factory.eval.driving.policy import (
     PrivilegedPolicy,
     PrivilegedState,
     ServerAway,
-    is_insider,
     kind_of_actions,
-    looks,
+    uses_camera,
 )
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.messages import EvalOrder
+from factory.eval.models.messages import EvalTask
 from factory.eval.models.request import EvalRequest
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSpec
 from schemas.config import TaskConfig
-from schemas.terms import ExpertName
 from workers.experts.observation import Observation
 from workers.sim.scene_renderer import LoadedScene
 
-__all__ = ["TRACK_HZ", "StatusWatch", "describe_question", "progresses", "run_episode", "thin_track"]
+__all__ = ["TRACK_HZ", "StatusWatch", "describe_request", "progresses", "run_episode", "thin_track"]
 
 TRACK_HZ = 10
 
@@ -55,13 +53,13 @@ class StatusWatch(Protocol):
 
 
 def run_episode(
-    order: EvalOrder, policy: Policy, simulator: Simulator, place: LoadedScene, watch: StatusWatch
+    task: EvalTask, policy: Policy, simulator: Simulator, place: LoadedScene, watch: StatusWatch
 ) -> EpisodeResult:
     """Drives an episode to its end and measures it.
 
     Args:
-        order: what is asked, and of whom.
-        policy: who drives; an `PrivilegedPolicy` is let in.
+        task: what is asked, and of whom.
+        policy: who drives; a `PrivilegedPolicy` gets the running simulation.
         simulator: open, with the settings of the set.
         place: the scene of the spec.
         watch: told before and after each call of the policy.
@@ -71,17 +69,17 @@ def run_episode(
         ServerAway: the policy's server cannot be reached; nothing is known about the episode.
     """
     begun = time.monotonic()
-    drive = _Drive(order, policy, simulator, watch)
-    view = simulator.reset(order.question.spec, place)
+    drive = _Drive(task, policy, simulator, watch)
+    view = simulator.reset(task.request.spec, place)
     end, detail = drive.run(view)
-    return _measured(order, simulator, end, detail, drive, time.monotonic() - begun)
+    return _measured(task, simulator, end, detail, drive, time.monotonic() - begun)
 
 
 @dataclass
 class _Drive:
     """A policy at the wheel; keeps the clock and the count of its answers."""
 
-    order: EvalOrder
+    task: EvalTask
     policy: Policy
     simulator: Simulator
     watch: StatusWatch
@@ -90,9 +88,9 @@ class _Drive:
     act_s: float = 0.0
 
     @property
-    def question(self) -> EvalRequest:
+    def request(self) -> EvalRequest:
         """What is asked."""
-        return self.order.question
+        return self.task.request
 
     def run(self, view: Observation) -> tuple[EvalEnd, str]:
         """Returns how the episode ended."""
@@ -103,11 +101,11 @@ class _Drive:
         except PolicyFailure as failure:
             return EvalEnd(failure.fault), failure.detail
         end = EvalEnd(view.end)
-        words = f"{end} after {self.simulator.steps} steps, {view.distance_m:.2f} m from {self.question.spec.target_id}"
+        words = f"{end} after {self.simulator.steps} steps, {view.distance_m:.2f} m from {self.request.spec.target_id}"
         return end, words
 
     def _begin(self, view: Observation) -> None:
-        settings, spec = self.simulator.settings, self.question.spec
+        settings, spec = self.simulator.settings, self.request.spec
         info = EpisodeInfo(
             episode=spec.spec_id,
             seed=spec.seed,
@@ -118,11 +116,11 @@ class _Drive:
             fov_deg=settings.camera.fov_deg,
         )
         with self._asking(view):
-            if is_insider(self.policy):
-                expert = getattr(self.policy, "expert", ExpertName.PROPORTIONAL)
-                situation = PrivilegedState(self.simulator, spec.job(settings, expert), self.order.actions)
-                cast(PrivilegedPolicy, self.policy).enter(situation)
-            self.policy.reset(self.question.instruction, info)
+            if isinstance(self.policy, PrivilegedPolicy):
+                job = spec.job(settings, self.policy.expert)
+                situation = PrivilegedState(self.simulator, job, self.task.actions)
+                self.policy.enter(situation)
+            self.policy.reset(self.request.instruction, info)
 
     def _turn(self, view: Observation) -> Observation:
         """Asks once and carries the answer out."""
@@ -140,11 +138,11 @@ class _Drive:
         return view
 
     def _observation(self, view: Observation) -> PolicyInput:
-        words, step = self.question.instruction, self.simulator.steps
-        if not looks(self.policy):
-            return cast(PolicyInput, {"instruction": words, "step": step})  # it would not look at pictures
+        words, step = self.request.instruction, self.simulator.steps
+        if not uses_camera(self.policy):
+            return cast(PolicyInput, {"instruction": words, "step": step})  # frames would be rendered for nothing
         seen = PolicyInput(rgb=view.frame.rgb, depth=view.frame.depth, instruction=words, step=step)
-        if self.question.with_pose:
+        if self.request.with_pose:
             seen["pose"] = odometry(self.simulator.track)
         return seen
 
@@ -183,24 +181,25 @@ def thin_track(track: NDArray[np.float64], control_hz: int) -> tuple[tuple[float
 
 
 def _measured(
-    order: EvalOrder,
+    task: EvalTask,
     simulator: Simulator,
     end: EvalEnd,
     detail: str,
     drive: _Drive,
     seconds: float,
 ) -> EpisodeResult:
-    spec, task, track = order.question.spec, simulator.settings.task, simulator.track
+    spec, rules, track = task.request.spec, simulator.settings.task, simulator.track
     gaps = np.linalg.norm(track[:, :2] - np.asarray(simulator.target.centroid_m[:2]), axis=1)
     start_m, final_m, least_m = float(gaps[0]), float(gaps[-1]), float(gaps.min())
     driven_m = measure.path_length_m(track)
     is_success = end is EvalEnd.SUCCESS
+    is_at_any = is_success or measure.stops_at_any(track, simulator.place.scene.info.targets, spec.category, rules)
     return EpisodeResult(
-        **describe_question(order),
+        **describe_request(task),
         end=end,
         detail=detail,
         success=is_success,
-        any_instance=is_success or measure.stops_at_any(track, simulator.place.scene.info.targets, spec.category, task),
+        any_instance=is_at_any,
         num_steps=simulator.steps,
         spawn_dist_m=start_m,
         trajectory_length_m=driven_m,
@@ -208,24 +207,24 @@ def _measured(
         min_ne_m=least_m,
         spl=None if spec.geodesic_m is None else measure.spl(is_success, spec.geodesic_m, driven_m),
         soft_spl=_soft_spl(spec, simulator, track, is_success, driven_m),
-        **progresses(start_m, final_m, least_m, task),
+        **progresses(start_m, final_m, least_m, rules),
         contact_steps=simulator.contact_steps,
         clipped_actions=drive.clipped,
         act_ms=1000 * drive.act_s / max(1, drive.answers),
         seconds=seconds,
-        track=thin_track(track, task.control_hz),
+        track=thin_track(track, rules.control_hz),
     )
 
 
-def describe_question(order: EvalOrder) -> dict[str, Any]:
+def describe_request(task: EvalTask) -> dict[str, Any]:
     """Returns the fields of a result that are known before the drive."""
-    question, spec = order.question, order.question.spec
+    request, spec = task.request, task.request.spec
     return {
         "spec_id": spec.spec_id,
-        "spec_digest": question.spec_digest,
-        "policy": order.policy,
-        "variant": question.variant,
-        "instruction": question.instruction,
+        "spec_digest": request.spec_digest,
+        "policy": task.policy,
+        "variant": request.variant,
+        "instruction": request.instruction,
         "split": spec.split,
         "scene": spec.scene,
         "tier": spec.tier,

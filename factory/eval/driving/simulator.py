@@ -21,7 +21,7 @@ from workers.geometry.slew import Twist
 from workers.physics.world import World
 from workers.sim.closed_loop import ClosedLoop
 from workers.sim.scene_renderer import LoadedScene, SceneRenderer
-from workers.sim.spawn import is_spawn_firm
+from workers.sim.spawn import is_spawn_stable
 
 __all__ = ["NoFirmStand", "Simulator"]
 
@@ -62,7 +62,7 @@ class Simulator(Closing):
         job, scene = spec.job(self.settings), place.scene
         world = self._held.enter_context(World(scene, place.collider, job.robot, job.task.control_hz))
         x, y, yaw = spec.spawn_pose
-        if not is_spawn_firm(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
+        if not is_spawn_stable(world, Pose.planar(x, y, yaw, z=scene.info.floor_height_m), job):
             where = f"({x:.2f}, {y:.2f}) m, yaw {yaw:.2f} rad"
             raise NoFirmStand(
                 f"{spec.spec_id}: the robot is not stable at its start in {spec.scene}, {where}; create new specs"

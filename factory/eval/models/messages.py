@@ -14,11 +14,11 @@ from factory.eval.models.spec import EvalSettings
 from schemas.base import Model, Positive
 from schemas.terms import RendererKind
 
-__all__ = ["EvalOrder", "EvalReport", "EvalReportKind", "EvalTask", "Setup", "read_report", "to_line"]
+__all__ = ["DriverOrder", "EvalReport", "EvalReportKind", "EvalTask", "Setup", "read_report", "to_line"]
 
 
 class Setup(Model):
-    """The first line to a driving process: what holds for all its orders."""
+    """What holds for all tasks of a campaign."""
 
     settings: EvalSettings
     renderer: RendererKind = "auto"
@@ -27,38 +27,26 @@ class Setup(Model):
     reconnect_s: Positive = 30.0
 
 
-class EvalOrder(Model):
-    """One episode to drive."""
+class EvalTask(Model):
+    """One episode to evaluate; it has this form from the command to the driver process, on any machine."""
 
-    number: Annotated[int, Field(ge=0)]
+    number: Annotated[int, Field(ge=1)]
+    """Place in the campaign, from 1; the index of its job on many machines."""
     policy: str
-    question: EvalRequest
+    request: EvalRequest
+    setup: Setup
+    actions: Actions | None = None
+    """Those of the recorded episode that the request names; added when the task is handed out."""
+
+
+class DriverOrder(Model):
+    """A task for a driver process, with the files that it needs on this machine."""
+
+    task: EvalTask
     package: Path
     """The compiled scene."""
-    actions: Actions | None = None
-    """Those of the recorded episode, where the question names one."""
-    file: Path | None = None
+    policy_file: Path | None = None
     """What the policy is made of, where it is not at the place that its name says."""
-
-
-class EvalTask(Model):
-    """One episode to drive, as it goes to a worker of another machine."""
-
-    setup: Setup
-    policy: str
-    question: EvalRequest
-    actions: Actions | None = None
-
-    def order(self, number: int, package: Path, file: Path | None) -> EvalOrder:
-        """Returns the order for a driving process there."""
-        return EvalOrder(
-            number=number,
-            policy=self.policy,
-            question=self.question,
-            package=package,
-            actions=self.actions,
-            file=file,
-        )
 
 
 class EvalReportKind(StrEnum):
@@ -77,7 +65,7 @@ class EvalReport(Model):
 
     kind: EvalReportKind
     number: int = -1
-    """Of the order."""
+    """Of the task."""
     detail: str = ""
     """In words: the renderer, the policy's knowledge, or what is wrong."""
     exit_code: int = 1

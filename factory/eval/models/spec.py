@@ -12,10 +12,11 @@ from pydantic import Field, model_validator
 
 from schemas.base import Model, Name, NonNegative, Sha256
 from schemas.config import CameraConfig, ExpertConfig, PlannerConfig, RobotConfig, SpawnConfig, TaskConfig
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.job import Job
 from schemas.plan import Plan, canonical_json
-from schemas.terms import ExpertName, Split, Tier
+from schemas.terms import ExpertName, Split
 
 __all__ = ["SPECS_FORMAT", "EvalSettings", "EvalSpec", "SpecSet", "spread"]
 
@@ -42,22 +43,13 @@ class EvalSettings(Model):
         return cls(**{name: getattr(source, name) for name in cls.model_fields})
 
 
-class EvalSpec(Model):
+class EvalSpec(EpisodeSpec):
     """One episode to be driven."""
 
     spec_id: Name
     """Unique within its set."""
-    scene: Name
     scene_sha256: Sha256
     """Digest of the compiled package."""
-    target_id: Name
-    category: Name
-    colour: Name
-    """Colour word that the instruction may use, or `unknown`."""
-    template_id: Name
-    instruction: str
-    split: Split
-    tier: Tier
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     """For the policy's own chances; the simulation has none."""
     spawn_pose: tuple[float, float, float]
@@ -79,22 +71,15 @@ class EvalSpec(Model):
     def job(self, settings: EvalSettings, expert: ExpertName = ExpertName.PROPORTIONAL) -> Job:
         """Returns the spec as a job, the form in which simulation and experts take it."""
         return Job(
+            **dict(EpisodeSpec.of(self)),
             run="evaluation",
             plan_digest=_NO_PLAN,
             root_seed=self.seed,
             index=1,
             draw=0,
             attempt=1,
-            scene=self.scene,
             scene_sha256=self.scene_sha256,
             scene_bytes=1,
-            tier=self.tier,
-            split=self.split,
-            category=self.category,
-            target_id=self.target_id,
-            colour=self.colour,
-            template_id=self.template_id,
-            instruction=self.instruction,
             expert=expert,
             **{name: getattr(settings, name) for name in EvalSettings.model_fields},
         )

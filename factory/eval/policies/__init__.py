@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from factory.eval.driving.policy import Policy, is_built_in
+from factory.eval.driving.policy import BlindPolicy, Policy, PrivilegedPolicy
 from factory.eval.policies.bc import BcPolicy, bc_file
 from factory.eval.policies.experts import ExpertPolicy
 from factory.eval.policies.foreign import load_class, require_module
@@ -153,6 +153,10 @@ def make_policy(name: str, outside: Outside, file: Path | None = None) -> Policy
     missing = [method for method in ("reset", "act") if not callable(getattr(policy, method, None))]
     if missing:
         raise UsageError(f"policy {name} has no method {' and no '.join(missing)}; see docs/evaluation/README.md")
+    if entry is _FOREIGN and isinstance(policy, PrivilegedPolicy):
+        raise UsageError(
+            f"policy {name} derives from PrivilegedPolicy, which gives the goal and the map to built-in policies only"
+        )
     return policy
 
 
@@ -168,8 +172,7 @@ def file_of(name: str) -> Path | None:
 
 def describe_knowledge(policy: Policy) -> str:
     """Returns what a policy goes by, for the results."""
-    knows = getattr(policy, "knows", None) if is_built_in(policy) else None
-    return str(knows or "camera and instruction")
+    return policy.knows if isinstance(policy, BlindPolicy) else "camera and instruction"
 
 
 def _expert_name(rest: str) -> ExpertName:

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from factory.eval.driving.policy import EpisodeInfo, PolicyFailure, PolicyFault, PolicyInput, PrivilegedState
+from factory.eval.driving.policy import (
+    EpisodeInfo,
+    PolicyFailure,
+    PolicyFault,
+    PolicyInput,
+    PrivilegedPolicy,
+    PrivilegedState,
+)
 from schemas.terms import ExpertName
 from workers.experts import make_expert
 from workers.geometry.slew import Twist
@@ -10,11 +17,10 @@ from workers.geometry.slew import Twist
 __all__ = ["ExpertPolicy"]
 
 
-class ExpertPolicy:
+class ExpertPolicy(PrivilegedPolicy):
     """Drives as the collection's expert of that name does, from the same ground truth."""
 
     knows = "goal, map and instance ids"
-    looks = False
 
     def __init__(self, expert: ExpertName) -> None:
         self.expert = expert

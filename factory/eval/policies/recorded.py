@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from factory.eval.driving.policy import EpisodeInfo, PolicyInput, PrivilegedState
+from factory.eval.driving.policy import EpisodeInfo, PolicyInput, PrivilegedPolicy, PrivilegedState
 from schemas.errors import UsageError
 from workers.geometry.slew import Twist
 
 __all__ = ["PlaybackPolicy", "ReplayPolicy"]
 
 
-class _Recorded:
+class _Recorded(PrivilegedPolicy):
     """Carries out the actions that the situation holds, then stands still."""
-
-    looks = False
 
     def enter(self, situation: PrivilegedState) -> None:
         """Takes the actions."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factory.eval.driving.policy import EpisodeInfo, PolicyInput
+from factory.eval.driving.policy import BlindPolicy, EpisodeInfo, PolicyInput
 from workers.geometry.slew import Twist
 
 __all__ = ["RandomPolicy", "StopPolicy"]
@@ -13,11 +13,8 @@ _HELD_S = 0.5
 """How long a random twist is held; drawn anew at every step, the slew limit would average it away."""
 
 
-class StopPolicy:
+class StopPolicy(BlindPolicy):
     """Never moves."""
-
-    knows = "nothing"
-    looks = False
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:
         """Has nothing to forget."""
@@ -27,11 +24,8 @@ class StopPolicy:
         return Twist(0.0, 0.0)
 
 
-class RandomPolicy:
+class RandomPolicy(BlindPolicy):
     """Uniform twists over the action range, one every half second, by the episode's seed."""
-
-    knows = "nothing"
-    looks = False
 
     def reset(self, instruction: str, info: EpisodeInfo) -> None:  # noqa: ARG002
         """Seeds itself."""

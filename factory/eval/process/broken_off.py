@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 from factory.eval.driving.policy import PolicyFault
-from factory.eval.driving.rollout import describe_question, progresses
-from factory.eval.models.messages import EvalOrder
+from factory.eval.driving.rollout import describe_request, progresses
+from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.process.shared_status import DriverStatus
-from schemas.config import TaskConfig
 
 __all__ = ["result_of_end"]
 
 
-def result_of_end(
-    order: EvalOrder, detail: str, fault: PolicyFault, state: DriverStatus, task: TaskConfig
-) -> EpisodeResult:
+def result_of_end(task: EvalTask, detail: str, fault: PolicyFault, state: DriverStatus) -> EpisodeResult:
     """Returns the result of an episode whose driving process had to be ended.
 
     Args:
-        order: what it drove.
+        task: what it drove.
         detail: the end in words.
         fault: what the policy did.
         state: what stood on its sheet.
-        task: rules of the episode.
     """
-    spec = order.question.spec
+    spec = task.request.spec
     start_m = state.start_m or spec.spawn_dist_m
     now_m, least_m = (state.now_m, state.least_m) if state.start_m else (start_m, start_m)
     nothing = None if spec.geodesic_m is None else 0.0
     return EpisodeResult(
-        **describe_question(order),
+        **describe_request(task),
         end=EvalEnd(fault),
         detail=detail,
         success=False,
@@ -41,7 +37,7 @@ def result_of_end(
         min_ne_m=least_m,
         spl=nothing,
         soft_spl=nothing,
-        **progresses(start_m, now_m, least_m, task),
+        **progresses(start_m, now_m, least_m, task.setup.settings.task),
         contact_steps=state.contact_steps,
         clipped_actions=0,
         act_ms=0.0,

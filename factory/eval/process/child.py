@@ -20,10 +20,10 @@ import sys
 import traceback
 from collections.abc import Callable
 
-from factory.eval.driving.policy import Policy, ServerAway, is_insider
+from factory.eval.driving.policy import Policy, PrivilegedPolicy, ServerAway
 from factory.eval.driving.rollout import describe_error, run_episode
 from factory.eval.driving.simulator import Simulator
-from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind, Setup, to_line
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, Setup, to_line
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.policies import Outside, describe_knowledge, make_policy
 from factory.eval.process.shared_status import Activity, SharedStatus
@@ -54,15 +54,16 @@ def main() -> int:
         out.write(to_line(report))
 
     try:
-        setup = Setup.model_validate_json(lines.get())
+        order = DriverOrder.model_validate_json(lines.get())
+        setup = order.task.setup
         with (
             SceneRenderer(setup.renderer, apart=arguments.render_apart) as stage,
             Simulator(stage, setup.settings) as simulator,
         ):
             driver = _Driver(setup, stage, simulator, sheet, tell)
             tell(EvalReport(kind=EvalReportKind.READY, detail=stage.renderer.description))
-            while driver.serve(EvalOrder.model_validate_json(driver.wait(lines))):
-                pass
+            while driver.serve(order):
+                order = DriverOrder.model_validate_json(driver.wait(lines))
     except BrokenPipeError:
         return 0  # nobody listens any more
     except FactoryError as error:
@@ -91,39 +92,40 @@ class _Driver:
         self._watch.note(Activity.IDLE)
         return lines.get()
 
-    def serve(self, order: EvalOrder) -> bool:
-        """Does one order; returns whether the process is still sound."""
+    def serve(self, order: DriverOrder) -> bool:
+        """Executes one order; returns whether the process is still sound."""
+        number = order.task.number
         try:
             result = self._drive(order)
         except ServerAway as error:
-            self._tell(EvalReport(kind=EvalReportKind.AWAY, number=order.number, detail=str(error)))
+            self._tell(EvalReport(kind=EvalReportKind.AWAY, number=number, detail=str(error)))
         except FactoryError as error:
             code = _exit_code(error)
-            self._tell(EvalReport(kind=EvalReportKind.REFUSED, number=order.number, detail=str(error), exit_code=code))
+            self._tell(EvalReport(kind=EvalReportKind.REFUSED, number=number, detail=str(error), exit_code=code))
         except Exception as error:  # noqa: BLE001 - the worker loop: told, and the process given up
             traceback.print_exc()
-            self._tell(EvalReport(kind=EvalReportKind.DEFECT, number=order.number, detail=describe_error(error)))
+            self._tell(EvalReport(kind=EvalReportKind.DEFECT, number=number, detail=describe_error(error)))
             return False
         else:
-            self._tell(EvalReport(kind=EvalReportKind.RESULT, number=order.number, result=result))
+            self._tell(EvalReport(kind=EvalReportKind.RESULT, number=number, result=result))
         return True
 
-    def _drive(self, order: EvalOrder) -> EpisodeResult:
+    def _drive(self, order: DriverOrder) -> EpisodeResult:
         policy = self._policy_of(order)
         self._watch.begin(Activity.SIMULATING)
-        place = self._stage.load(order.package, order.question.spec.scene_sha256)
-        result = run_episode(order, policy, self._simulator, place, self._watch)
+        place = self._stage.load(order.package, order.task.request.spec.scene_sha256)
+        result = run_episode(order.task, policy, self._simulator, place, self._watch)
         if result.end is EvalEnd.POLICY_LOST:
             # the server may have been started again: its episode begins anew, once
             self._watch.is_warm = False
             self._watch.begin(Activity.SIMULATING)
-            result = run_episode(order, policy, self._simulator, place, self._watch)
+            result = run_episode(order.task, policy, self._simulator, place, self._watch)
         if result.end in {EvalEnd.POLICY_LOST, EvalEnd.POLICY_HUNG}:
             self._watch.is_warm = False  # its next answer comes over a new connection
         return result
 
-    def _policy_of(self, order: EvalOrder) -> Policy:
-        name = order.policy
+    def _policy_of(self, order: DriverOrder) -> Policy:
+        name = order.task.policy
         if self._policy is None or name != self._name:
             self._watch.begin(Activity.MAKING)
             close = getattr(self._policy, "close", None)
@@ -136,11 +138,11 @@ class _Driver:
                 load_timeout_s=self._setup.load_timeout_s,
                 reconnect_s=self._setup.reconnect_s,
             )
-            self._policy = make_policy(name, outside, order.file)
-            self._watch.is_warm, self._watch.is_insider = False, is_insider(self._policy)
-            self._tell(
-                EvalReport(kind=EvalReportKind.POLICY, number=order.number, detail=describe_knowledge(self._policy))
-            )
+            self._policy = make_policy(name, outside, order.policy_file)
+            self._watch.is_warm = False
+            self._watch.is_privileged = isinstance(self._policy, PrivilegedPolicy)
+            knows = describe_knowledge(self._policy)
+            self._tell(EvalReport(kind=EvalReportKind.POLICY, number=order.task.number, detail=knows))
         return self._policy
 
 

@@ -16,7 +16,7 @@ import time
 from typing import IO, NamedTuple
 
 from factory.eval.driving.policy import PolicyFault
-from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind, Setup, read_report, to_line
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask, Setup, read_report, to_line
 from factory.eval.policies import renders_apart
 from factory.eval.process.shared_status import Activity, DriverStatus, SharedStatus
 from schemas.support.child import SAFE_PATH, child_environment, python_module
@@ -45,15 +45,14 @@ class DriverEnded(NamedTuple):
 class DriverProcess:
     """One driving process, started again when needed."""
 
-    def __init__(self, setup: Setup) -> None:
-        self.setup = setup
-        """What it was made with."""
+    def __init__(self) -> None:
+        self._setup: Setup | None = None
         self._renders_apart = False
         self._process: subprocess.Popen[bytes] | None = None
         self._reports: queue.Queue[EvalReport | None] = queue.Queue()
         self._sheet: SharedStatus | None = None
         self._stderr: IO[bytes] | None = None
-        self.current_order: EvalOrder | None = None
+        self.current: EvalTask | None = None
         """What it is driving."""
         self.made: dict[str, str] = {}
         """What the policies that could be made here go by."""
@@ -70,21 +69,26 @@ class DriverProcess:
         """Of the episode that is being driven."""
         return self._sheet.read().steps if self._sheet is not None else 0
 
-    def give(self, order: EvalOrder) -> None:
-        """Hands an order over, to a fresh process where there is none; its death is heard from `hear`.
+    def give(self, order: DriverOrder) -> None:
+        """Sends an order, to a new process where there is none; its death is heard from `hear`.
 
-        A process that renders by itself is replaced where the policy's libraries must not meet OpenGL's.
+        A process of another campaign is replaced, and so is one that renders by itself where the policy's libraries
+        must not meet OpenGL's.
         """
-        if renders_apart(order.policy) and not self._renders_apart:
+        task = order.task
+        if task.setup != self._setup:
+            self.kill()
+            self._setup, self.made = task.setup, {}
+        if renders_apart(task.policy) and not self._renders_apart:
             self.kill()
             self._renders_apart = True
         if self._process is None:
             self._start()
-        self.current_order = order
+        self.current = task
         self._write(to_line(order))
 
     def hear(self, timeout_s: float) -> EvalReport | DriverEnded | None:
-        """Returns what came of its order, its end, or `None` after `timeout_s` or news on the way."""
+        """Returns what came of its task, its end, or `None` after `timeout_s` or news on the way."""
         if self._process is None:
             return None
         try:
@@ -130,13 +134,12 @@ class DriverProcess:
         )
         self._reports = queue.Queue()
         threading.Thread(target=_read, args=(self._process.stdout, self._reports), daemon=True).start()
-        self._write(to_line(self.setup))
 
     def _is_outcome(self, report: EvalReport) -> bool:
         if report.kind is EvalReportKind.READY:
             self.renderer = report.detail
-        elif report.kind is EvalReportKind.POLICY and self.current_order is not None:
-            self.made[self.current_order.policy] = report.detail
+        elif report.kind is EvalReportKind.POLICY and self.current is not None:
+            self.made[self.current.policy] = report.detail
         else:
             return True
         return False
@@ -148,12 +151,12 @@ class DriverProcess:
                 self._process.stdin.flush()
 
     def _end_if_late(self) -> DriverEnded | None:
-        if self._sheet is None or self.current_order is None:
+        if self._sheet is None or self.current is None:
             return None
-        state = self._sheet.read()
+        state, setup = self._sheet.read(), self.current.setup
         limit_s = {
-            Activity.ASKING: self.setup.act_timeout_s + _GRACE_S * self._is_remote,
-            Activity.MAKING: self.setup.load_timeout_s + (_GRACE_S + self.setup.reconnect_s) * self._is_remote,
+            Activity.ASKING: setup.act_timeout_s + _GRACE_S * self._is_remote,
+            Activity.MAKING: setup.load_timeout_s + (_GRACE_S + setup.reconnect_s) * self._is_remote,
         }.get(state.busy, _SIMULATION_S)
         if time.monotonic() - state.since_s <= limit_s:
             return None
@@ -165,7 +168,7 @@ class DriverProcess:
 
     @property
     def _is_remote(self) -> bool:
-        return self.current_order is not None and self.current_order.policy.startswith(("ws:", "wss:"))
+        return self.current is not None and self.current.policy.startswith(("ws:", "wss:"))
 
     def _reap(self) -> DriverEnded:
         process, sheet = self._process, self._sheet

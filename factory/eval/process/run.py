@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from factory.eval.models.messages import EvalOrder, EvalReport, EvalReportKind
+from factory.eval.models.messages import DriverOrder, EvalReport, EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies.note import note_of
 from factory.eval.process.broken_off import result_of_end
 from factory.eval.process.driver_process import DriverEnded, DriverProcess
 from factory.eval.results.store import Store
-from factory.eval.specs.campaign import Campaign, orders_for, with_actions
+from factory.eval.specs.campaign import Campaign, tasks_for, with_actions
 from factory.eval.specs.from_dataset import Places
 from schemas.errors import UsageError, WorldError
 
@@ -57,11 +57,11 @@ def run_campaign(campaign: Campaign, store: Store, stop: threading.Event, tell: 
     """
     places = Places(campaign.root)
     with ExitStack() as stack:
-        seats = [DriverProcess(campaign.setup) for _ in range(campaign.processes)]
+        seats = [DriverProcess() for _ in range(campaign.processes)]
         for seat in seats:
             stack.callback(seat.kill)
         for policy in campaign.policies:
-            if not _Round(campaign, orders_for(campaign, policy, places), store, seats, stop, tell).run():
+            if not _Round(campaign, policy, places, store, seats, stop, tell).run():
                 return False
     return True
 
@@ -72,24 +72,28 @@ class _Round:
     def __init__(
         self,
         campaign: Campaign,
-        orders: list[EvalOrder],
+        policy: str,
+        places: Places,
         store: Store,
         seats: list[DriverProcess],
         stop: threading.Event,
         tell: PaceCallback,
     ) -> None:
-        self._campaign, self._orders, self._store = campaign, orders, store
-        self._policy = orders[0].policy
+        self._campaign, self._policy, self._store = campaign, policy, store
+        self._tasks = tasks_for(campaign, policy, places)
+        self._packages = {
+            spec.scene_sha256: places.path(spec.scene, spec.scene_sha256) for spec in campaign.specs.specs
+        }
         self._seats, self._stop, self._tell = seats, stop, tell
         self._deaths: dict[int, int] = {}
 
     def run(self) -> bool:
         """Returns whether all are done."""
-        orders = self._orders
+        tasks = self._tasks
         done = {result.key: result.success for result in self._store.results(self._policy)}
-        waiting = deque(order for order in orders if order.question.key not in done)
-        successes = sum(done.get(order.question.key, False) for order in orders)
-        pace = Pace(self._policy, len(orders) - len(waiting), len(orders), successes)
+        waiting = deque(task for task in tasks if task.request.key not in done)
+        successes = sum(done.get(task.request.key, False) for task in tasks)
+        pace = Pace(self._policy, len(tasks) - len(waiting), len(tasks), successes)
         self._tell(pace)
         while pace.done < pace.total and not self._stop.is_set():
             for result in self._turns(waiting):
@@ -98,21 +102,25 @@ class _Round:
                 self._tell(pace)
         return pace.done >= pace.total
 
-    def _turns(self, waiting: deque[EvalOrder]) -> Iterator[EpisodeResult]:
-        """Gives every idle seat an order and hears every busy one once."""
+    def _turns(self, waiting: deque[EvalTask]) -> Iterator[EpisodeResult]:
+        """Gives every idle seat a task and hears every busy one once."""
         busy = 0
         for seat in self._seats:
-            if seat.current_order is None and waiting:
-                seat.give(with_actions(waiting.popleft(), self._campaign.root))
-            busy += seat.current_order is not None
+            if seat.current is None and waiting:
+                seat.give(self._order(waiting.popleft()))
+            busy += seat.current is not None
         for seat in self._seats:
-            if seat.current_order is None:
+            if seat.current is None:
                 continue
             heard = seat.hear(_POLL_S / max(1, busy))
             result = self._after_end(seat, heard, waiting) if isinstance(heard, DriverEnded) else self._after(heard)
             if result is not None:
-                seat.current_order = None
+                seat.current = None
                 yield result
+
+    def _order(self, task: EvalTask) -> DriverOrder:
+        package = self._packages[task.request.spec.scene_sha256]
+        return DriverOrder(task=with_actions(task, self._campaign.root), package=package)
 
     def _after(self, report: EvalReport | None) -> EpisodeResult | None:
         if report is None:
@@ -126,20 +134,19 @@ class _Round:
             raise RuntimeError(f"a simulation process failed: {report.detail}")
         return report.result
 
-    def _after_end(self, seat: DriverProcess, ended: DriverEnded, waiting: deque[EvalOrder]) -> EpisodeResult | None:
-        order = seat.current_order
-        if order is None:
+    def _after_end(self, seat: DriverProcess, ended: DriverEnded, waiting: deque[EvalTask]) -> EpisodeResult | None:
+        task = seat.current
+        if task is None:
             return None
         if ended.fault is not None and self._made() is not None:
-            task = self._campaign.specs.settings.task
-            return result_of_end(order, ended.detail, ended.fault, ended.state, task)
+            return result_of_end(task, ended.detail, ended.fault, ended.state)
         if ended.fault is not None:
-            raise WorldError(f"policy {order.policy} cannot be created: {ended.detail}")
-        self._deaths[order.number] = self._deaths.get(order.number, 0) + 1
-        if self._deaths[order.number] >= _TRIES:
-            raise WorldError(f"{order.question.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")
-        seat.current_order = None
-        waiting.appendleft(order)
+            raise WorldError(f"policy {task.policy} cannot be created: {ended.detail}")
+        self._deaths[task.number] = self._deaths.get(task.number, 0) + 1
+        if self._deaths[task.number] >= _TRIES:
+            raise WorldError(f"{task.request.spec.spec_id}: the simulation failed {_TRIES} times: {ended.detail}")
+        seat.current = None
+        waiting.appendleft(task)
         return None
 
     def _made(self) -> DriverProcess | None:

@@ -25,8 +25,8 @@ class SheetWatch:
         self._calls = 0
         self.is_warm = False
         """Whether the policy has given an answer; the first one may take long."""
-        self.is_insider = False
-        """Whether it is one of ours that draws and plans for itself: simulation, as far as time goes."""
+        self.is_privileged = False
+        """Whether the policy renders and plans itself; its time counts as the simulation's."""
 
     def note(self, busy: Activity) -> None:
         """Writes down what is being done from now on."""
@@ -52,7 +52,7 @@ class SheetWatch:
             driven_m=state.driven_m + moved,
             contact_steps=simulator.contact_steps,
         )
-        if not self.is_insider:
+        if not self.is_privileged:
             is_reset = self._calls == 1
             self.note(Activity.ASKING if self.is_warm and not is_reset else Activity.MAKING)
 

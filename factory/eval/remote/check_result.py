@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterator
 
 from factory.eval.driving import measure
-from factory.eval.driving.rollout import TRACK_HZ, describe_question, progresses
-from factory.eval.models.messages import EvalOrder
+from factory.eval.driving.rollout import TRACK_HZ, describe_request, progresses
+from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.models.spec import EvalSettings
 from schemas.scene import Target
@@ -26,16 +26,15 @@ _SPEED_SLACK, _PUSH_M = 1.5, 0.05
 """A skidding robot is faster than it was told, and an obstacle pushes it aside."""
 
 
-def result_findings(result: EpisodeResult, order: EvalOrder, settings: EvalSettings, target: Target) -> list[str]:
-    """Returns every reason for which a result cannot be that of an order; none when it may be kept.
+def result_findings(result: EpisodeResult, task: EvalTask, target: Target) -> list[str]:
+    """Returns every reason for which a result cannot be that of a task; none when it may be kept.
 
     Args:
         result: as it came.
-        order: what was asked, and of which policy.
-        settings: of the set.
+        task: what was asked, and of which policy.
         target: of the spec, as its scene has it.
     """
-    asked = describe_question(order)
+    asked, settings = describe_request(task), task.setup.settings
     found = [
         f"{name} is {getattr(result, name)!r}, expected {wanted!r}"
         for name, wanted in asked.items()
@@ -45,7 +44,7 @@ def result_findings(result: EpisodeResult, order: EvalOrder, settings: EvalSetti
         *found,
         *_of_the_end(result, settings),
         *_of_the_measures(result, settings),
-        *_of_the_track(result, order, settings, target),
+        *_of_the_track(result, task, target),
     ]
 
 
@@ -78,8 +77,9 @@ def _of_the_measures(result: EpisodeResult, settings: EvalSettings) -> Iterator[
         yield f"closest point {result.min_ne_m:.3f} m away, farther than start or end"
 
 
-def _of_the_track(result: EpisodeResult, order: EvalOrder, settings: EvalSettings, target: Target) -> Iterator[str]:
-    track, spec, hz = result.track, order.question.spec, settings.task.control_hz
+def _of_the_track(result: EpisodeResult, task: EvalTask, target: Target) -> Iterator[str]:
+    track, spec, settings = result.track, task.request.spec, task.setup.settings
+    hz = settings.task.control_hz
     every = max(1, round(hz / TRACK_HZ))
     x, y, yaw = spec.spawn_pose
     if not track:

@@ -1,4 +1,4 @@
-"""What a worker returns for an errand: a result and the note of its policy, as a bundle of one member.
+"""What a worker returns for an evaluation task: a result and the note of its policy, as a bundle of one member.
 
 Reads and writes open files; bounded before anything is allocated, and judged elsewhere.
 """

@@ -14,9 +14,8 @@ import time
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from factory.eval.models.messages import EvalOrder as Drive
+from factory.eval.models.messages import DriverOrder, EvalReportKind, EvalTask
 from factory.eval.models.messages import EvalReport as Outcome
-from factory.eval.models.messages import EvalReportKind, EvalTask
 from factory.eval.models.result import EpisodeResult
 from factory.eval.policies import is_foreign
 from factory.eval.policies.note import note_of
@@ -58,47 +57,39 @@ def main() -> int:
 
 
 class _Station:
-    """Keeps one seat, for the campaign that was served last."""
+    """Keeps one driver process."""
 
     def __init__(self, renderer: RendererKind, may_import: bool, out: BinaryIO) -> None:
         self._renderer, self._may_import, self._out = renderer, may_import, out
-        self._seat: DriverProcess | None = None
+        self._seat = DriverProcess()
 
     def tell(self, report: worker.SimulationReport) -> None:
         """Tells the worker."""
         self._out.write(worker.to_line(report))
 
     def serve(self, order: SimulationOrder) -> None:
-        """Does one order and tells what came of it."""
-        begun = time.monotonic()
-        errand = EvalTask.model_validate_json(order.errand or "")
-        if is_foreign(errand.policy) and not self._may_import:
+        """Executes one order and tells what came of it."""
+        begun, seat = time.monotonic(), self._seat
+        task = EvalTask.model_validate_json(order.eval_task or "")
+        if is_foreign(task.policy) and not self._may_import:
             # the name came over the network, and importing it runs whatever is there
-            self.tell(failure(FailReason.CRASH, f"policy {errand.policy}: {_NO_IMPORTS}"))
+            self.tell(failure(FailReason.CRASH, f"policy {task.policy}: {_NO_IMPORTS}"))
             return
-        seat = self._seat_for(errand)
-        drive = errand.order(order.job.index, order.scene_path, order.attachment_path)
-        seat.give(drive)
-        heard = self._wait(seat)
-        seat.current_order = None
-        result = _result(heard, drive, errand, seat)
+        setup = task.setup.model_copy(update={"renderer": self._renderer})
+        task = task.model_copy(update={"setup": setup})
+        seat.give(DriverOrder(task=task, package=order.scene_path, policy_file=order.attachment_path))
+        heard = self._wait()
+        seat.current = None
+        result = _result(heard, task, seat)
         if isinstance(result, worker.SimulationReport):
             self.tell(result)
         else:
-            note = note_of(drive.policy, seat.made[drive.policy], seat.renderer)
+            note = note_of(task.policy, seat.made[task.policy], seat.renderer)
             self.tell(_seal(Driven(result=result, note=note), order.bundle_path, time.monotonic() - begun))
 
-    def _seat_for(self, errand: EvalTask) -> DriverProcess:
-        setup = errand.setup.model_copy(update={"renderer": self._renderer})
-        if self._seat is None or self._seat.setup != setup:
-            if self._seat is not None:
-                self._seat.kill()
-            self._seat = DriverProcess(setup)
-        return self._seat
-
-    def _wait(self, seat: DriverProcess) -> Outcome | DriverEnded:
-        """Returns what came of the order at hand; the worker hears meanwhile that it goes on."""
-        told = time.monotonic()
+    def _wait(self) -> Outcome | DriverEnded:
+        """Returns what came of the current task; the worker hears meanwhile that it goes on."""
+        told, seat = time.monotonic(), self._seat
         while True:
             heard = seat.hear(_HEAR_S)
             if heard is not None:
@@ -109,17 +100,17 @@ class _Station:
 
 
 def _result(
-    heard: Outcome | DriverEnded, drive: Drive, errand: EvalTask, seat: DriverProcess
+    heard: Outcome | DriverEnded, task: EvalTask, seat: DriverProcess
 ) -> EpisodeResult | worker.SimulationReport:
-    """Returns the result of a drive, or what is wrong with this machine, its way to a server, or the errand."""
+    """Returns the result of a task, or what is wrong with this machine, its way to a server, or the task."""
     if isinstance(heard, DriverEnded):
-        if heard.fault is not None and drive.policy in seat.made:
-            return result_of_end(drive, heard.detail, heard.fault, heard.state, errand.setup.settings.task)
-        where = "" if heard.fault is None else f"policy {drive.policy} cannot be created: "
+        if heard.fault is not None and task.policy in seat.made:
+            return result_of_end(task, heard.detail, heard.fault, heard.state)
+        where = "" if heard.fault is None else f"policy {task.policy} cannot be created: "
         return failure(FailReason.CRASH, where + heard.detail, heard.state.steps)
     if heard.result is not None:
         return heard.result
-    is_of_this_machine = heard.kind is EvalReportKind.AWAY or heard.number != drive.number
+    is_of_this_machine = heard.kind is EvalReportKind.AWAY or heard.number != task.number
     return failure(FailReason.RELEASED if is_of_this_machine else FailReason.CRASH, heard.detail)
 
 

@@ -1,4 +1,4 @@
-"""A campaign on many machines: its episodes as errands of a run, with the ledger, leases and workers of collection.
+"""A campaign on many machines: its tasks as the jobs of a run, with the ledger, leases and workers of collection.
 
 Every result is archived once, then taken into the results; a campaign that was stopped or killed goes on where it was.
 """
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from coordinator.expansion.evaluation import Errands, EvalPayload
+from coordinator.expansion.evaluation import EvalJobs
 from coordinator.ledger import operator
 from coordinator.ledger.engine import open_writer
 from coordinator.ledger.opening import holds_run, ledger_url_of
@@ -27,11 +27,12 @@ from coordinator.settings import CoordinatorSettings
 from factory.eval.process.run import Pace
 from factory.eval.remote.intake import Intake
 from factory.eval.remote.judge import ResultJudge
-from factory.eval.remote.tasks import attachments_of, catalog_of, number_orders, plan_of, planned_of, text_of
+from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
 from factory.eval.results.store import Store
-from factory.eval.specs.campaign import Campaign
+from factory.eval.specs.campaign import Campaign, with_actions
 from schemas.errors import WorldError
 from schemas.plan import Plan
+from schemas.wire import EvalPayload
 
 __all__ = ["FleetAccess", "run_fleet"]
 
@@ -74,21 +75,21 @@ def run_fleet(
         TransientError: no coordinator answers where it is to connect.
         WorldError: episodes could not be driven; the message says why.
     """
-    orders = number_orders(campaign)
-    intake = Intake(store, orders, tell)
+    tasks = number_tasks(campaign)
+    intake = Intake(store, tasks, tell)
     if not intake.left:
         return True
     attached = attachments_of(campaign)
-    run_plan, catalog = plan_of(campaign, plan, orders, attached), catalog_of(orders)
+    run_plan, catalog = plan_of(campaign, plan, tasks, attached), catalog_of(campaign)
     root = store.root / _FOLDER / run_plan.run
-    planned = tuple(planned_of(order, index) for index, order in intake.left.items())
 
     def find(index: int) -> EvalPayload:
-        attachment, _ = attached.get(orders[index].policy, (None, None))
-        return EvalPayload(text_of(campaign, orders[index]), attachment)
+        task = with_actions(tasks[index], campaign.root)
+        attachment, _ = attached.get(task.policy, (None, None))
+        return EvalPayload(task=task.model_dump_json(), attachment=attachment)
 
-    errands = Errands(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
-    judge = ResultJudge(orders, campaign.specs.settings)
+    planned = tuple(map(planned_of, intake.left.values()))
+    evaluation = EvalJobs(planned, find, {attachment.sha256: path for attachment, path in attached.values()})
     if door.connect:
         _look_for_coordinator(door)
     _try_failed_again(root)
@@ -99,8 +100,8 @@ def run_fleet(
         door.listen,
         settings=_SETTINGS,
         guard=door.guard,
-        checker=judge,
-        errands=errands,
+        checker=ResultJudge(tasks),
+        evaluation=evaluation,
         connect=door.connect,
     ) as coordinator:
         door.tell(coordinator.endpoints)
@@ -127,7 +128,7 @@ def _look_for_coordinator(door: FleetAccess) -> None:
 
 
 def _try_failed_again(root: Path) -> None:
-    """Gives errands that failed in an earlier start a new chance, as the remedy of its message says."""
+    """Gives tasks that failed in an earlier start a new chance, as the remedy of its message says."""
     if ledger_trouble(ledger_url_of(root)):
         return  # not there yet, or rebuilt when the coordinator starts
     engine = open_writer(ledger_url_of(root))
@@ -143,7 +144,7 @@ def _require_whole(root: Path, store: Store) -> None:
     with look_into(ledger_url_of(root)) as connection:
         failed = list_jobs(connection, JobFilter(states=(JobState.FAILED,)), limit=_NAMED)
     if failed:
-        reasons = "\n".join(f"  - {job.target_id} in {job.scene}: {job.reason}" for job in failed)
+        reasons = "\n".join(f"  - {job.episode.target_id} in {job.episode.scene}: {job.reason}" for job in failed)
         raise WorldError(
             f"some episodes could not be run; the others are in {store.root}. Correct the cause and run "
             f"the same command again:\n{reasons}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.reading.records import read_archived
-from factory.eval.models.messages import EvalOrder
+from factory.eval.models.messages import EvalTask
 from factory.eval.process.run import Pace
 from factory.eval.remote.driven import read_driven
 from factory.eval.results.store import Store
@@ -19,30 +19,30 @@ __all__ = ["Intake"]
 
 
 class Intake:
-    """Knows which orders are done; those that an earlier run has finished are so from the start.
+    """Knows which tasks are done; those that an earlier run has finished are so from the start.
 
     Args:
         store: of the results.
-        orders: all of the campaign, by job index.
+        tasks: all of the campaign, by job index.
         tell: told how far each policy is.
     """
 
-    def __init__(self, store: Store, orders: Mapping[int, EvalOrder], tell: Callable[[Pace], None]) -> None:
-        self._store, self._orders, self._tell = store, orders, tell
-        policies = dict.fromkeys(order.policy for order in orders.values())
+    def __init__(self, store: Store, tasks: Mapping[int, EvalTask], tell: Callable[[Pace], None]) -> None:
+        self._store, self._tasks, self._tell = store, tasks, tell
+        policies = dict.fromkeys(task.policy for task in tasks.values())
         kept = {name: {result.key: result.success for result in store.results(name)} for name in policies}
         self._done = {
-            index: kept[order.policy][order.question.key]
-            for index, order in orders.items()
-            if order.question.key in kept[order.policy]
+            index: kept[task.policy][task.request.key]
+            for index, task in tasks.items()
+            if task.request.key in kept[task.policy]
         }
         for policy in policies:
             self._tell(self._pace(policy))
 
     @property
-    def left(self) -> Mapping[int, EvalOrder]:
-        """The orders whose results are still wanted."""
-        return {index: order for index, order in self._orders.items() if index not in self._done}
+    def left(self) -> Mapping[int, EvalTask]:
+        """The tasks whose results are still wanted."""
+        return {index: task for index, task in self._tasks.items() if index not in self._done}
 
     def take(self, root: Path) -> None:
         """Takes over what has been archived since.
@@ -63,6 +63,6 @@ class Intake:
             self._tell(self._pace(policy))
 
     def _pace(self, policy: str) -> Pace:
-        numbers = [index for index, order in self._orders.items() if order.policy == policy]
+        numbers = [index for index, task in self._tasks.items() if task.policy == policy]
         done = [self._done[index] for index in numbers if index in self._done]
         return Pace(policy, len(done), len(numbers), sum(done))

@@ -9,9 +9,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from factory.eval.models.messages import EvalOrder
+from factory.eval.models.messages import EvalTask
 from factory.eval.models.result import EpisodeResult
-from factory.eval.models.spec import EvalSettings
 from factory.eval.remote.check_result import result_findings
 from factory.eval.remote.driven import read_driven
 from schemas.base import Model, Sha256
@@ -43,15 +42,14 @@ def result_digest(result: EpisodeResult) -> str:
 
 
 class ResultJudge:
-    """Holds what was asked, by job index.
+    """Holds what was asked.
 
     Args:
-        orders: job index -> order.
-        settings: of the set.
+        tasks: job index -> task.
     """
 
-    def __init__(self, orders: Mapping[int, EvalOrder], settings: EvalSettings) -> None:
-        self._orders, self._settings = orders, settings
+    def __init__(self, tasks: Mapping[int, EvalTask]) -> None:
+        self._tasks = tasks
 
     def check(self, path: Path, job: Job, target: Target | None = None) -> EvalReceipt:
         """Returns what the ledger keeps of a bundle.
@@ -63,10 +61,10 @@ class ResultJudge:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
             driven = read_driven(file)
-        order = self._orders[job.index]
-        findings = [] if target is None else result_findings(driven.result, order, self._settings, target)
-        if driven.note.policy != order.policy:
-            findings.append(f"note of policy {driven.note.policy!r}, asked {order.policy!r}")
+        task = self._tasks[job.index]
+        findings = [] if target is None else result_findings(driven.result, task, target)
+        if driven.note.policy != task.policy:
+            findings.append(f"note of policy {driven.note.policy!r}, asked {task.policy!r}")
         if findings:
             raise InvalidBundle("result refused", findings)
         return EvalReceipt(

@@ -1,4 +1,4 @@
-"""A campaign as a run of errands: its plan, its jobs, what each worker is told. Reads the dataset, writes nothing."""
+"""A campaign as a run of evaluation tasks: its plan, scenes and jobs. Reads the dataset, writes nothing."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from pathlib import Path
 
 from coordinator.expansion.catalog import Catalog, SceneEntry, read_entry
 from coordinator.expansion.draw import PlannedJob
-from factory.eval.models.messages import EvalOrder, EvalTask
+from factory.eval.models.messages import EvalTask
 from factory.eval.policies import file_of
-from factory.eval.specs.campaign import Campaign, orders_for, with_actions
+from factory.eval.specs.campaign import Campaign, tasks_for
 from factory.eval.specs.from_dataset import Places
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.keys import EVALUATION_PREFIX
 from schemas.plan import Budget, Plan, canonical_json
 from schemas.wire import MAX_ATTACHMENT_BYTES, Attachment
 
-__all__ = ["attachments_of", "catalog_of", "number_orders", "plan_of", "planned_of", "text_of"]
+__all__ = ["attachments_of", "catalog_of", "number_tasks", "plan_of", "planned_of"]
 
 Attached = Mapping[str, tuple[Attachment, Path]]
 """Policy -> the file that it is made of."""
@@ -26,23 +27,27 @@ _BUDGET = Budget(attempts_per_draw=1, draws=1)
 """A policy that does not arrive has a result too: no worker has a reason to report a failure of the world."""
 
 
-def number_orders(campaign: Campaign) -> Mapping[int, EvalOrder]:
-    """Returns the orders of all policies, by job index; the same campaign gives the same numbers."""
+def number_tasks(campaign: Campaign) -> Mapping[int, EvalTask]:
+    """Returns the tasks of all policies by number; the same campaign gives the same numbers."""
     places = Places(campaign.root)
-    orders = (order for policy in campaign.policies for order in orders_for(campaign, policy, places))
-    return dict(enumerate(orders, 1))
+    tasks: list[EvalTask] = []
+    for policy in campaign.policies:
+        tasks += tasks_for(campaign, policy, places, len(tasks) + 1)
+    return {task.number: task for task in tasks}
 
 
-def catalog_of(orders: Mapping[int, EvalOrder]) -> Catalog:
-    """Returns the scenes of the orders.
+def catalog_of(campaign: Campaign) -> Catalog:
+    """Returns the scenes of a campaign.
 
     Raises:
         UsageError: the specs do not fit them.
     """
+    places = Places(campaign.root)
     found: dict[str, SceneEntry] = {}
-    for order in orders.values():
-        spec = order.question.spec
-        entry = found.get(spec.scene) or found.setdefault(spec.scene, read_entry(order.package))
+    for spec in campaign.specs.specs:
+        entry = found.get(spec.scene)
+        if entry is None:
+            entry = found[spec.scene] = read_entry(places.path(spec.scene, spec.scene_sha256))
         if entry.sha256 != spec.scene_sha256:
             raise UsageError(f"the specs refer to two different packages of scene {spec.scene}; create new specs")
         if all(target.target_id != spec.target_id for target in entry.info.targets):
@@ -69,19 +74,19 @@ def attachments_of(campaign: Campaign) -> Attached:
     return found
 
 
-def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], attached: Attached) -> Plan:
+def plan_of(campaign: Campaign, plan: Plan, tasks: Mapping[int, EvalTask], attached: Attached) -> Plan:
     """Returns the plan of the run: scenes and settings as those of the specs, named after all that is asked.
 
     Args:
         campaign: what to do.
         plan: of the dataset.
-        orders: of the campaign.
+        tasks: of the campaign.
         attached: files of its policies.
 
     Raises:
         UsageError: a scene of the specs is none of the dataset's.
     """
-    counts = Counter(order.question.spec.scene for order in orders.values())
+    counts = Counter(task.request.spec.scene for task in tasks.values())
     scenes = tuple(
         scene.model_copy(update={"episodes": counts[scene.name]}) for scene in plan.scenes if scene.name in counts
     )
@@ -90,42 +95,19 @@ def plan_of(campaign: Campaign, plan: Plan, orders: Mapping[int, EvalOrder], att
         raise UsageError(f"the dataset has no scene {', '.join(sorted(strange))}; create new specs from it")
     settings = campaign.specs.settings
     numbers = {name: getattr(settings, name) for name in type(settings).model_fields}
-    name = f"{EVALUATION_PREFIX}{_digest(campaign, orders, attached)}"
+    name = f"{EVALUATION_PREFIX}{_digest(campaign, tasks, attached)}"
     return plan.model_copy(update={"name": name, "scenes": scenes, "budget": _BUDGET, **numbers})
 
 
-def planned_of(order: EvalOrder, index: int) -> PlannedJob:
-    """Returns an order as a row of the ledger."""
-    question, spec = order.question, order.question.spec
-    return PlannedJob(
-        index=index,
-        draw=0,
-        scene=spec.scene,
-        tier=spec.tier,
-        split=spec.split,
-        category=spec.category,
-        target_id=spec.target_id,
-        colour=spec.colour,
-        template_id=spec.template_id,
-        instruction=question.instruction,
-    )
+def planned_of(task: EvalTask) -> PlannedJob:
+    """Returns a task as a row of the ledger."""
+    return PlannedJob(task.number, 0, EpisodeSpec.of(task.request.spec, instruction=task.request.instruction))
 
 
-def text_of(campaign: Campaign, order: EvalOrder) -> str:
-    """Returns what a worker is told of an order.
-
-    Raises:
-        ArchiveCorrupt: it needs a recorded episode that the dataset lacks.
-    """
-    whole = with_actions(order, campaign.root)
-    errand = EvalTask(setup=campaign.setup, policy=whole.policy, question=whole.question, actions=whole.actions)
-    return errand.model_dump_json()
-
-
-def _digest(campaign: Campaign, orders: Mapping[int, EvalOrder], attached: Attached) -> str:
+def _digest(campaign: Campaign, tasks: Mapping[int, EvalTask], attached: Attached) -> str:
     digest = hashlib.sha256(canonical_json(campaign.setup).encode())
-    for order in orders.values():
-        digest.update(f"{order.policy}\n{canonical_json(order.question)}\n".encode())
+    for task in tasks.values():
+        digest.update(f"{task.policy}\n{canonical_json(task.request)}\n".encode())
     for policy, (attachment, _) in attached.items():
         digest.update(f"{policy}\n{attachment.sha256}\n".encode())
     return digest.hexdigest()[:16]

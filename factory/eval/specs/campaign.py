@@ -1,11 +1,11 @@
-"""What a campaign asks: its policies, variants and episodes, and the orders that come of them. Drives nothing."""
+"""What a campaign asks: its policies, variants and episodes, and the tasks that come of them. Drives nothing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from factory.eval.models.messages import EvalOrder, Setup
+from factory.eval.models.messages import EvalTask, Setup
 from factory.eval.models.request import EvalRequest
 from factory.eval.models.result import Variant
 from factory.eval.models.spec import SpecSet
@@ -15,7 +15,7 @@ from factory.eval.specs.from_dataset import Places
 from factory.eval.specs.recordings import read_actions_of
 from schemas.errors import UsageError
 
-__all__ = ["Campaign", "orders_for", "require_recordings", "with_actions"]
+__all__ = ["Campaign", "require_recordings", "tasks_for", "with_actions"]
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,17 @@ class Campaign:
     """Whether policies are given the pose in the frame of the start."""
 
 
-def orders_for(campaign: Campaign, policy: str, places: Places) -> list[EvalOrder]:
-    """Returns all episodes of a policy in the order of work: by variant, scene and place in the set."""
+def tasks_for(campaign: Campaign, policy: str, places: Places, first: int = 1) -> list[EvalTask]:
+    """Returns all tasks of a policy in the order of work: by variant, scene and place in the set.
+
+    Args:
+        campaign: what to evaluate.
+        policy: one of the campaign's.
+        places: its scenes.
+        first: number of the first task.
+    """
     entry = find_policy(policy)
     specs = campaign.specs
-    packages = {spec.scene_sha256: places.path(spec.scene, spec.scene_sha256) for spec in specs.specs}
     # a policy that cannot hear is not asked again under other words
     variants = campaign.variants if entry.reads_instruction else (Variant.ORIGINAL,)
     needs_scenes = Variant.WRONG in variants
@@ -46,15 +52,15 @@ def orders_for(campaign: Campaign, policy: str, places: Places) -> list[EvalOrde
         spec.scene_sha256: places.load(spec.scene, spec.scene_sha256).scene.info for spec in specs.specs if needs_scenes
     }
     recorded = _recordings(policy, specs) if entry.needs_recording else {}
-    orders: list[EvalOrder] = []
+    tasks: list[EvalTask] = []
     for variant in variants:
         words = instructions(specs, variant, scenes)
         for spec in sorted(specs.specs, key=lambda spec: spec.scene):
-            orders.append(
-                EvalOrder(
-                    number=len(orders),
+            tasks.append(
+                EvalTask(
+                    number=first + len(tasks),
                     policy=policy,
-                    question=EvalRequest(
+                    request=EvalRequest(
                         spec=spec,
                         spec_digest=specs.spec_digest(spec),
                         instruction=words[spec.spec_id],
@@ -62,20 +68,20 @@ def orders_for(campaign: Campaign, policy: str, places: Places) -> list[EvalOrde
                         recorded=recorded.get(spec.spec_id),
                         with_pose=campaign.with_pose,
                     ),
-                    package=packages[spec.scene_sha256],
+                    setup=campaign.setup,
                 )
             )
-    return orders
+    return tasks
 
 
-def with_actions(order: EvalOrder, root: Path) -> EvalOrder:
-    """Returns the order with the actions of the episode that its question names, where it names one.
+def with_actions(task: EvalTask, root: Path) -> EvalTask:
+    """Returns the task with the actions of the episode that its request names, where it names one.
 
     Raises:
         ArchiveCorrupt: the dataset lacks the episode.
     """
-    recorded = order.question.recorded
-    return order if recorded is None else order.model_copy(update={"actions": read_actions_of(root, recorded)})
+    recorded = task.request.recorded
+    return task if recorded is None else task.model_copy(update={"actions": read_actions_of(root, recorded)})
 
 
 def require_recordings(policy: str, specs: SpecSet) -> None:

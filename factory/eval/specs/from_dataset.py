@@ -15,6 +15,7 @@ from factory.dataset.reader import Dataset
 from factory.eval.models.spec import EvalSettings, EvalSpec, SpecSet, spread
 from factory.runs.catalog import find_package
 from schemas.episode import EpisodeMeta
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.scene import Instance, decode_scene
 from schemas.storage.place import Place
@@ -106,15 +107,8 @@ def spec_of_episode(episode: Episode, places: Places) -> EvalSpec:
     target_pixels = int(np.count_nonzero(episode.ids(0) == meta.target_instance_id))
     return EvalSpec(
         spec_id=episode.episode_id,
-        scene=job.scene,
+        **dict(EpisodeSpec.of(job)),
         scene_sha256=job.scene_sha256,
-        target_id=job.target_id,
-        category=job.category,
-        colour=job.colour,
-        template_id=job.template_id,
-        instruction=job.instruction,
-        split=job.split,
-        tier=job.tier,
         seed=int(np.random.SeedSequence((job.root_seed, job.index)).generate_state(1)[0]),
         spawn_pose=drawn or meta.rollout.spawn_pose,
         spawn_source="job" if drawn else "frame",

@@ -66,10 +66,10 @@ def unfiltered_specs(
     places = Places(dataset.root)
     settings = EvalSettings.of(plan)
     specs: dict[int, EvalSpec] = {}
-    planned = sorted(expand(plan, catalog), key=lambda job: (job.scene, job.target_id))
+    planned = sorted(expand(plan, catalog), key=lambda job: (job.episode.scene, job.episode.target_id))
     with Simulator(stage, settings) as simulator:
         for done, job in enumerate(planned, 1):
-            place = places.load(job.scene, catalog[job.scene].sha256)
+            place = places.load(job.episode.scene, catalog[job.episode.scene].sha256)
             specs[job.index] = _spec(plan, catalog, job, place, simulator)
             tell(done, len(planned))
     names = ", ".join(str(split) for split in splits)
@@ -107,7 +107,7 @@ def _shares(planned: Mapping[Split, float], splits: Collection[Split]) -> dict[S
 
 def _spec(plan: Plan, catalog: Catalog, job: PlannedJob, place: LoadedScene, simulator: Simulator) -> EvalSpec:
     for _ in range(_REDRAWS):
-        target = place.scene.info.target(job.target_id)
+        target = place.scene.info.target(job.episode.target_id)
         for pose in _draw_poses(plan, job, target, place):
             drawn = _described(plan, catalog, job, pose)
             try:
@@ -126,9 +126,8 @@ def _spec(plan: Plan, catalog: Catalog, job: PlannedJob, place: LoadedScene, sim
             )
         job = redraw(plan, catalog, job)
     raise WorldError(
-        f"no free start pose for {job.target_id} and {_REDRAWS} other targets in scene {job.scene}, tier {job.tier}; "
-        "exclude the "
-        "split, or change the scene"
+        f"no free start pose for {job.episode.target_id} and {_REDRAWS} other targets in scene {job.episode.scene}, "
+        f"tier {job.episode.tier}; exclude the split, or change the scene"
     )
 
 
@@ -136,15 +135,8 @@ def _described(plan: Plan, catalog: Catalog, job: PlannedJob, pose: Pose) -> Eva
     seed = np.random.SeedSequence((plan.seed, _SEED_STREAM, job.index)).generate_state(1)[0]
     return EvalSpec(
         spec_id=f"un_{job.index:06d}",
-        scene=job.scene,
-        scene_sha256=catalog[job.scene].sha256,
-        target_id=job.target_id,
-        category=job.category,
-        colour=job.colour,
-        template_id=job.template_id,
-        instruction=job.instruction,
-        split=job.split,
-        tier=job.tier,
+        **dict(job.episode),
+        scene_sha256=catalog[job.episode.scene].sha256,
         seed=int(seed),
         spawn_pose=pose,
         spawn_source="drawn",
@@ -171,10 +163,10 @@ def _draw_poses(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene)
 
 def _draw(plan: Plan, job: PlannedJob, target: Target, place: LoadedScene, rng: np.random.Generator) -> Pose:
     """One pose of the tier, as the paper draws it (Sec. III-D), with nothing asked of it."""
-    if job.tier is Tier.FAR:
+    if job.episode.tier is Tier.FAR:
         x, y = place.scene.spawns[int(rng.integers(len(place.scene.spawns)))]
         return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
-    distance, bearing = rng.uniform(*TIER_RANGE_M[job.tier]), rng.uniform(-math.pi, math.pi)
+    distance, bearing = rng.uniform(*TIER_RANGE_M[job.episode.tier]), rng.uniform(-math.pi, math.pi)
     noise = rng.uniform(-plan.spawn.heading_noise_rad, plan.spawn.heading_noise_rad)
     return (
         target.centroid_m[0] + distance * math.cos(bearing),

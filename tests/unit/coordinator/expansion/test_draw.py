@@ -42,18 +42,18 @@ def test_cells_hold_exactly_the_quota_of_every_scene_split_and_tier(episodes):
     jobs = expand(plan, make_catalog(plan))
     assert [job.index for job in jobs] == list(range(1, plan.episodes + 1))
     for scene in plan.scenes:
-        found = Counter((job.split, job.tier) for job in jobs if job.scene == scene.name)
+        found = Counter((job.episode.split, job.episode.tier) for job in jobs if job.episode.scene == scene.name)
         assert found == cells(plan, scene)
-        by_split = Counter(job.split for job in jobs if job.scene == scene.name)
+        by_split = Counter(job.episode.split for job in jobs if job.episode.scene == scene.name)
         assert by_split == {s: n for s, n in apportion(plan.splits, scene.episodes).items() if n}
-        by_tier = Counter(job.tier for job in jobs if job.scene == scene.name)
+        by_tier = Counter(job.episode.tier for job in jobs if job.episode.scene == scene.name)
         assert by_tier == {t: n for t, n in apportion(plan.tiers, scene.episodes).items() if n}
 
 
 @pytest.mark.parametrize("episodes", [4, 24, 240])
 def test_a_split_is_empty_when_no_job_of_a_plan_that_asks_for_it_has_it(episodes):
     plan = shrink(BUILTIN_PLANS["demo"], episodes=episodes)
-    drawn = {job.split for job in expand(plan, make_catalog(plan))}
+    drawn = {job.episode.split for job in expand(plan, make_catalog(plan))}
     assert set(empty_splits(plan)) == {split for split, share in plan.splits.items() if share > 0} - drawn
     assert bool(empty_splits(plan)) == (episodes == 4)
 
@@ -72,7 +72,7 @@ def test_the_demo_has_16_episodes_spread_evenly_over_scenes_and_splits():
     demo = BUILTIN_PLANS["demo"]
     assert demo.episodes == 16
     jobs = expand(demo, make_catalog(demo))
-    assert Counter((job.scene, job.split) for job in jobs) == Counter(
+    assert Counter((job.episode.scene, job.episode.split) for job in jobs) == Counter(
         (scene, split) for scene in BUILTIN_CATEGORIES for split, share in demo.splits.items() if share
     )
 
@@ -89,28 +89,29 @@ def test_held_out_categories_appear_only_in_test_ood_obj():
     plan = shrink(PAPER, episodes=300)
     categories = {scene.name: scene.categories for scene in plan.scenes}
     for job in expand(plan, make_catalog(plan)):
-        held_out = job.category in categories[job.scene].held_out
-        assert held_out == (job.split is Split.TEST_OOD_OBJ)
+        held_out = job.episode.category in categories[job.episode.scene].held_out
+        assert held_out == (job.episode.split is Split.TEST_OOD_OBJ)
 
 
 def test_paraphrased_templates_appear_only_in_test_paraphrase_ood():
     plan = shrink(PAPER, episodes=300)
     for job in expand(plan, make_catalog(plan)):
-        assert job.template_id.startswith("ood_") == (job.split is Split.TEST_PARAPHRASE_OOD)
+        assert job.episode.template_id.startswith("ood_") == (job.episode.split is Split.TEST_PARAPHRASE_OOD)
 
 
 def test_colour_templates_are_left_out_when_colours_are_off():
     plan = shrink(PAPER, episodes=300).model_copy(update={"colors": "off"})
-    jobs = expand(plan, make_catalog(plan))
-    assert all(job.colour == "unknown" for job in jobs)
-    assert {job.template_id for job in jobs}.isdisjoint({"train_06", "train_07", "train_08", "train_16", "ood_04"})
-    assert len({job.template_id for job in jobs if job.template_id.startswith("train")}) == 14
+    episodes = [job.episode for job in expand(plan, make_catalog(plan))]
+    assert all(episode.colour == "unknown" for episode in episodes)
+    drawn = {episode.template_id for episode in episodes}
+    assert drawn.isdisjoint({"train_06", "train_07", "train_08", "train_16", "ood_04"})
+    assert sum(name.startswith("train") for name in drawn) == 14
 
 
 def test_balanced_plans_draw_categories_as_evenly_as_whole_numbers_allow():
     plan = shrink(BUILTIN_PLANS["balanced"], episodes=240)
-    jobs = [j for j in expand(plan, make_catalog(plan)) if j.scene == "office" and j.split is not Split.TEST_OOD_OBJ]
-    counts = Counter(job.category for job in jobs)
+    episodes = [job.episode for job in expand(plan, make_catalog(plan))]
+    counts = Counter(e.category for e in episodes if e.scene == "office" and e.split is not Split.TEST_OOD_OBJ)
     assert max(counts.values()) - min(counts.values()) <= 1
 
 
@@ -122,7 +123,7 @@ def test_a_redraw_keeps_the_cell_and_leaves_the_hopeless_target():
             following = redraw(plan, catalog, job)
             assert _cell(following) == _cell(job)
             assert following.draw == job.draw + 1
-            assert following.target_id != job.target_id
+            assert following.episode.target_id != job.episode.target_id
             job = following
 
 
@@ -196,4 +197,10 @@ def test_an_attempts_generator_depends_on_seed_index_and_attempt():
 
 
 def _cell(job: PlannedJob) -> tuple[int, str, Split, Tier]:
-    return job.index, job.scene, job.split, job.tier
+    return job.index, job.episode.scene, job.episode.split, job.episode.tier
+
+
+def test_jobs_that_ask_for_the_same_share_one_spec_so_that_large_plans_stay_small():
+    plan = shrink(PAPER, episodes=300)
+    episodes = [job.episode for job in expand(plan, make_catalog(plan))]
+    assert len({id(episode) for episode in episodes}) == len(set(episodes)) < len(episodes)

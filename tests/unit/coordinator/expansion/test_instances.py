@@ -33,7 +33,7 @@ def hospital_of(chairs: int, bins: int, tiers: tuple[Tier, ...] = tuple(Tier)) -
 
 
 def named(jobs: list[PlannedJob], *splits: Split) -> set[str]:
-    return {job.target_id for job in jobs if job.split in splits}
+    return {job.episode.target_id for job in jobs if job.episode.split in splits}
 
 
 def with_redraws(plan: Plan, catalog: Catalog, draws: int = 8) -> list[PlannedJob]:
@@ -121,7 +121,7 @@ def test_the_balanced_plan_keeps_its_categories_even() -> None:
     catalog = make_catalog(plan)
     jobs = list(expand(plan, catalog))
     for scene in plan.scenes:
-        here = [job for job in jobs if job.scene == scene.name]
+        here = [job for job in jobs if job.episode.scene == scene.name]
         assert not named(here, Split.TRAIN_ID) & named(here, *EVALUATION)
-        counts = Counter(job.category for job in here if job.split is not Split.TEST_OOD_OBJ)
+        counts = Counter(job.episode.category for job in here if job.episode.split is not Split.TEST_OOD_OBJ)
         assert max(counts.values()) - min(counts.values()) <= 1

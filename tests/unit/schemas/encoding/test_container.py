@@ -81,15 +81,15 @@ def test_records_of_64_bits_and_comments_are_refused() -> None:
     with zipfile.ZipFile(buffer, "w") as out:
         for n in range(1 << 16):  # more than the short records can count
             out.writestr(str(n), b"")
-    assert "do not end as one" in refused(buffer.getvalue())
+    assert "it has no valid end record" in refused(buffer.getvalue())
     with zipfile.ZipFile(buffer := io.BytesIO(), "w") as out:
         out.comment = b"hello"
-    assert "do not end as one" in refused(buffer.getvalue())
+    assert "it has no valid end record" in refused(buffer.getvalue())
 
 
 def test_member_that_stands_twice_is_refused() -> None:
     data = pack({"a": b"1", "b": b"2"})
-    assert "'a' stands twice" in refused(data.replace(b"b", b"a"))
+    assert "'a' is listed twice" in refused(data.replace(b"b", b"a"))
 
 
 def test_writing_a_name_twice_is_refused() -> None:

@@ -11,7 +11,7 @@ from tests.builders.scene import Box, build_scene, room_walls
 from workers.geometry.camera import optical_pose
 from workers.geometry.pose import Pose
 from workers.render.cull import PartBounds
-from workers.render.occlude import Screens
+from workers.render.occlude import Occluders
 from workers.render.tiny import TinyRenderer
 
 CAMERA = CameraConfig(y_m=0.0)
@@ -23,7 +23,7 @@ def hidden_in(scene: CompiledScene, pose: Pose = AHEAD) -> set[int]:
     """Returns the instance ids of the parts that are said to be hidden."""
     bounds = PartBounds.of(scene)
     parts = np.arange(len(scene.part_first))
-    hidden = Screens.of(scene).hidden(bounds, parts, optical_pose(pose, CAMERA), CAMERA)
+    hidden = Occluders.of(scene).hidden(bounds, parts, optical_pose(pose, CAMERA), CAMERA)
     return set(scene.part_instance[hidden].tolist())
 
 

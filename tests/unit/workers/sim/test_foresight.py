@@ -10,7 +10,7 @@ import pytest
 from schemas.config import TaskConfig
 from schemas.job import Job
 from tests.builders.bundle import job_for
-from workers.sim.foresight import foresee
+from workers.sim.foresight import predict_path
 
 GOAL = (4.0, 0.0)
 
@@ -22,19 +22,19 @@ def a_job() -> Job:
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -1.5, 3.1])
 def test_it_ends_on_the_success_circle(yaw: float) -> None:
     job = a_job()
-    poses = foresee((0.0, 0.0, yaw), GOAL, job)
+    poses = predict_path((0.0, 0.0, yaw), GOAL, job)
     away = np.hypot(poses[:, 0] - GOAL[0], poses[:, 1] - GOAL[1])
     assert away[-1] <= job.task.success_radius_m < away[:-1].min()
 
 
 def test_straight_ahead_it_keeps_to_the_line() -> None:
-    poses = foresee((0.0, 0.0, 0.0), GOAL, a_job())
+    poses = predict_path((0.0, 0.0, 0.0), GOAL, a_job())
     assert np.abs(poses[:, 1:]).max() == 0.0
     assert (np.diff(poses[:, 0]) > 0).all()
 
 
 def test_facing_away_it_swings_wide_to_the_side_it_turns_to() -> None:
-    poses = foresee((0.0, 0.0, 3.0), GOAL, a_job())
+    poses = predict_path((0.0, 0.0, 3.0), GOAL, a_job())
     assert poses[:, 0].min() < -0.3
     assert poses[:, 1].max() > 0.3
     assert poses[:, 1].min() > -0.1
@@ -42,7 +42,7 @@ def test_facing_away_it_swings_wide_to_the_side_it_turns_to() -> None:
 
 def test_it_is_held_to_the_limits_of_the_robot() -> None:
     job = a_job()
-    poses = foresee((0.0, 0.0, 2.0), GOAL, job)
+    poses = predict_path((0.0, 0.0, 2.0), GOAL, job)
     speed = np.hypot(np.diff(poses[:, 0]), np.diff(poses[:, 1])) * 20
     turn = np.diff(poses[:, 2]) * 20
     assert speed.max() <= job.robot.max_speed_mps + 1e-6
@@ -52,9 +52,9 @@ def test_it_is_held_to_the_limits_of_the_robot() -> None:
 
 def test_it_gives_up_with_the_time_of_the_episode() -> None:
     job = a_job()
-    assert len(foresee((0.0, 0.0, 0.0), (1000.0, 0.0), job)) == job.task.max_steps * 20 // job.task.control_hz + 1
+    assert len(predict_path((0.0, 0.0, 0.0), (1000.0, 0.0), job)) == job.task.max_steps * 20 // job.task.control_hz + 1
 
 
 def test_inside_the_circle_there_is_no_way_to_go() -> None:
-    assert foresee((3.5, 0.0, 1.0), GOAL, a_job()).tolist() == [[3.5, 0.0, 1.0]]
-    assert math.isfinite(foresee((4.0, 0.0, 1.0), GOAL, a_job())[0, 2])
+    assert predict_path((3.5, 0.0, 1.0), GOAL, a_job()).tolist() == [[3.5, 0.0, 1.0]]
+    assert math.isfinite(predict_path((4.0, 0.0, 1.0), GOAL, a_job())[0, 2])

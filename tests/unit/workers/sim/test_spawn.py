@@ -15,7 +15,7 @@ from tests.builders.bundle import job_for
 from tests.builders.scene import Box, build_scene, room_walls
 from workers.geometry.appearance import Appearance
 from workers.geometry.pose import Pose
-from workers.sim.foresight import foresee
+from workers.sim.foresight import predict_path
 from workers.sim.scene_renderer import LoadedScene, prepare_scene
 from workers.sim.spawn import draw_poses
 
@@ -107,7 +107,7 @@ def pillared_room() -> LoadedScene:
 
 def is_drive_free(place: LoadedScene, job: Job, start: tuple[float, float, float]) -> bool:
     target = place.scene.info.target(job.target_id)
-    x, y, yaw = foresee(start, (0.0, 0.0), job, Appearance(place.scene, target.instance_id, job.camera)).T
+    x, y, yaw = predict_path(start, (0.0, 0.0), job, Appearance(place.scene, target.instance_id, job.camera)).T
     return bool(place.grid.are_poses_free(x, y, yaw, 0.10).all())
 
 

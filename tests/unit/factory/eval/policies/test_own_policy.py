@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from factory.eval.policies import make_policy, require_at_hand
+from factory.eval.driving.policy import PrivilegedPolicy, uses_camera
+from factory.eval.policies import describe_knowledge, make_policy, require_at_hand
 from factory.eval.policies.foreign import load_class
 from factory.eval.policies.outside import Outside
 from schemas.errors import UsageError
@@ -71,3 +72,49 @@ def test_every_page_names_a_class_that_the_example_has(folder: Path, monkeypatch
     assert named
     for name in named:
         make_policy(name, Outside())
+
+
+PRIVILEGED = """
+from factory.eval.policies.experts import ExpertPolicy
+class Oracle(ExpertPolicy):
+    def __init__(self): super().__init__("planner")
+"""
+NAMES = """
+class Pilot:
+    knows, looks, privileged = "goal", False, True
+    def enter(self, situation): self.situation = situation
+    def reset(self, instruction, info): pass
+    def act(self, observation): return 0.0, 0.0
+"""
+
+
+def test_a_users_class_cannot_declare_itself_privileged(folder: Path) -> None:
+    (folder / "oracle_pilot.py").write_text(PRIVILEGED)
+    with pytest.raises(UsageError, match="oracle_pilot:Oracle derives from PrivilegedPolicy"):
+        make_policy("oracle_pilot:Oracle", Outside())
+
+
+def test_names_of_a_users_class_declare_nothing(folder: Path) -> None:
+    (folder / "named_pilot.py").write_text(NAMES)
+    policy = make_policy("named_pilot:Pilot", Outside())
+    assert uses_camera(policy)
+    assert not isinstance(policy, PrivilegedPolicy)
+    assert describe_knowledge(policy) == "camera and instruction"
+
+
+@pytest.mark.parametrize(
+    ("name", "is_privileged", "knows"),
+    [
+        ("stop", False, "nothing"),
+        ("random", False, "nothing"),
+        ("expert", True, "goal, map and instance ids"),
+        ("planner", True, "goal, map and instance ids"),
+        ("replay", True, "the episode's recorded actions"),
+        ("playback", True, "another episode's recorded actions"),
+    ],
+)
+def test_built_in_policies_declare_what_they_know(name: str, is_privileged: bool, knows: str) -> None:
+    policy = make_policy(name, Outside())
+    assert isinstance(policy, PrivilegedPolicy) == is_privileged
+    assert not uses_camera(policy)
+    assert describe_knowledge(policy) == knows

@@ -47,7 +47,7 @@ def test_only_answers_after_the_first_one_stand_under_the_strict_limit(sheet: Sh
 
 def test_an_experts_time_is_the_simulations(sheet: SharedStatus) -> None:
     watch = SheetWatch(sheet)
-    watch.is_insider = True
+    watch.is_privileged = True
     assert busy_when_asked(sheet, watch, 4) == [Activity.SIMULATING] * 4
 
 

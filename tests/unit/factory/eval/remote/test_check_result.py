@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from factory.eval.driving.rollout import describe_question, progresses
-from factory.eval.models.messages import EvalOrder
+from factory.eval.driving.rollout import describe_request, progresses
+from factory.eval.models.messages import EvalTask, Setup
 from factory.eval.models.request import EvalRequest
 from factory.eval.models.result import EpisodeResult, EvalEnd
 from factory.eval.models.spec import EvalSettings
@@ -36,11 +36,11 @@ TARGET = Target(
     centroid_m=(3.0, 0.0, 0.4),
     size_m=(0.5, 0.5, 0.9),
 )
-ORDER = EvalOrder(
+TASK = EvalTask(
     number=1,
     policy="m:P",
-    question=EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction=spec_of().instruction),
-    package=Path("scene"),
+    request=EvalRequest(spec=spec_of(), spec_digest="d" * 64, instruction=spec_of().instruction),
+    setup=Setup(settings=SETTINGS),
 )
 NOTE = PolicyNote(policy="m:P", knows="camera and instruction", reads_instruction=True, renderer="x", software={})
 
@@ -49,7 +49,7 @@ def arrived(**changes: Any) -> EpisodeResult:
     """The result of an honest drive to the circle."""
     rows = [*range(0, STEPS - 1, 6), STEPS - 1]
     values: dict[str, Any] = {
-        **describe_question(ORDER),
+        **describe_request(TASK),
         "end": EvalEnd.SUCCESS,
         "detail": "",
         "success": True,
@@ -72,7 +72,7 @@ def arrived(**changes: Any) -> EpisodeResult:
 
 
 def findings(**changes: Any) -> list[str]:
-    return result_findings(arrived(**changes), ORDER, SETTINGS, TARGET)
+    return result_findings(arrived(**changes), TASK, TARGET)
 
 
 def test_an_honest_result_has_no_findings() -> None:
@@ -121,7 +121,7 @@ def bundle_of(result: EpisodeResult, note: PolicyNote = NOTE) -> bytes:
 def judged(tmp_path: Path, data: bytes) -> Any:
     path = tmp_path / "1.1.zip"
     path.write_bytes(data)
-    return ResultJudge({1: ORDER}, SETTINGS).check(path, job_for(1), TARGET)
+    return ResultJudge({1: TASK}).check(path, job_for(1), TARGET)
 
 
 def test_a_good_bundle_gets_a_receipt_that_clocks_do_not_change(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_a_good_bundle_gets_a_receipt_that_clocks_do_not_change(tmp_path: Path) 
 
 
 def test_bundles_that_are_none_or_answer_something_else_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidBundle, match="no readable zip"):
+    with pytest.raises(InvalidBundle, match="not a readable zip"):
         judged(tmp_path, b"rubbish")
     with pytest.raises(InvalidBundle, match=r"spl is 0\.5"):
         judged(tmp_path, bundle_of(arrived(spl=0.5)))

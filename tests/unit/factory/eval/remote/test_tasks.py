@@ -1,4 +1,4 @@
-"""A campaign as a run of errands: one name for one campaign, and everything a worker needs in what it is told."""
+"""A campaign as a run of evaluation tasks: one name for one campaign, and everything a worker needs in the task."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import pytest
 from factory.dataset.reader import Dataset
 from factory.eval.models.messages import EvalTask, Setup
 from factory.eval.models.result import Variant
-from factory.eval.remote.tasks import attachments_of, catalog_of, number_orders, plan_of, planned_of, text_of
-from factory.eval.specs.campaign import Campaign
+from factory.eval.remote.tasks import attachments_of, catalog_of, number_tasks, plan_of, planned_of
+from factory.eval.specs.campaign import Campaign, with_actions
 from factory.eval.specs.from_dataset import specs_of_dataset
+from schemas.episode_spec import EpisodeSpec
 from schemas.errors import UsageError
 from schemas.plan import Plan
 from schemas.terms import Split
@@ -33,13 +34,13 @@ def campaign(drives: Dataset) -> Campaign:
 
 
 def plan_for(campaign: Campaign, drives: Dataset) -> Plan:
-    return plan_of(campaign, drives.meta.plan, number_orders(campaign), attachments_of(campaign))
+    return plan_of(campaign, drives.meta.plan, number_tasks(campaign), attachments_of(campaign))
 
 
-def test_orders_of_all_policies_are_numbered_alike_every_time(campaign: Campaign) -> None:
-    orders = number_orders(campaign)
-    assert [(index, order.policy) for index, order in orders.items()] == [(1, "stop"), (2, "replay")]
-    assert orders == number_orders(campaign)
+def test_tasks_of_all_policies_are_numbered_alike_every_time(campaign: Campaign) -> None:
+    tasks = number_tasks(campaign)
+    assert [(index, task.number, task.policy) for index, task in tasks.items()] == [(1, 1, "stop"), (2, 2, "replay")]
+    assert tasks == number_tasks(campaign)
 
 
 def test_the_plan_has_the_scenes_and_settings_of_the_specs(campaign: Campaign, drives: Dataset) -> None:
@@ -70,24 +71,24 @@ def test_whatever_changes_a_number_changes_the_name_of_the_run(
     assert len(runs) == 7
 
 
-def test_a_worker_is_told_the_question_and_given_the_recorded_actions(campaign: Campaign, drives: Dataset) -> None:
-    orders = number_orders(campaign)
-    stop, replay = (EvalTask.model_validate_json(text_of(campaign, order)) for order in orders.values())
-    assert stop.actions is None
+def test_a_worker_gets_the_task_of_the_campaign_with_the_recorded_actions(campaign: Campaign, drives: Dataset) -> None:
+    tasks = number_tasks(campaign)
+    texts = [with_actions(task, campaign.root).model_dump_json() for task in tasks.values()]
+    stop, replay = map(EvalTask.model_validate_json, texts)
+    assert stop == tasks[1]
     assert replay.actions == tuple((float(v), float(w)) for v, w in drives["ep_000001"].actions)
-    assert replay.question == orders[2].question
-    assert str(drives.root) not in text_of(campaign, orders[2])  # no path of this machine
-    planned = planned_of(orders[2], 2)
-    spec = orders[2].question.spec
-    assert (planned.index, planned.target_id, planned.instruction) == (2, spec.target_id, spec.instruction)
+    assert replay.model_copy(update={"actions": None}) == tasks[2]
+    assert str(drives.root) not in texts[1]  # no path of this machine
+    planned = planned_of(tasks[2])
+    assert (planned.index, planned.episode) == (2, EpisodeSpec.of(tasks[2].request.spec))
 
 
 def test_specs_that_do_not_fit_their_scene_are_refused_before_anything_is_given_out(campaign: Campaign) -> None:
-    def orders_with(**changes: object) -> Campaign:
+    def campaign_with(**changes: object) -> Campaign:
         (spec,) = campaign.specs.specs
         specs = campaign.specs.model_copy(update={"specs": (spec.model_copy(update=changes),)})
         return dataclasses.replace(campaign, specs=specs, policies=("stop",))
 
-    assert list(catalog_of(number_orders(campaign))) == ["office"]
+    assert list(catalog_of(campaign)) == ["office"]
     with pytest.raises(UsageError, match="no target chair_404"):
-        catalog_of(number_orders(orders_with(target_id="chair_404")))
+        catalog_of(campaign_with(target_id="chair_404"))

@@ -1,0 +1,57 @@
+"""What one episode asks for: the scene, the target and the words. A model; draws nothing.
+
+`Job` and `EvalSpec` inherit it, so that their JSON stays flat; planned draws and ledger records contain one; the rows
+of a dataset's tables take its values under their published column names.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from schemas.base import Line, Model, Name
+from schemas.terms import Split, Tier
+
+__all__ = ["EpisodeSpec", "columns_of"]
+
+_COLUMN_NAMES = {"tier": "spawn_tier", "category": "target_category"}
+"""Fields whose column in a dataset's tables has another name."""
+
+
+class EpisodeSpec(Model):
+    """What one draw of one episode asks for."""
+
+    scene: Name
+    tier: Tier
+    """Class of the distance from the start to the target."""
+    split: Split
+    category: Name
+    """Category of the target."""
+    target_id: Name
+    colour: Name
+    """Colour word that the instruction may use, or `unknown`."""
+    template_id: Name
+    instruction: Line
+
+    @staticmethod
+    def of(source: object, **changes: object) -> EpisodeSpec:
+        """Returns the spec of an object that has these eight attributes: a job, an evaluation spec, a ledger's row.
+
+        Args:
+            source: where the values come from.
+            changes: fields with another value.
+
+        Raises:
+            ValidationError: a value is not valid.
+        """
+        return EpisodeSpec(**{name: getattr(source, name) for name in EpisodeSpec.model_fields} | changes)
+
+
+def columns_of(source: object, row: type[Model]) -> dict[str, Any]:
+    """Returns the values of the table columns that an episode spec decides, by their published names.
+
+    Args:
+        source: has the fields of `EpisodeSpec` that the table has.
+        row: model of the table's rows.
+    """
+    columns = {_COLUMN_NAMES.get(name, name): name for name in EpisodeSpec.model_fields}
+    return {column: getattr(source, name) for column, name in columns.items() if column in row.model_fields}
