@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from datetime import datetime
+from datetime import UTC, datetime
 
-__all__ = ["ClockWatch", "seconds_since_boot"]
+__all__ = ["ClockWatch", "seconds_since_boot", "utc_now"]
 
 _LEAST_S = 10.0
 """Smaller steps are left alone: they cost no lease that a beat does not renew."""
+
+
+def utc_now() -> datetime:
+    """Returns the time of this machine, in UTC."""
+    return datetime.now(UTC)
 
 
 def seconds_since_boot() -> float:

@@ -15,8 +15,7 @@ import numpy as np
 
 from coordinator.expansion.apportion import least_used
 from coordinator.expansion.catalog import Catalog, SceneEntry
-from coordinator.expansion.cells import cells
-from coordinator.expansion.instances import Side, side_of, sides_of, startable_tiers
+from coordinator.expansion.scene_cells import SceneCells, categories_of, each_scene, scene_cells
 from schemas.episode_spec import EpisodeSpec
 from schemas.errors import InvalidPlan
 from schemas.job import Job
@@ -25,7 +24,7 @@ from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import Split, Tier
 
-__all__ = ["PlannedJob", "cells", "expand", "find_impossible", "pool", "redraw", "require_possible", "to_job"]
+__all__ = ["PlannedJob", "expand", "find_impossible", "redraw", "require_possible", "to_job"]
 
 Option = TypeVar("Option")
 
@@ -55,12 +54,13 @@ def expand(plan: Plan, catalog: Catalog) -> tuple[PlannedJob, ...]:
     Raises:
         InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
     """
-    require_possible(plan, catalog)
+    scenes = tuple(each_scene(plan, catalog))
+    _require_possible(plan, scenes)
     jobs: list[PlannedJob] = []
     templates: Counter[str] = Counter()
-    for number, scene in enumerate(plan.scenes):
+    for number, scene in enumerate(scenes):
         rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _EXPAND_STREAM, number)))
-        jobs.extend(_expand_scene(plan, scene, catalog[scene.name], rng, len(jobs) + 1, templates))
+        jobs.extend(_expand_scene(scene, rng, len(jobs) + 1, templates))
     return tuple(jobs)
 
 
@@ -70,47 +70,37 @@ def require_possible(plan: Plan, catalog: Catalog) -> None:
     Raises:
         InvalidPlan: a cell has no target that its tier can reach; every such cell is named.
     """
-    mistakes = find_impossible(plan, catalog)
-    if mistakes:
-        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
-
-
-def pool(plan: Plan, scene: ScenePlan, entry: SceneEntry, split: Split, tier: Tier) -> tuple[Target, ...]:
-    """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
-    categories = _categories_of(scene, split)
-    sides = {} if split is Split.TEST_OOD_OBJ else sides_of(plan, scene, entry)
-    return tuple(
-        target
-        for target in entry.info.targets
-        if target.category in categories
-        and tier in startable_tiers(plan, target)
-        and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
-    )
+    _require_possible(plan, tuple(each_scene(plan, catalog)))
 
 
 def find_impossible(plan: Plan, catalog: Catalog) -> list[str]:
     """Returns a line for each scene that lacks categories and for each cell that stays without a target otherwise."""
-    return [line for number, scene in enumerate(plan.scenes) for line in _impossible_in(plan, catalog, number, scene)]
+    return _find_impossible(tuple(each_scene(plan, catalog)))
 
 
-def _impossible_in(plan: Plan, catalog: Catalog, number: int, scene: ScenePlan) -> Iterator[str]:
-    entry, quota = catalog[scene.name], cells(plan, scene)
+def _require_possible(plan: Plan, scenes: Sequence[SceneCells]) -> None:
+    mistakes = _find_impossible(scenes)
+    if mistakes:
+        raise InvalidPlan(f"plan {plan.name!r} requires what its scenes do not have", mistakes)
+
+
+def _find_impossible(scenes: Sequence[SceneCells]) -> list[str]:
+    return [line for number, scene in enumerate(scenes) for line in _impossible_in(number, scene)]
+
+
+def _impossible_in(number: int, cells: SceneCells) -> Iterator[str]:
+    scene, entry = cells.scene, cells.entry
     present = {target.category for target in entry.info.targets}
-    named = {split: set(_categories_of(scene, split)) for split, _ in quota}
+    named = {split: set(categories_of(scene, split)) for split, _ in cells.quota}
     if any(categories - present for categories in named.values()):
         yield f"scenes[{number}] {scene.name}: {_say_absent(scene, entry, present)}"
-    for (split, tier), count in quota.items():
-        if named[split] & present and not pool(plan, scene, entry, split, tier):
+    for (split, tier), count in cells.quota.items():
+        if named[split] & present and not cells.pool(split, tier):
             yield (
                 f"scenes[{number}] {scene.name}: cell {split} / {tier} ({count} episodes) has no target that the "
-                f"{plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
+                f"{cells.plan.expert} expert could start for; set tiers.{tier} or splits.{split} of the scene to 0, or "
                 "change the scene"
             )
-
-
-def _categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
-    seen, held_out = scene.categories
-    return held_out if split is Split.TEST_OOD_OBJ else seen
 
 
 def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
@@ -129,17 +119,12 @@ def _say_absent(scene: ScenePlan, entry: SceneEntry, present: Set[str]) -> str:
 
 
 def _expand_scene(
-    plan: Plan,
-    scene: ScenePlan,
-    entry: SceneEntry,
-    rng: np.random.Generator,
-    first_index: int,
-    templates: Counter[str],
+    cells: SceneCells, rng: np.random.Generator, first_index: int, templates: Counter[str]
 ) -> Iterator[PlannedJob]:
     """Yields draw 0 of a scene's episodes, the cells in random order; `templates` counts over all scenes."""
-    quota = cells(plan, scene)
-    slots = [cell for cell, count in quota.items() for _ in range(count)]
-    pools = {cell: pool(plan, scene, entry, *cell) for cell in quota}
+    plan = cells.plan
+    slots = [cell for cell, count in cells.quota.items() for _ in range(count)]
+    pools = {cell: cells.pool(*cell) for cell in cells.quota}
     categories: Counter[str] = Counter()
     targets: Counter[str] = Counter()
     for index, slot in enumerate(rng.permutation(len(slots)), first_index):
@@ -152,7 +137,7 @@ def _expand_scene(
         target = next(option for option in options if option.target_id == target_id)
         colour = _said_colour(plan, target)
         template_id = least_used(templates_for(split, colour), templates, rng)
-        episode = _episode(scene.name, tier, split, target.category, target.target_id, colour, template_id)
+        episode = _episode(cells.scene.name, tier, split, target.category, target.target_id, colour, template_id)
         yield PlannedJob(index, 0, episode)
 
 
@@ -165,7 +150,7 @@ def redraw(plan: Plan, catalog: Catalog, planned: PlannedJob) -> PlannedJob:
     draw, former = planned.draw + 1, planned.episode
     rng = np.random.default_rng(np.random.SeedSequence((plan.seed, _REDRAW_STREAM, planned.index, draw)))
     scene = next(scene for scene in plan.scenes if scene.name == former.scene)
-    options = pool(plan, scene, catalog[scene.name], former.split, former.tier)
+    options = scene_cells(plan, scene, catalog[scene.name]).pool(former.split, former.tier)
     loyal = [target for target in options if target.category == former.category] if draw <= _LOYAL_DRAWS else []
     fresh = [target for target in loyal or options if target.target_id != former.target_id]
     target = _draw(fresh or options, rng)

@@ -11,13 +11,13 @@ from enum import StrEnum
 import numpy as np
 
 from coordinator.expansion.apportion import webster_sequence
-from coordinator.expansion.catalog import Catalog, SceneEntry
-from coordinator.expansion.cells import cells
+from coordinator.expansion.catalog import SceneEntry
+from coordinator.expansion.cells import Cells
 from schemas.plan import Plan, ScenePlan
 from schemas.scene import Target
 from schemas.terms import ExpertName, Split, Tier
 
-__all__ = ["Side", "Sides", "all_sides", "shared_categories", "side_of", "sides_of", "startable_tiers"]
+__all__ = ["Side", "Sides", "shared_categories", "side_of", "sides_of", "startable_tiers"]
 
 _SIDES_STREAM = 3
 
@@ -44,14 +44,13 @@ def startable_tiers(plan: Plan, target: Target) -> tuple[Tier, ...]:
     return target.connected_tiers if plan.expert is ExpertName.PLANNER else target.straight_tiers
 
 
-def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> Sides:
+def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry, quota: Cells) -> Sides:
     """Returns the side of every startable instance of a seen category; empty where nothing is to be kept apart.
 
     Of each category as many instances go to training as its share of the episodes says, at least one to each side.
     A category with a single instance is shared. So are all categories of a tier in which a cell would stay without
     any target otherwise.
     """
-    quota = cells(plan, scene)
     wanted = dict.fromkeys((Side.TRAIN, Side.EVALUATION), 0)
     for (split, _), count in quota.items():
         if split is not Split.TEST_OOD_OBJ:
@@ -68,12 +67,6 @@ def sides_of(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> Sides:
         group = [target for target in options if target.category == category]
         sides |= _divide(plan, [group[int(place)] for place in rng.permutation(len(group))], wanted)
     return _with_all_cells_filled(plan, quota, options, sides)
-
-
-def all_sides(plan: Plan, catalog: Catalog) -> dict[str, Sides]:
-    """Returns the sides of every scene that has any."""
-    found = {scene.name: sides_of(plan, scene, catalog[scene.name]) for scene in plan.scenes}
-    return {name: sides for name, sides in found.items() if sides}
 
 
 def shared_categories(sides: Sides, entry: SceneEntry) -> tuple[str, ...]:

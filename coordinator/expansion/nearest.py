@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from coordinator.expansion.catalog import Catalog, SceneEntry
 from coordinator.expansion.cells import Cells, cells
-from coordinator.expansion.draw import pool
+from coordinator.expansion.scene_cells import scene_cells
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import Split, Tier
 
@@ -54,11 +54,15 @@ def find_nearest(plan: Plan, catalog: Catalog) -> Nearest:
 def _possible(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> ScenePlan | None:
     """The scene with those categories, tiers and splits that leave no cell empty; `None` when nothing is left."""
     part = _with_categories(plan, scene, {target.category for target in entry.info.targets})
-    if part is None or all(pool(plan, part, entry, *cell) for cell in cells(plan, part)):
+    if part is None:
+        return None
+    found = scene_cells(plan, part, entry)
+    if all(found.pool(*cell) for cell in found.quota):
         return part
     free = plan.model_copy(update={"disjoint_instances": False})  # instances are shared rather than cells left empty
     tiers, splits = _positive(plan.tiers_of(part)), _positive(plan.splits_of(part))
-    able = {cell for cell in product(splits, tiers) if pool(free, part, entry, *cell)}
+    shared = scene_cells(free, part, entry)
+    able = {cell for cell in product(splits, tiers) if shared.pool(*cell)}
     best = max(
         (
             (

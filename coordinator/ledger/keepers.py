@@ -10,9 +10,10 @@ from collections.abc import Iterator, Mapping
 from sqlalchemy import delete, func, insert, inspect, select
 from sqlalchemy.engine import Connection
 
+from coordinator.archive.difference import RecordedFile
 from coordinator.ledger.tables import episodes, keepers
 
-__all__ = ["all_keepers", "bring_home", "count_by_gateway", "is_kept", "kept_by", "note_keeper"]
+__all__ = ["all_keepers", "bring_home", "count_by_gateway", "is_kept", "kept_by", "note_keeper", "recorded_files"]
 
 _ROWS = 1000
 _KEPT = select(episodes.c.idx, episodes.c.size).join(keepers, keepers.c.idx == episodes.c.idx)
@@ -34,12 +35,19 @@ def is_kept(connection: Connection, index: int, gateway: str, sha256: str) -> bo
     return connection.execute(_KEPT.where(*same)).first() is not None
 
 
-def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Iterator[tuple[int, int]]:
-    """Yields number and bytes of each episode that a gateway keeps, between two numbers, both included; ascending."""
+def kept_by(connection: Connection, gateway: str, first: int, last: int) -> Iterator[tuple[int, RecordedFile]]:
+    """Yields the record of each episode that a gateway keeps, between two numbers, both included; ascending."""
     query = _KEPT.where(keepers.c.gateway == gateway, keepers.c.idx.between(first, last)).order_by(keepers.c.idx)
     with connection.execute(query.execution_options(yield_per=_ROWS)) as rows:
         for row in rows:
-            yield row.idx, row.size
+            yield row.idx, RecordedFile(row.size)
+
+
+def recorded_files(connection: Connection) -> Mapping[int, RecordedFile]:
+    """Returns the record of every archived episode, with the gateway that keeps it."""
+    away = all_keepers(connection)
+    rows = connection.execute(select(episodes.c.idx, episodes.c.size, episodes.c.sha256))
+    return {row.idx: RecordedFile(row.size, row.sha256, away.get(row.idx)) for row in rows}
 
 
 def all_keepers(connection: Connection) -> Mapping[int, str]:

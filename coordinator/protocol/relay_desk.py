@@ -13,6 +13,7 @@ from typing import Any
 from sqlalchemy import bindparam, select
 from sqlalchemy.engine import Connection
 
+from coordinator.archive.difference import ListedFile, describe_difference
 from coordinator.expansion.draw import to_job
 from coordinator.ledger import claims, keepers, outcomes
 from coordinator.ledger.moves import JobRow
@@ -148,14 +149,12 @@ def _inventory(connection: Connection, told: Inventory, gateway: str, terms: Ter
             "give its former --out, or another --name; lost episodes are generated again after "
             "`factory gather CORE_DIR --requeue-missing`"
         )
-    files = {index: size for index, size in told.files if told.first <= index <= told.last}
+    files = {index: ListedFile(size) for index, size in told.files if told.first <= index <= told.last}
     owned, wrong = set(), {}
-    for index, size in keepers.kept_by(connection, gateway, told.first, told.last):
+    for index, record in keepers.kept_by(connection, gateway, told.first, told.last):
         owned.add(index)
-        if files.get(index) != size:
-            wrong[index] = (
-                f"{files[index]} bytes, but {size} in the ledger" if index in files else "its file is missing"
-            )
+        if why := describe_difference(files.get(index), record):
+            wrong[index] = why
         if len(wrong) == MAX_LOST:
             break
     for index, why in wrong.items():

@@ -6,23 +6,23 @@ every whole episode of the plan is adopted. Deletes nothing that could be an epi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import cast
 
 import structlog
-from sqlalchemy import Engine, select
+from sqlalchemy import Engine
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
+from coordinator.archive.difference import GONE, ArchiveDifference, ListedFile, diff_archive
 from coordinator.expansion.draw import to_job
 from coordinator.ledger.claims import grant_grace
-from coordinator.ledger.keepers import all_keepers, bring_home
+from coordinator.ledger.keepers import bring_home, recorded_files
 from coordinator.ledger.opening import planned_of
 from coordinator.ledger.outcomes import lose
 from coordinator.ledger.repair import current_job, record_whole
-from coordinator.ledger.tables import episodes
 from coordinator.protocol.protocol import Terms
 from coordinator.recovery.judge import Draws, Foreign, StrayJudge
 from coordinator.recovery.memory import recall_failures, validated_files
@@ -70,22 +70,23 @@ def reconcile(archive: Archive, engine: Engine, terms: Terms, checker: Judge, no
     result = Reconciled()
     present = archive.present()
     with engine.begin() as connection:
-        owned = {row.idx: row.size for row in connection.execute(select(episodes.c.idx, episodes.c.size))}
-        away = all_keepers(connection)
-    unsure = {index: path for index, path in present.items() if path.stat().st_size != owned.get(index)}
-    verdicts = _judge_all(archive, engine, terms, checker, unsure, owned.keys())
-    _require_own_plan(archive, terms, verdicts, len(owned))
+        recorded = recorded_files(connection)
+    difference = diff_archive({index: ListedFile(path.stat().st_size) for index, path in present.items()}, recorded)
+    unsure = {index: present[index] for index in difference.strays}
+    verdicts = _judge_all(archive, engine, terms, checker, unsure, difference)
+    _require_own_plan(archive, terms, verdicts, len(recorded))
     result.quarantined += [archive.quarantine(path, "no episode by its name") for path in archive.foreign()]
     with engine.begin() as connection:
-        for index in sorted(owned.keys() - present.keys() - away.keys()):
-            _requeue(connection, index, now, "its file is missing", result)
-        for index in sorted((owned.keys() & present.keys() & away.keys()) - unsure.keys()):
+        for index in difference.missing:
+            _requeue(connection, index, now, GONE, result)
+        for index in difference.elsewhere:
             bring_home(connection, index)  # `factory gather` was cut off between file and ledger
         result.held = grant_grace(connection, now, terms.lease_ttl_s)
-    _settle(archive, engine, terms, now, unsure, verdicts, {i: owned[i] for i in owned if i not in away}, result)
+    changed = {index: words for index, words in difference.changed.items() if recorded[index].gateway is None}
+    _settle(archive, engine, terms, now, unsure, verdicts, changed, result)
     log.info(
         "reconciled",
-        archived=len(owned) - len(result.requeued),
+        archived=len(recorded) - len(result.requeued),
         adopted=len(result.adopted),
         quarantined=len(result.quarantined),
         requeued=len(result.requeued),
@@ -101,7 +102,12 @@ def _requeue(connection: Connection, index: int, now: datetime, reason: str, res
 
 
 def _judge_all(
-    archive: Archive, engine: Engine, terms: Terms, checker: Judge, unsure: Mapping[int, Place], owned: Set[int]
+    archive: Archive,
+    engine: Engine,
+    terms: Terms,
+    checker: Judge,
+    unsure: Mapping[int, Place],
+    difference: ArchiveDifference,
 ) -> Mapping[int, _Verdict]:
     if not unsure:
         return {}
@@ -110,7 +116,9 @@ def _judge_all(
             return {index: _judge_result(ledger, index, path, terms, checker) for index, path in unsure.items()}
         validated = validated_files(archive.root, terms.plan)
         judge = StrayJudge(Draws(terms.plan, terms.catalog, ledger), cast(Checker, checker), ledger, validated)
-        found = {index: judge.judge(path, index, replaces=index in owned) for index, path in unsure.items()}
+        found = {
+            index: judge.judge(path, index, replaces=index in difference.changed) for index, path in unsure.items()
+        }
     return {i: one if isinstance(one, str) else (one, (one.draw, one.attempt)) for i, one in found.items()}
 
 
@@ -149,7 +157,7 @@ def _settle(
     now: datetime,
     unsure: Mapping[int, Place],
     verdicts: Mapping[int, _Verdict],
-    owned: Mapping[int, int],
+    changed: Mapping[int, str],
     result: Reconciled,
 ) -> None:
     whole = {index: found[0] for index, found in verdicts.items() if not isinstance(found, str)}
@@ -161,10 +169,10 @@ def _settle(
         if not refusal:
             result.adopted.append(index)
             continue
-        if index in owned:
-            refusal = f"{unsure[index].stat().st_size} bytes; in the ledger {owned[index]}; {refusal}"
+        if index in changed:
+            refusal = f"{changed[index]}; {refusal}"
         result.quarantined.append(archive.quarantine(unsure[index], refusal))
-        if index in owned:
+        if index in changed:
             with engine.begin() as connection:
                 _requeue(connection, index, now, refusal, result)
 

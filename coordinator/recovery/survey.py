@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import count
 
-from sqlalchemy import Row, select
 from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import index_of_file
+from coordinator.archive.difference import GONE, ListedFile, RecordedFile, diff_archive
 from coordinator.expansion.catalog import Catalog
-from coordinator.ledger.keepers import all_keepers
-from coordinator.ledger.tables import episodes
+from coordinator.ledger.keepers import recorded_files
 from coordinator.recovery.judge import Draws, StrayJudge
 from coordinator.recovery.memory import validated_files
 from coordinator.transfer.puller import Checker
@@ -55,32 +54,44 @@ def survey_archive(
         tell: told how many files of how many are done.
     """
     result = Survey()
-    owned = _owned(ledger)
-    away = all_keepers(ledger) if ledger is not None else {}
+    recorded = recorded_files(ledger) if ledger is not None else {}
     files, foreign = _listing(root)
     result.quarantine += [(path, "no episode by its name") for path in foreign]
     judge = StrayJudge(Draws(plan, catalog, ledger), checker, ledger, validated_files(root, plan))
-    for done, (index, path) in enumerate(files.items(), 1):
-        reason = _difference(path, owned[index]) if index in owned else "the ledger does not own it"
-        if not reason:
-            result.whole += 1
-        else:
-            _judge(path, index, reason, judge, result, is_owned=index in owned, is_kept=index in away)
+    difference = diff_archive(_read_files(files, recorded, tell), recorded)
+    result.whole = len(difference.same) + len(difference.elsewhere)
+    for done, index in enumerate(difference.strays, result.whole + 1):
+        _judge(files[index], index, difference.changed.get(index), judge, result, recorded.get(index))
         tell(done, len(files))
-    gone = owned.keys() - files.keys() - away.keys()
-    found = {summary.index for summary in result.adopt} | (owned.keys() - gone)
+    missing = set(difference.missing)
+    found = {summary.index for summary in result.adopt} | (recorded.keys() - missing)
     result.restore += _restorable(root, judge, found)
     back = {summary.index for _, summary in result.restore}
-    result.requeue += [(index, "its file is missing") for index in sorted(gone - back)]
+    result.requeue += [(index, GONE) for index in sorted(missing - back)]
     result.requeue = [(index, why) for index, why in result.requeue if index not in back]
     return result
 
 
-def _owned(ledger: Connection | None) -> Mapping[int, Row[Any]]:
-    if ledger is None:
-        return {}
-    rows: Any = ledger.execute(select(episodes.c.idx, episodes.c.size, episodes.c.sha256))
-    return {row.idx: row for row in rows}
+def _read_files(
+    files: Mapping[int, Place], recorded: Mapping[int, RecordedFile], tell: ProgressCallback
+) -> dict[int, ListedFile]:
+    """Returns what was found, with the digest of each file whose size is as recorded; tells each whole one."""
+    found, done = {}, count(1)
+    for index, path in files.items():
+        found[index] = _read_file(path, recorded.get(index))
+        if index in recorded and found[index].sha256 == recorded[index].sha256:
+            tell(next(done), len(files))
+    return found
+
+
+def _read_file(path: Place, record: RecordedFile | None) -> ListedFile:
+    size = path.stat().st_size
+    if record is None or size != record.size:
+        return ListedFile(size)
+    try:
+        return ListedFile(size, digest_of(path))
+    except OSError as error:
+        return ListedFile(size, fault=f"cannot be read: {error.strerror}")
 
 
 def _listing(root: Place) -> tuple[dict[int, Place], list[Place]]:
@@ -95,27 +106,16 @@ def _is_episode(path: Place, folder: Place) -> bool:
     return path.parent == folder and path.is_file() and not path.is_symlink()
 
 
-def _difference(path: Place, row: Row[Any]) -> str:
-    size = path.stat().st_size
-    if size != row.size:
-        return f"{size} bytes; in the ledger {row.size}"
-    try:
-        found = digest_of(path)
-    except OSError as error:
-        return f"cannot be read: {error.strerror}"
-    return "" if found == row.sha256 else f"SHA-256 {found}; in the ledger {row.sha256}"
-
-
 def _judge(
-    path: Place, index: int, reason: str, judge: StrayJudge, result: Survey, *, is_owned: bool, is_kept: bool
+    path: Place, index: int, change: str | None, judge: StrayJudge, result: Survey, record: RecordedFile | None
 ) -> None:
-    verdict = judge.judge(path, index, replaces=is_owned)
+    verdict = judge.judge(path, index, replaces=change is not None)
     if not isinstance(verdict, str):
         result.adopt.append(verdict)
         return
-    result.quarantine.append((path, f"{reason}; {verdict}" if is_owned else verdict))
-    if is_owned and not is_kept:  # else a gateway has it still
-        result.requeue.append((index, reason))
+    result.quarantine.append((path, f"{change}; {verdict}" if change else verdict))
+    if change and record is not None and record.gateway is None:  # else a gateway has it still
+        result.requeue.append((index, change))
 
 
 def _restorable(root: Place, judge: StrayJudge, found: Set[int]) -> Iterator[tuple[Place, EpisodeSummary]]:

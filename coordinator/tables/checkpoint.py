@@ -10,7 +10,8 @@ from sqlalchemy.engine import Connection
 
 from coordinator.archive.contract import Archive
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.instances import all_sides, shared_categories
+from coordinator.expansion.instances import shared_categories
+from coordinator.expansion.scene_cells import all_sides
 from coordinator.ledger.outcomes import SUCCESS
 from coordinator.ledger.reading.records import LedgerEpisodes
 from coordinator.ledger.tables import attempts, episodes, jobs

@@ -6,15 +6,19 @@ when a run ends and by `factory repair` and `factory gather`; a file that is up 
 
 from __future__ import annotations
 
+import io
 import json
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import structlog
+from numpy.typing import NDArray
+from PIL import Image
 
 from coordinator.archive.contract import Archive
 from coordinator.tables.card_configs import split_configs, splits_at, with_configs
@@ -27,14 +31,19 @@ from coordinator.tables.split_layout import (
     read_pictures,
     split_tables_of,
 )
-from coordinator.tables.thumbnail import read_thumbnail
+from schemas.bundle import BundleReader
 from schemas.dataset_files import CARD_FILE
 from schemas.dataset_meta import read_dataset_meta
-from schemas.errors import WorldError
+from schemas.encoding.arrays import FRAME_SIZE_PX
+from schemas.errors import InvalidBundle, WorldError
+from schemas.storage.place import Place
 
 __all__ = ["write_split_tables"]
 
 _READERS = 8
+_THUMBNAIL_PX = 160
+"""Width and height: a quarter of a frame's."""
+_QUALITY = 85
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 _FEATURES = json.dumps({"info": {"features": {THUMBNAIL: {"_type": "Image"}}}}).encode()
 
@@ -75,7 +84,7 @@ def _write(archive: Archive, table: SplitTable, former: Mapping[str, bytes], dea
         kept = former.get(row["content_digest"])
         if kept is not None or time.monotonic() > deadline:
             return kept
-        return read_thumbnail(archive.root / row["file_name"], row["num_steps"])
+        return _read_thumbnail(archive.root / row["file_name"], row["num_steps"])
 
     with ThreadPoolExecutor(_READERS) as readers:
         made = list(readers.map(picture_of, rows))
@@ -91,6 +100,31 @@ def _write(archive: Archive, table: SplitTable, former: Mapping[str, bytes], dea
     full = table.rows.append_column(pa.field(THUMBNAIL, _IMAGE), pa.array(pictures, _IMAGE))
     with archive.replacing(table.name) as part:
         pq.write_table(full.replace_schema_metadata(said), part, compression="zstd", write_page_checksum=True)
+
+
+def _read_thumbnail(bundle: Place, steps: int) -> bytes | None:
+    """Returns the picture of an episode, or `None` where its file is absent or its first frame cannot be read.
+
+    Args:
+        bundle: the episode's file.
+        steps: of the episode.
+
+    Raises:
+        WorldError: the store does not answer.
+    """
+    try:
+        with bundle.open("rb") as file, BundleReader(file, steps) as reader:
+            return _shrink_frame(reader.rgb(0))
+    except (InvalidBundle, OSError):
+        return None
+
+
+def _shrink_frame(rgb: NDArray[np.uint8]) -> bytes:
+    """Returns a (640, 640, 3) sRGB frame as a JPEG of 160 x 160 pixels, each the mean of 4 x 4."""
+    small = Image.fromarray(rgb).reduce(FRAME_SIZE_PX // _THUMBNAIL_PX)
+    buffer = io.BytesIO()
+    small.save(buffer, "JPEG", quality=_QUALITY)
+    return buffer.getvalue()
 
 
 def _name_in_card(archive: Archive) -> None:

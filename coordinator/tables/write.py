@@ -54,7 +54,6 @@ def write_tables(
 ) -> DatasetMeta:
     """Writes all four files; streams the rows, so that memory grows by some hundred bytes an episode only.
 
-
     Args:
         archive: open, and thereby ours.
         plan: of the run.
@@ -78,19 +77,10 @@ def write_tables(
     listed = ListedEpisodes(episodes) if isinstance(episodes, Iterable) else episodes
     written = write_metadata(archive, METADATA_FILE, _METADATA_SCHEMA, SIDE_COLUMN, listed, sides, tally, anew=anew)
     failed = _write_rows(archive, ATTEMPTS_FILE, _ATTEMPTS_SCHEMA, map(plain_row, tally.watch_failures(failures)))
-    complete = written == plan.episodes
     meta = DatasetMeta(
-        run=plan.run,
-        plan_digest=plan.digest,
-        seed=plan.seed,
-        plan=plan,
+        **_of_plan(plan, written, tally),
         scenes=dict(scenes),
-        episodes=written,
-        planned=plan.episodes,
         failed_attempts=failed,
-        complete=complete,
-        dataset_digest=dataset_digest(tally.digests) if complete else None,
-        renderers=tuple(sorted(tally.renderers)),
         software=software_versions(),
         git_commit=git_commit(Path(__file__).parents[2]),
         created_at=former.created_at if former else now.astimezone(UTC),
@@ -101,6 +91,22 @@ def write_tables(
     _write_text(archive, CARD_FILE, dataset_card(meta, tally, splits_at(archive.root)))
     _write_text(archive, META_FILE, meta.model_dump_json(indent=1))  # last: it describes the others
     return meta
+
+
+def _of_plan(plan: Plan, written: int, tally: Tally) -> dict[str, Any]:
+    """Returns the fields of the description that follow from the plan and the written rows."""
+    complete = written == plan.episodes
+    return {
+        "run": plan.run,
+        "plan_digest": plan.digest,
+        "seed": plan.seed,
+        "plan": plan,
+        "episodes": written,
+        "planned": plan.episodes,
+        "complete": complete,
+        "dataset_digest": dataset_digest(tally.digests) if complete else None,
+        "renderers": tuple(sorted(tally.renderers)),
+    }
 
 
 def parquet_schema(model: type[Model]) -> pa.Schema:

@@ -15,9 +15,7 @@ import queue
 import socket
 import stat
 import struct
-import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -34,6 +32,7 @@ from schemas.job import Job
 from schemas.scene import Target
 from schemas.support.child import import_path, python_module
 from schemas.support.closing import Closing
+from schemas.support.jsonl_process import JsonlProcess
 from schemas.support.log_limit import LogLimit
 
 __all__ = [
@@ -55,7 +54,7 @@ _TRIES = 2
 _LONGEST_PAUSE_S = 60.0
 """Between two log lines about children that died."""
 _STARTUP_S = 60.0
-_MOST_ANSWER_CHARS = 4 << 20
+_MOST_ANSWER_BYTES = 4 << 20
 _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP})
 HEADER = struct.Struct("!I")
 """Before a task: its length in bytes. The open bundle is sent with it."""
@@ -167,7 +166,7 @@ class _Child:
 
     def __init__(self, limits: ValidatorLimits) -> None:
         self._limits = limits
-        self._process: subprocess.Popen[str] | None = None
+        self._process: JsonlProcess[bytes] | None = None
         self._orders: socket.socket | None = None
         self._ended = False
         self.last_words = ""
@@ -184,47 +183,41 @@ class _Child:
             self._kill()
             return None
 
-    def _started(self) -> subprocess.Popen[str]:
+    def _started(self) -> JsonlProcess[bytes]:
         if self._ended:
             raise TransientError("the validator is closed: start the coordinator again")
-        if self._process is not None and self._process.poll() is None:
+        if self._process is not None and self._process.is_running:
             return self._process
+        self._kill()
         self._process, self._orders = _spawn(self._limits)
-        word, *layers = self._exchange(self._process, _STARTUP_S).split() or [""]
+        word, *layers = self._exchange(self._process, _STARTUP_S).decode(errors="replace").split() or [""]
         self.layers = tuple(layers)
         if word != "ready":
             self._kill()
             raise TransientError(f"the validating process does not start ({self.last_words}): check the free memory")
         return self._process
 
-    def _exchange(self, process: subprocess.Popen[str], limit_s: float, order: tuple[bytes, int] | None = None) -> str:
+    def _exchange(self, process: JsonlProcess[bytes], limit_s: float, order: tuple[bytes, int] | None = None) -> bytes:
         """Sends a task with its bundle, if any, and returns the answer; empty when the child dies or is too slow."""
         assert self._orders is not None
-        assert process.stdout is not None
-        timer = threading.Timer(limit_s, process.kill)
-        timer.daemon = True
-        timer.start()
+        end = time.monotonic() + limit_s
         try:
             if order is not None:
                 text, bundle = order
+                self._orders.settimeout(limit_s)
                 socket.send_fds(self._orders, [HEADER.pack(len(text))], [bundle])
                 self._orders.sendall(text)
-            return process.stdout.readline(_MOST_ANSWER_CHARS)
-        except (OSError, ValueError):
-            return ""
-        finally:
-            timer.cancel()
+            return process.read(max(0.0, end - time.monotonic())) or b""
+        except (OSError, EOFError):
+            return b""
 
     def _kill(self) -> None:
         process, self._process = self._process, None
         if process is None:
             return
-        process.kill()
-        code = process.wait()
-        for end in (process.stdout, self._orders):
-            if end is not None:
-                with contextlib.suppress(OSError):
-                    end.close()
+        code = process.kill()
+        if self._orders is not None:
+            self._orders.close()
         self._orders = None
         self.last_words = (
             f"exit status {code}; limits {self._limits.memory_bytes >> 20} MiB, {self._limits.cpu_s} s CPU"
@@ -235,21 +228,19 @@ class _Child:
         self._kill()
 
 
-def _spawn(limits: ValidatorLimits) -> tuple[subprocess.Popen[str], socket.socket]:
+def _spawn(limits: ValidatorLimits) -> tuple[JsonlProcess[bytes], socket.socket]:
     """Starts a child; its standard input is the other end of the returned socket."""
     arguments = python_module("coordinator.validation.validator_child", limits.model_dump_json())
     environment = {"PYTHONPATH": import_path(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     ours, theirs = socket.socketpair()
     try:
-        process = subprocess.Popen(
+        process = JsonlProcess(
             arguments,
+            environment,
+            bytes,
             stdin=theirs.fileno(),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            text=True,
-            encoding="utf-8",
-            start_new_session=True,  # an interrupt at the terminal is the coordinator's to handle
+            keeps_stderr=False,
+            max_line_bytes=_MOST_ANSWER_BYTES,
         )
     except OSError as error:
         ours.close()

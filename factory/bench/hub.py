@@ -9,6 +9,7 @@ from pathlib import Path
 import structlog
 
 from coordinator.expansion.catalog import Catalog
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.bench.machine import measure_memory, resident_mib
@@ -77,7 +78,9 @@ def serve_hub(
     settings = CoordinatorSettings(lease_ttl_s=_LEASE_S, reserve_bytes=0)
     begun = time.perf_counter()
     checker = _Trust(meta, sha256, size)
-    with Coordinator(root, plan, catalog, ("tcp/127.0.0.1:0",), settings=settings, checker=checker) as hub:
+    with Coordinator(
+        root, plan, catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings, checker=checker)
+    ) as hub:
         pipe.send(Opened(endpoints=hub.endpoints, seconds=time.perf_counter() - begun))
         start_mib = resident_mib()
         try:

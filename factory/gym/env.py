@@ -96,19 +96,9 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             UsageError: `data` is missing, or there is no such kind of actions or instruction, size or split.
             WorldError: the dataset cannot be read.
         """
-        if data is None:
-            raise UsageError(
-                "data is missing: pass the directory of a dataset, gymnasium.make(ID, data='dataset'); "
-                "create a dataset with `factory run demo --out dataset`"
-            )
-        if actions not in {"continuous", "scaled", "tokens"}:
-            raise UsageError(f"actions {actions!r}: choose continuous, scaled or tokens")
-        if not 1 <= size <= MAX_SIZE_PX:
-            raise UsageError(f"size {size}: choose 1 to {MAX_SIZE_PX} pixels, such as 64, 128 or {FRAME_SIZE_PX}")
-        if render_mode not in {None, "rgb_array"}:
-            raise UsageError(f"render_mode {render_mode!r}: choose rgb_array or None")
+        _require_valid(actions, size, render_mode)
+        root = _root_of(data)
         self.render_mode = render_mode
-        root = place_of(data)
         self.specs = specs_for(root, split, specs)
         self._by_id = {spec.spec_id: spec for spec in self.specs.specs}
         self._actions, self._with_pose, self._size = actions, with_pose, size
@@ -251,3 +241,21 @@ class MiniVLANavEnv(gymnasium.Env[GymObservation, NDArray[Any]]):
             if spec.geodesic_m is not None:
                 info["spl"] = measure.spl(is_success, spec.geodesic_m, driven_m)
         return info
+
+
+def _root_of(data: str | Place | None) -> Place:
+    if data is None:
+        raise UsageError(
+            "data is missing: pass the directory of a dataset, gymnasium.make(ID, data='dataset'); "
+            "create a dataset with `factory run demo --out dataset`"
+        )
+    return place_of(data)
+
+
+def _require_valid(actions: str, size: int, render_mode: str | None) -> None:
+    if actions not in {"continuous", "scaled", "tokens"}:
+        raise UsageError(f"actions {actions!r}: choose continuous, scaled or tokens")
+    if not 1 <= size <= MAX_SIZE_PX:
+        raise UsageError(f"size {size}: choose 1 to {MAX_SIZE_PX} pixels, such as 64, 128 or {FRAME_SIZE_PX}")
+    if render_mode not in {None, "rgb_array"}:
+        raise UsageError(f"render_mode {render_mode!r}: choose rgb_array or None")

@@ -17,6 +17,7 @@ from pathlib import Path
 import structlog
 
 from coordinator.expansion.catalog import Catalog
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.runs.catalog import write_target_lists
@@ -84,11 +85,13 @@ def run_locally(
         run.root,
         run.plan,
         run.catalog,
-        _LISTEN,
-        settings=settings,
-        gate=run.gate,
-        store=run.store,
-        nearby=lambda lease: find_bundle(spool, lease),
+        CoordinatorOptions(
+            listen=_LISTEN,
+            settings=settings,
+            gate=run.gate,
+            store=run.store,
+            nearby=lambda lease: find_bundle(spool, lease),
+        ),
     ) as coordinator:
         write_target_lists(run.catalog, run.store or run.root)
         progress = coordinator.progress()

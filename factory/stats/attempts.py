@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
-from coordinator.expansion.draw import cells
+from coordinator.expansion.cells import cells
 from factory.stats import paper
 from factory.stats.measures import share_of
 from factory.stats.model import AttemptRow, CellRow

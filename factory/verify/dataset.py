@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from coordinator.archive.contract import index_of_file
 from coordinator.expansion.catalog import SceneEntry, read_entry
-from coordinator.expansion.draw import cells
+from coordinator.expansion.cells import cells
 from coordinator.tables.card_configs import names_split_tables
 from coordinator.tables.split_faults import FaultKind, find_faults
 from factory.dataset.reader import Dataset

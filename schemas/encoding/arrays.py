@@ -21,12 +21,8 @@ __all__ = [
     "POSES",
     "RGB_FRAME",
     "ArraySpec",
-    "FloatArray",
-    "IntArray",
 ]
 
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 FRAME_SIZE_PX = 640
 """Width and height of every frame (paper Sec. III-B)."""

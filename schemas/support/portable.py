@@ -11,11 +11,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+
+from schemas.support.numpy_types import Floats
 
 __all__ = ["arctan2", "cos", "product", "sin", "solve"]
-
-Floats = NDArray[np.float64]
 
 
 def sin(angles: Floats) -> Floats:

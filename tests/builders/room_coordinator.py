@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from schemas.storage.object_path import ObjectPath
@@ -34,7 +35,12 @@ def main() -> None:
     plan = room_plan(episodes, crashes=crashes)
     with (
         stop_on_signals() as (stop, _),
-        Coordinator(root / "out", plan, room_catalog(root), (endpoint,), settings=settings, store=store),
+        Coordinator(
+            root / "out",
+            plan,
+            room_catalog(root),
+            CoordinatorOptions(listen=(endpoint,), settings=settings, store=store),
+        ),
     ):
         while not stop.wait(0.2):
             pass

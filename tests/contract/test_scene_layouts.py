@@ -9,21 +9,19 @@ import re
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from factory.scenes.author import BUILTIN_SCENES, lay_out_scene
 from factory.scenes.author.placement import FloorPlan
-from factory.scenes.compile.occupancy import BAND_M
+from factory.scenes.navigation.occupancy import BAND_M
 from factory.scenes.rules import load_rules
+from schemas.support.numpy_types import Floats
 from schemas.terms import BUILTIN_CATEGORIES
 from workers.geometry.grid import CONNECT_CLEARANCE_M, FREE, OCCUPIED, Grid
 
 CELL_M = 0.05
 REACH_M = 0.97 + 0.2335 + CELL_M  # arrival radius, and the body's centre behind base_link
 RULES = load_rules()
-
-Floats = NDArray[np.float64]
 
 
 def piece_boxes(plan: FloorPlan) -> Floats:

@@ -14,6 +14,7 @@ from sqlalchemy import select
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from tests.builders.ledger import room_catalog, room_plan
@@ -38,7 +39,10 @@ def running(folder: Path, clock: SetClock, lease_ttl_s: float) -> Iterator[Coord
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1, lease_ttl_s=lease_ttl_s, sweep_s=0.05)
     catalog = room_catalog(folder)
     with Coordinator(
-        folder / "out", room_plan(1), catalog, ("tcp/127.0.0.1:0",), settings=settings, clock=clock
+        folder / "out",
+        room_plan(1),
+        catalog,
+        CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings, clock=clock),
     ) as hub:
         yield hub
 

@@ -17,6 +17,7 @@ import pytest
 from coordinator.gateway.gather import gather
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import METADATA
+from coordinator.options import CoordinatorOptions
 from coordinator.recovery.mend import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -142,7 +143,9 @@ def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, w
     assert ledger_trouble(url, whole.catalog) == ""
     ledger.write_bytes(damaged)
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
-    with Coordinator(harmed, whole.plan, whole.catalog, ("tcp/127.0.0.1:0",), settings=settings) as coordinator:
+    with Coordinator(
+        harmed, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
+    ) as coordinator:
         assert coordinator.progress().jobs["archived"] == 2
     assert ledger_trouble(url, whole.catalog) == ""
     assert sorted(path.name for path in (harmed / "episodes").iterdir()) == files
@@ -150,7 +153,9 @@ def test_a_coordinator_and_a_repair_rebuild_a_ledger_with_wrong_values(harmed, w
 
 def test_a_ledger_that_is_removed_under_a_running_coordinator_ends_it_in_words(harmed, whole):
     settings = CoordinatorSettings(reserve_bytes=0, pullers=1)
-    with Coordinator(harmed, whole.plan, whole.catalog, ("tcp/127.0.0.1:0",), settings=settings) as coordinator:
+    with Coordinator(
+        harmed, whole.plan, whole.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
+    ) as coordinator:
         for path in harmed.glob("ledger.db*"):
             path.unlink()
         with pytest.raises(FactoryError, match=r"cannot be read|no ledger"):

@@ -20,6 +20,7 @@ import pytest
 import yaml
 
 from coordinator.expansion.file import load_plan
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.status import HttpAddress, StatusServer
@@ -162,7 +163,12 @@ def test_every_watched_metric_is_served(tmp_path):
     settings = CoordinatorSettings(reserve_bytes=0)
     endpoint = ("tcp/127.0.0.1:0",)
     with (
-        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), endpoint, settings=settings) as running,
+        Coordinator(
+            tmp_path / "out",
+            room_plan(1),
+            room_catalog(tmp_path),
+            CoordinatorOptions(listen=endpoint, settings=settings),
+        ) as running,
         StatusServer(HttpAddress("127.0.0.1", 0), running.vitals) as server,
     ):
         page = ask(server, "/metrics")[1]

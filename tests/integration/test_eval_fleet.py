@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.dataset.reader import Dataset
@@ -53,7 +54,9 @@ def test_the_workers_of_a_collection_drive_an_evaluation_and_go_back(
     plan, catalog = room_plan(2000), room_catalog(tmp_path)
     told: list[Pace] = []
     with (
-        Coordinator(tmp_path / "collection", plan, catalog, ("tcp/127.0.0.1:0",), settings=settings) as hub,
+        Coordinator(
+            tmp_path / "collection", plan, catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings)
+        ) as hub,
         WorkerThread(settings_for(hub.endpoints[0], tmp_path, command=COLLECT, eval_command=EVALUATE)),
         open_store(tmp_path / "out", campaign) as store,
     ):

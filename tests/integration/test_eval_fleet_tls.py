@@ -14,6 +14,7 @@ import pytest
 import zenoh
 
 from coordinator.gateway.service import Gateway
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.ask import ask_presence, ask_progress
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import client_config
@@ -49,7 +50,9 @@ def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
     """A collection that does not end by itself."""
     plan, catalog = room_plan(2000), room_catalog(tmp_path)
     guard = Guard(pki / "hub")
-    with Coordinator(tmp_path / "out", plan, catalog, ANY_PORT, settings=SETTINGS, guard=guard) as running:
+    with Coordinator(
+        tmp_path / "out", plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=SETTINGS, guard=guard)
+    ) as running:
         yield running
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from structlog.testing import capture_logs
 
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from tests.builders.ledger import room_catalog, room_plan
@@ -23,7 +24,12 @@ def test_tables_that_cannot_be_written_are_told_once_and_written_when_they_can_b
     obstacle.mkdir(parents=True)
     with (
         capture_logs() as lines,
-        Coordinator(root, room_plan(1), room_catalog(tmp_path), ("tcp/127.0.0.1:0",), settings=settings),
+        Coordinator(
+            root,
+            room_plan(1),
+            room_catalog(tmp_path),
+            CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=settings),
+        ),
     ):
         until(lambda: any(line["event"] == "chore_failed" for line in lines))
         threading.Event().wait(ENOUGH_S)

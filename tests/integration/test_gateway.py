@@ -15,6 +15,7 @@ from coordinator.gateway.service import Gateway
 from coordinator.ledger.keepers import all_keepers
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.tables import events
+from coordinator.options import CoordinatorOptions
 from coordinator.recovery.mend import RepairInput
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -64,7 +65,12 @@ class Site:
     def open_core(self) -> Coordinator:
         plan, catalog = room_plan(EPISODES), room_catalog(self.folder)
         self.core = self._stack.enter_context(
-            Coordinator(self.folder / "out", plan, catalog, (self.endpoint,), settings=SETTINGS, checker=self.checker)
+            Coordinator(
+                self.folder / "out",
+                plan,
+                catalog,
+                CoordinatorOptions(listen=(self.endpoint,), settings=SETTINGS, checker=self.checker),
+            )
         )
         return self.core
 

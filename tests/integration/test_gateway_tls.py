@@ -13,6 +13,7 @@ import pytest
 import zenoh
 
 from coordinator.gateway.service import Gateway
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.relay import Duty, Hold, Join, Orders
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import client_config
@@ -43,7 +44,12 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def hub(pki: Path, tmp_path: Path) -> Iterator[Coordinator]:
     plan, catalog = room_plan(2), room_catalog(tmp_path)
-    with Coordinator(tmp_path / "out", plan, catalog, ANY_PORT, settings=SETTINGS, guard=Guard(pki / "hub")) as running:
+    with Coordinator(
+        tmp_path / "out",
+        plan,
+        catalog,
+        CoordinatorOptions(listen=ANY_PORT, settings=SETTINGS, guard=Guard(pki / "hub")),
+    ) as running:
         yield running
 
 
@@ -127,7 +133,10 @@ def test_a_revoked_gateway_is_out(pki, tmp_path):
     mine = tmp_path / "pki"
     shutil.copytree(pki, mine)
     with Coordinator(
-        tmp_path / "out", room_plan(2), room_catalog(tmp_path), ANY_PORT, settings=SETTINGS, guard=Guard(mine / "hub")
+        tmp_path / "out",
+        room_plan(2),
+        room_catalog(tmp_path),
+        CoordinatorOptions(listen=ANY_PORT, settings=SETTINGS, guard=Guard(mine / "hub")),
     ) as hub:
         join = Join(version=VERSION, router="a")
         assert asks(hub, mine, "gw1", Verb.JOIN, join)

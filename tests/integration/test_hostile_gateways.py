@@ -16,6 +16,7 @@ from coordinator.ledger.keepers import count_by_gateway
 from coordinator.ledger.opening import ledger_url_of, planned_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.tables import jobs
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.protocol import ParsedRequest, Terms
 from coordinator.protocol.relay import (
     MAX_FILES,
@@ -57,7 +58,12 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def hub(url: str, tmp_path: Path) -> Iterator[Coordinator]:
     (tmp_path / "out").mkdir()
     catalog = room_catalog(tmp_path)
-    with Coordinator(tmp_path / "out", room_plan(EPISODES), catalog, ANY_PORT, url, SETTINGS) as running:
+    with Coordinator(
+        tmp_path / "out",
+        room_plan(EPISODES),
+        catalog,
+        CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS),
+    ) as running:
         yield running
     assert ledger_trouble(url, catalog) == ""
 

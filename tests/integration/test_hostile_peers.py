@@ -18,6 +18,7 @@ from coordinator.admin import administer
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.workers import SESSIONS_OF_HOST
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.zenoh_config import client_config
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -42,7 +43,12 @@ def hub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Coordinator]
     is_server = request.param == "postgresql"
     url = request.getfixturevalue("postgres_server").new_database() if is_server else None
     catalog = room_catalog(tmp_path)
-    with Coordinator(tmp_path / "out", room_plan(EPISODES), catalog, ANY_PORT, url, SETTINGS) as running:
+    with Coordinator(
+        tmp_path / "out",
+        room_plan(EPISODES),
+        catalog,
+        CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS),
+    ) as running:
         yield running
     assert ledger_trouble(ledger_url_of(tmp_path / "out", url), catalog) == ""
 
@@ -196,7 +202,7 @@ def test_a_host_that_announces_rubbish_ends_no_run_and_is_released_by_an_operato
 def test_hosts_are_released_without_a_running_coordinator(tmp_path):
     catalog, out = room_catalog(tmp_path), tmp_path / "out"
     with (
-        Coordinator(out, room_plan(1), catalog, ANY_PORT, settings=SETTINGS) as hub,
+        Coordinator(out, room_plan(1), catalog, CoordinatorOptions(listen=ANY_PORT, settings=SETTINGS)) as hub,
         WireWorker(hub.endpoints, hub.run) as peer,
     ):
         _, lease = peer.job()

@@ -12,6 +12,7 @@ from sqlalchemy import select
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from tests.builders.ledger import room_catalog, room_plan
@@ -48,10 +49,9 @@ def test_a_dead_workers_job_is_back_within_its_lease_and_a_second(tmp_path: Path
         tmp_path / "out",
         room_plan(1),
         room_catalog(tmp_path),
-        ("tcp/127.0.0.1:0",),
-        settings=settings,
-        clock=clock,
-        elapsed=lambda: clock().timestamp(),
+        CoordinatorOptions(
+            listen=("tcp/127.0.0.1:0",), settings=settings, clock=clock, elapsed=lambda: clock().timestamp()
+        ),
     ) as hub:
         with WireWorker(hub.endpoints, hub.run) as worker:
             worker.job()
@@ -83,10 +83,9 @@ def test_a_live_worker_holds_a_job_no_longer_than_the_limit(tmp_path: Path, hold
         tmp_path / "out",
         room_plan(1),
         room_catalog(tmp_path),
-        ("tcp/127.0.0.1:0",),
-        settings=settings,
-        clock=clock,
-        elapsed=lambda: clock().timestamp(),
+        CoordinatorOptions(
+            listen=("tcp/127.0.0.1:0",), settings=settings, clock=clock, elapsed=lambda: clock().timestamp()
+        ),
     ) as hub:
         with WireWorker(hub.endpoints, hub.run) as worker:
             _, lease = worker.job()

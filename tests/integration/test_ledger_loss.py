@@ -17,6 +17,7 @@ from coordinator.expansion.catalog import read_entry
 from coordinator.ledger.engine import open_writer, sqlite_url
 from coordinator.ledger.opening import open_run
 from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.options import CoordinatorOptions
 from coordinator.recovery.mend import repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -46,7 +47,9 @@ def run(tmp_path: Path) -> ArchivedRun:
 
 def start(run: ArchivedRun) -> None:
     """Starts a coordinator on the dataset and ends it."""
-    with Coordinator(run.root, run.plan, run.catalog, ("tcp/127.0.0.1:0",), settings=SETTINGS):
+    with Coordinator(
+        run.root, run.plan, run.catalog, CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=SETTINGS)
+    ):
         pass
 
 
@@ -184,7 +187,12 @@ def test_another_plan_on_a_directory_without_ledger_is_refused_and_moves_nothing
     other = room_plan(7)
     with (
         pytest.raises(UsageError, match="none of run room"),
-        Coordinator(run.root, other, room_catalog(run.root.parent), ("tcp/127.0.0.1:0",), settings=SETTINGS),
+        Coordinator(
+            run.root,
+            other,
+            room_catalog(run.root.parent),
+            CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=SETTINGS),
+        ),
     ):
         pass
     assert run.digests() == files

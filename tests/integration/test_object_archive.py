@@ -15,6 +15,7 @@ from coordinator.archive.objects import ObjectArchive
 from coordinator.archive.opening import open_archive
 from coordinator.ledger.opening import ledger_url_of
 from coordinator.ledger.reading.audit import ledger_trouble
+from coordinator.options import CoordinatorOptions
 from coordinator.recovery.mend import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -214,7 +215,9 @@ def test_run_goes_on_when_its_store_was_away(store: ObjectPath, relay: StoreRela
     settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0)
     plan, catalog = room_plan(2), room_catalog(tmp_path)
     with (
-        Coordinator(tmp_path / "home", plan, catalog, ANY_PORT, settings=settings, store=store) as running,
+        Coordinator(
+            tmp_path / "home", plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings, store=store)
+        ) as running,
         WireWorker(running.endpoints, running.run) as worker,
     ):
         job, lease = worker.job()
@@ -269,7 +272,9 @@ def test_a_start_after_losing_the_ledger_keeps_every_whole_episode_of_a_bucket(
     before = {path.name: path.read_bytes() for path in (store / "episodes").iterdir()}
     failed = Dataset(store).meta.failed_attempts
     settings = CoordinatorSettings(reserve_bytes=0)
-    with Coordinator(home, run.plan, run.catalog, ANY_PORT, settings=settings, store=store) as running:
+    with Coordinator(
+        home, run.plan, run.catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings, store=store)
+    ) as running:
         counts = running.progress().jobs
         assert (counts["archived"], counts["pending"]) == (3, 1)
     assert {path.name: path.read_bytes() for path in (store / "episodes").iterdir()} == before
@@ -284,7 +289,7 @@ def test_another_plan_on_a_bucket_without_ledger_is_refused_and_moves_nothing(
     run = ArchivedRun(tmp_path / "out")
     copy_to(store, run.root)
     with pytest.raises(UsageError, match="none of run room"):
-        Coordinator(tmp_path / "home", room_plan(7), run.catalog, ANY_PORT, store=store)
+        Coordinator(tmp_path / "home", room_plan(7), run.catalog, CoordinatorOptions(listen=ANY_PORT, store=store))
     assert sorted(path.name for path in (store / "episodes").walk()) == [f"ep_{i:06d}.zip" for i in (1, 2, 3)]
     assert list((store / "quarantine").walk()) == []
 
@@ -366,6 +371,8 @@ def test_tables_that_a_killed_coordinator_owed_are_written_by_the_next(
     assert len(Dataset(place)) == 1
     settings = CoordinatorSettings(reserve_bytes=0)
     remote = store if kind == "bucket" else None
-    with Coordinator(run.root, run.plan, run.catalog, ANY_PORT, settings=settings, store=remote) as running:
+    with Coordinator(
+        run.root, run.plan, run.catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings, store=remote)
+    ) as running:
         assert running.is_finished()
     assert (len(Dataset(place)), Dataset(place).meta.complete) == (2, True)

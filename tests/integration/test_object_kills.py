@@ -17,6 +17,7 @@ from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.states import Event
 from coordinator.ledger.tables import events
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.address_file import read_address
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -101,7 +102,12 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same run in a directory, where nothing is killed."""
     folder = tmp_path_factory.mktemp("calm")
     with (
-        Coordinator(folder / "out", RUN, room_catalog(folder), ("tcp/127.0.0.1:0",), settings=SETTINGS) as running,
+        Coordinator(
+            folder / "out",
+            RUN,
+            room_catalog(folder),
+            CoordinatorOptions(listen=("tcp/127.0.0.1:0",), settings=SETTINGS),
+        ) as running,
         WireWorker(running.endpoints, running.run) as worker,
     ):
         finish(running, worker)
@@ -155,7 +161,9 @@ def test_a_coordinator_killed_between_put_and_commit_loses_and_repeats_no_episod
     assert len(kept) == step.is_kept
     home = tmp_path / "out"
     with (
-        Coordinator(home, RUN, room_catalog(tmp_path), (endpoint,), settings=SETTINGS, store=store) as running,
+        Coordinator(
+            home, RUN, room_catalog(tmp_path), CoordinatorOptions(listen=(endpoint,), settings=SETTINGS, store=store)
+        ) as running,
         WireWorker(running.endpoints, running.run) as worker,
     ):
         assert list((home / ".staging").iterdir()) == []

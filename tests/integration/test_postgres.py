@@ -13,6 +13,7 @@ from sqlalchemy.exc import DatabaseError
 from coordinator.ledger.engine import open_reader, open_writer
 from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.records import read_summaries
+from coordinator.options import CoordinatorOptions
 from coordinator.recovery.mend import RepairInput, repair
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
@@ -39,7 +40,9 @@ def finished(tmp_path: Path, url: str) -> RepairInput:
     """A run of two episodes that ended well."""
     plan, catalog = room_plan(2), room_catalog(tmp_path)
     with (
-        Coordinator(tmp_path / "out", plan, catalog, ANY_PORT, url, SETTINGS) as hub,
+        Coordinator(
+            tmp_path / "out", plan, catalog, CoordinatorOptions(listen=ANY_PORT, ledger_url=url, settings=SETTINGS)
+        ) as hub,
         WireWorker(hub.endpoints, hub.run) as worker,
     ):
         worker.hello(version("minivla-factory"))
@@ -52,17 +55,32 @@ def finished(tmp_path: Path, url: str) -> RepairInput:
 
 def test_a_run_on_a_server_leaves_no_ledger_in_the_directory_and_resumes(finished):
     assert not (finished.root / "ledger.db").exists()
-    with Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS) as again:
+    with Coordinator(
+        finished.root,
+        finished.plan,
+        finished.catalog,
+        CoordinatorOptions(listen=ANY_PORT, ledger_url=finished.url, settings=SETTINGS),
+    ) as again:
         assert again.is_finished()
         assert again.progress().jobs["archived"] == 2
 
 
 def test_a_second_coordinator_is_refused_even_from_another_directory(finished, tmp_path):
     with (
-        Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS),
+        Coordinator(
+            finished.root,
+            finished.plan,
+            finished.catalog,
+            CoordinatorOptions(listen=ANY_PORT, ledger_url=finished.url, settings=SETTINGS),
+        ),
         pytest.raises(WorldError, match="is in use by another coordinator"),
     ):
-        Coordinator(tmp_path / "elsewhere", finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS)
+        Coordinator(
+            tmp_path / "elsewhere",
+            finished.plan,
+            finished.catalog,
+            CoordinatorOptions(listen=ANY_PORT, ledger_url=finished.url, settings=SETTINGS),
+        )
 
 
 def test_a_reader_cannot_write(finished):
@@ -78,7 +96,12 @@ def test_status_shows_no_worker_alive_once_the_coordinator_has_ended(finished):
     site = site_of(str(finished.root))
     assert [worker.alive for worker in progress_of(site, finished.url).workers] == [False]
     with (
-        Coordinator(finished.root, finished.plan, finished.catalog, ANY_PORT, finished.url, SETTINGS) as hub,
+        Coordinator(
+            finished.root,
+            finished.plan,
+            finished.catalog,
+            CoordinatorOptions(listen=ANY_PORT, ledger_url=finished.url, settings=SETTINGS),
+        ) as hub,
         WireWorker(hub.endpoints, hub.run, "live") as worker,
     ):
         worker.beat()

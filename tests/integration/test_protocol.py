@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from coordinator.admin import administer
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.address_file import read_address
 from coordinator.protocol.ask import ask_progress
 from coordinator.service import Coordinator
@@ -42,7 +43,9 @@ def settings(**changes: object) -> CoordinatorSettings:
 
 @pytest.fixture
 def opened(tmp_path: Path) -> Iterator[Coordinator]:
-    with Coordinator(tmp_path / "out", room_plan(2), room_catalog(tmp_path), ANY_PORT, settings=settings()) as running:
+    with Coordinator(
+        tmp_path / "out", room_plan(2), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=settings())
+    ) as running:
         yield running
 
 
@@ -79,7 +82,9 @@ def test_a_repeated_claim_finds_its_job_again(worker):
 def test_bundles_are_pulled_in_chunks_of_bounded_size(tmp_path):
     small = settings(chunk_bytes=64 << 10)
     with (
-        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ANY_PORT, settings=small) as opened,
+        Coordinator(
+            tmp_path / "out", room_plan(1), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=small)
+        ) as opened,
         WireWorker(opened.endpoints, opened.run) as worker,
     ):
         job, lease = worker.job()
@@ -119,7 +124,9 @@ def test_a_worker_that_does_not_serve_is_asked_again_after_its_next_beat(opened,
 def test_a_silent_worker_loses_its_job_to_another_and_its_late_result_is_refused(tmp_path):
     short = settings(lease_ttl_s=0.3, sweep_s=0.05)
     with (
-        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ANY_PORT, settings=short) as opened,
+        Coordinator(
+            tmp_path / "out", room_plan(1), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=short)
+        ) as opened,
         WireWorker(opened.endpoints, opened.run, "slow") as slow,
         WireWorker(opened.endpoints, opened.run, "fast") as fast,
     ):
@@ -145,7 +152,7 @@ def test_a_world_failure_brings_the_next_attempt_and_a_repeated_report_changes_n
 def test_a_restarted_coordinator_goes_on_where_the_last_one_stopped(tmp_path):
     catalog, plan, out = room_catalog(tmp_path), room_plan(2), tmp_path / "out"
     with (
-        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        Coordinator(out, plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings())) as opened,
         WireWorker(opened.endpoints, opened.run) as worker,
     ):
         job, lease = worker.job()
@@ -153,7 +160,7 @@ def test_a_restarted_coordinator_goes_on_where_the_last_one_stopped(tmp_path):
         until(lambda: opened.progress().jobs["archived"] == 1)
         _, unfinished = worker.job()
     with (
-        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        Coordinator(out, plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings())) as opened,
         WireWorker(opened.endpoints, opened.run) as worker,
     ):
         assert opened.progress().jobs["archived"] == 1
@@ -163,7 +170,7 @@ def test_a_restarted_coordinator_goes_on_where_the_last_one_stopped(tmp_path):
 def test_a_lost_file_is_made_again_under_the_same_attempt(tmp_path):
     catalog, plan, out = room_catalog(tmp_path), room_plan(1), tmp_path / "out"
     with (
-        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        Coordinator(out, plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings())) as opened,
         WireWorker(opened.endpoints, opened.run) as worker,
     ):
         first, lease = worker.job()
@@ -171,7 +178,7 @@ def test_a_lost_file_is_made_again_under_the_same_attempt(tmp_path):
         until(opened.is_finished)
     (out / "episodes" / "ep_000001.zip").unlink()
     with (
-        Coordinator(out, plan, catalog, ANY_PORT, settings=settings()) as opened,
+        Coordinator(out, plan, catalog, CoordinatorOptions(listen=ANY_PORT, settings=settings())) as opened,
         WireWorker(opened.endpoints, opened.run) as worker,
     ):
         again, lease = worker.job()
@@ -183,7 +190,9 @@ def test_a_lost_file_is_made_again_under_the_same_attempt(tmp_path):
 def test_a_full_disk_gives_out_no_jobs(tmp_path):
     greedy = settings(reserve_bytes=1 << 60)
     with (
-        Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ANY_PORT, settings=greedy) as opened,
+        Coordinator(
+            tmp_path / "out", room_plan(1), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=greedy)
+        ) as opened,
         WireWorker(opened.endpoints, opened.run) as worker,
     ):
         reply = worker.claim()
@@ -251,7 +260,9 @@ def test_anyone_can_ask_for_progress_without_knowing_the_run(opened):
 
 def test_an_operator_is_served_by_the_running_coordinator_and_without_one_under_the_lock(tmp_path):
     out, now = tmp_path / "out", datetime.now(UTC)
-    with Coordinator(out, room_plan(2), room_catalog(tmp_path), ANY_PORT, settings=settings()) as opened:
+    with Coordinator(
+        out, room_plan(2), room_catalog(tmp_path), CoordinatorOptions(listen=ANY_PORT, settings=settings())
+    ) as opened:
         cancelled = administer(out, AdminRequest(action=AdminAction.CANCEL, indices=(1, 7)), now)
         assert opened.progress().jobs["cancelled"] == 1
     assert cancelled.changed == (1,)
@@ -264,22 +275,24 @@ def test_an_operator_is_served_by_the_running_coordinator_and_without_one_under_
 
 def test_a_taken_endpoint_is_named_with_the_remedy(opened, tmp_path):
     with pytest.raises(WorldError, match=f"cannot listen on {opened.endpoints[0]}.*--listen"):
-        Coordinator(tmp_path / "other", room_plan(1), room_catalog(tmp_path), opened.endpoints)
+        Coordinator(
+            tmp_path / "other", room_plan(1), room_catalog(tmp_path), CoordinatorOptions(listen=opened.endpoints)
+        )
 
 
 def test_a_directory_of_another_plan_is_refused_naming_both(tmp_path):
     catalog, out = room_catalog(tmp_path), tmp_path / "out"
-    with Coordinator(out, room_plan(1), catalog, ANY_PORT):
+    with Coordinator(out, room_plan(1), catalog, CoordinatorOptions(listen=ANY_PORT)):
         pass
     with pytest.raises(UsageError, match=f"{room_plan(1).run}.*{room_plan(2).run}.*--out"):
-        Coordinator(out, room_plan(2), catalog, ANY_PORT)
+        Coordinator(out, room_plan(2), catalog, CoordinatorOptions(listen=ANY_PORT))
 
 
 def test_a_changed_scene_is_refused(tmp_path):
     catalog, out = room_catalog(tmp_path), tmp_path / "out"
-    with Coordinator(out, room_plan(1), catalog, ANY_PORT):
+    with Coordinator(out, room_plan(1), catalog, CoordinatorOptions(listen=ANY_PORT)):
         pass
     (tmp_path / "other").mkdir()
     changed = room_catalog(tmp_path / "other", seed=1)
     with pytest.raises(WorldError, match=r"scene 'room' was .* and is .* now"):
-        Coordinator(out, room_plan(1), changed, ANY_PORT)
+        Coordinator(out, room_plan(1), changed, CoordinatorOptions(listen=ANY_PORT))

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from coordinator.status.address import HttpAddress, is_own_name, parse_address
@@ -33,7 +34,9 @@ TOKEN = "0123456789abcdef"
 def opened(tmp_path: Path) -> Iterator[Coordinator]:
     settings = CoordinatorSettings(reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0)
     endpoint = ("tcp/127.0.0.1:0",)
-    with Coordinator(tmp_path / "out", room_plan(2), room_catalog(tmp_path), endpoint, settings=settings) as running:
+    with Coordinator(
+        tmp_path / "out", room_plan(2), room_catalog(tmp_path), CoordinatorOptions(listen=endpoint, settings=settings)
+    ) as running:
         yield running
 
 
@@ -108,7 +111,9 @@ def test_figures_follow_the_run(opened, server):
 
 
 def test_a_closed_coordinator_is_neither_healthy_nor_ready(tmp_path):
-    coordinator = Coordinator(tmp_path / "out", room_plan(1), room_catalog(tmp_path), ("tcp/127.0.0.1:0",))
+    coordinator = Coordinator(
+        tmp_path / "out", room_plan(1), room_catalog(tmp_path), CoordinatorOptions(listen=("tcp/127.0.0.1:0",))
+    )
     with StatusServer(LOOPBACK, coordinator.vitals) as server:
         coordinator.close()
         assert ask(server, "/healthz")[0] == 503

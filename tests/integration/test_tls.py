@@ -15,6 +15,7 @@ import pytest
 import zenoh
 
 from coordinator.admin import administer
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.ask import ask_progress
 from coordinator.protocol.tls import Guard
 from coordinator.protocol.zenoh_config import client_config, router_config
@@ -51,7 +52,12 @@ def opened_at(folder: Path, pki: Path, endpoint: str = ANY_PORT[0]) -> Coordinat
         reserve_bytes=0, retry_after_s=0.1, pullers=1, pull_timeout_s=1.0, lease_ttl_s=5.0, admission_s=0.2
     )
     guard = Guard(pki / "hub")
-    return Coordinator(folder / "out", room_plan(2), room_catalog(folder), (endpoint,), settings=settings, guard=guard)
+    return Coordinator(
+        folder / "out",
+        room_plan(2),
+        room_catalog(folder),
+        CoordinatorOptions(listen=(endpoint,), settings=settings, guard=guard),
+    )
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.config import CameraConfig
 from schemas.encoding.arrays import FRAME_SIZE_PX
 from schemas.scene import CompiledScene
+from schemas.support.numpy_types import Floats
 
 __all__ = ["Appearance"]
 
@@ -20,8 +20,6 @@ _LONGEST_M = 0.7
 """Longest side of a triangle, metres; longer ones are subdivided, because a triangle is evaluated at its centre only
 and its near part covers more of the image."""
 _CUTS = 3
-
-Floats = NDArray[np.float64]
 
 
 class Appearance:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.scene import CompiledScene, Target
 from schemas.support import portable
+from schemas.support.numpy_types import Bools, Floats
 
 __all__ = [
     "BODY_CENTRE_M",
@@ -41,9 +42,6 @@ CONNECT_CLEARANCE_M = 0.36
 """Clearance of the body centre with which the robot can pass, metres: half its width and a margin."""
 FREE, OCCUPIED, HIDING = 0, 1, 2
 """Values of `CompiledScene.occupancy`; `HIDING` is occupied and blocks the line of sight."""
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

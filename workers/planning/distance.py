@@ -15,6 +15,7 @@ import scipy  # loads a submodule at its first use: commands that only read need
 from numpy.typing import ArrayLike, NDArray
 
 from schemas.scene import Target
+from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import HALF_WIDTH_M, Grid
 
 __all__ = ["FloorGraph", "arrival_cells", "geodesic_field", "geodesic_m"]
@@ -22,8 +23,6 @@ __all__ = ["FloorGraph", "arrival_cells", "geodesic_field", "geodesic_m"]
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column steps, one of each opposite pair; a path on them is at most 2.8 % longer than the straight line."""
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Number = TypeVar("Number", np.int32, np.float64)
 
 

@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.config import PlannerConfig, RobotConfig
+from schemas.support.numpy_types import Floats
 from workers.geometry.pose import Pose
 from workers.geometry.slew import Twist
 from workers.planning.lattice import Waypoint
@@ -31,8 +31,6 @@ _PREVIEW_M = 0.6
 """Length of the path ahead whose curvature limits the speed, metres."""
 _REACH_M = 0.5
 """Largest distance along the leg from one nearest point to the next, metres."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import socket
 import subprocess
 import weakref
@@ -15,6 +14,7 @@ import weakref
 from schemas.config import CameraConfig
 from schemas.errors import UsageError, WorldError
 from schemas.support.child import python_module
+from schemas.support.jsonl_process import describe_exit
 from schemas.terms import RendererKind
 from workers.geometry.pose import Pose
 from workers.process.one_core import one_core
@@ -133,8 +133,7 @@ class RenderingProcess:
         status = self._process.poll()
         if status is None:
             return "it closed the connection and cannot be killed"
-        how = f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        return f"{how}; its messages are on stderr"
+        return f"{describe_exit(status)}; its messages are on stderr"
 
 
 _running: weakref.WeakSet[RenderingProcess] = weakref.WeakSet()

@@ -54,6 +54,21 @@ class AttemptFailure:
 Outcome = Success | AttemptFailure
 
 
+@dataclass(frozen=True)
+class _Attempt:
+    """What holds for every start of one attempt."""
+
+    job: Job
+    target: Target
+    place: LoadedScene
+    stage: SceneRenderer
+    out: BinaryIO
+    """Takes the bundle."""
+    sid: str
+    """Session id of the worker."""
+    on_step: Callable[[int], None]
+
+
 def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step: Callable[[int], None]) -> Outcome:
     """Simulates one attempt and streams its bundle into `out`.
 
@@ -66,6 +81,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
     """
     place = stage.loaded(job.scene_sha256)
     target = place.scene.info.target(job.target_id)
+    attempt = _Attempt(job, target, place, stage, out, sid, on_step)
     rng = job.rng()
     stage.renderer.load(place.scene, job.camera)  # before the world exists, because both need much memory at times
     for draws, start in enumerate(draw_poses(job, target, place, rng), 1):
@@ -78,7 +94,7 @@ def run_attempt(job: Job, stage: SceneRenderer, out: BinaryIO, sid: str, on_step
                 return AttemptFailure(
                     FailReason.NO_PATH, f"no drivable path to {job.target_id} from {_pose_text(start)}", 0
                 )
-            return _drive_and_seal(job, target, place, stage, world, expert, planned, draws, out, sid, on_step)
+            return _drive_and_seal(attempt, world, expert, planned, draws)
     detail = f"no valid start pose for {job.target_id} in tier {job.tier} in {job.spawn.physics_draws} draws"
     return AttemptFailure(FailReason.SPAWN, detail, 0)
 
@@ -88,21 +104,12 @@ def _pose_text(pose: Pose) -> str:
 
 
 def _drive_and_seal(
-    job: Job,
-    target: Target,
-    place: LoadedScene,
-    stage: SceneRenderer,
-    world: World,
-    expert: Expert,
-    planned: tuple[Waypoint, ...],
-    draws: int,
-    out: BinaryIO,
-    sid: str,
-    on_step: Callable[[int], None],
+    attempt: _Attempt, world: World, expert: Expert, planned: tuple[Waypoint, ...], draws: int
 ) -> Outcome:
     """Drives from the robot's current pose; completes the bundle after a success, else returns the failure."""
+    job, target, place, stage = attempt.job, attempt.target, attempt.place, attempt.stage
     start = world.pose()
-    writer = BundleWriter(out, stage.lap)
+    writer = BundleWriter(attempt.out, stage.lap)
     stage.lap("start")
     done = drive(
         job,
@@ -111,7 +118,7 @@ def _drive_and_seal(
         stage.renderer,
         expert,
         lambda frame: writer.add_frame(frame.rgb, frame.depth, frame.ids),
-        on_step,
+        attempt.on_step,
         stage.lap,
     )
     if done.end_reason is not EndReason.SUCCESS:
@@ -120,7 +127,7 @@ def _drive_and_seal(
     reach_m = geodesic_m(place.grid, (start.x, start.y), target, job.task.success_radius_m)
     stage.lap("route")
     route = Route(geodesic_m=reach_m, planned=planned)
-    provenance = Provenance(created_at=datetime.now(UTC), worker=sid, fingerprint=stage.fingerprint)
+    provenance = Provenance(created_at=datetime.now(UTC), worker=attempt.sid, fingerprint=stage.fingerprint)
     meta = describe_episode(job, target, place.scene.info, done, route, draws, provenance)
     sealed = writer.finish(done.arrays, meta)
     stage.lap("bundle")

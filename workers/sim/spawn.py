@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from schemas.job import Job
 from schemas.scene import Target
 from schemas.support import portable
+from schemas.support.numpy_types import Bools
 from schemas.terms import TIER_RANGE_M, ExpertName, Tier
 from workers.geometry.appearance import Appearance
 from workers.geometry.grid import are_within, straight_end
@@ -36,7 +37,6 @@ _PREDICTIONS = 32
 _PREDICTION_MARGIN_M = 0.10
 """Free space around the footprint along a predicted path, metres; with less, robots touch the obstacles they pass."""
 
-Bools = NDArray[np.bool_]
 Poses = NDArray[np.float64]
 """(N, 3) x, y in metres and yaw in radians, world frame."""
 Start = tuple[float, float, float]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from coordinator.options import DEFAULT_LISTEN
 from coordinator.protocol.tls import Guard
-from coordinator.service import DEFAULT_LISTEN
 from factory.support.listen import require_loopback, require_tls_endpoints
 
 __all__ = ["open_door"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from coordinator.options import CoordinatorOptions
 from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.cli.common.admission import open_door
@@ -96,7 +97,12 @@ def start(
             return 130
         with (
             Coordinator(
-                site.home, plan, catalog, listen, ledger, settings, guard=guard, gate=gate, store=site.store
+                site.home,
+                plan,
+                catalog,
+                CoordinatorOptions(
+                    listen=listen, ledger_url=ledger, settings=settings, guard=guard, gate=gate, store=site.store
+                ),
             ) as coordinator,
             status_pages(coordinator.vitals, http, http_token),
         ):

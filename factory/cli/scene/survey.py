@@ -55,7 +55,7 @@ def command(scene: str, seed: int, within: float, as_json: bool) -> int:
 
 def say_survey(report: SurveyReport) -> Iterator[str]:
     """Yields the measures, one line each."""
-    from factory.scenes.survey.reach import SEE_RANGE_M
+    from factory.scenes.navigation.reach import SEE_RANGE_M
 
     low, high = SEE_RANGE_M
     yield f"start points (spawns of the far tier): {report.spawns}"

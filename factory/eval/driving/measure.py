@@ -10,10 +10,11 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from schemas.config import TaskConfig
 from schemas.scene import Target
+from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
 from workers.planning import geodesic_field, geodesic_m
 
@@ -21,8 +22,6 @@ __all__ = ["floor_distance_m", "has_stopped_at", "path_length_m", "progress", "s
 
 _NEARBY_M = 0.6
 """How far around a pose close to furniture the floor is looked for."""
-
-Floats = NDArray[np.float64]
 
 
 def progress(start_m: float, now_m: float) -> float:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from schemas.support.numpy_types import Floats
 
 __all__ = ["odometry", "yaws_of"]
-
-Floats = NDArray[np.float64]
 
 
 def yaws_of(track: Floats) -> Floats:

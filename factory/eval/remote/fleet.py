@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from coordinator.clock import utc_now
 from coordinator.expansion.evaluation import EvalJobs
 from coordinator.ledger import operator
 from coordinator.ledger.engine import open_writer
@@ -20,9 +21,10 @@ from coordinator.ledger.reading.audit import ledger_trouble
 from coordinator.ledger.reading.look import look_into
 from coordinator.ledger.reading.records import JobFilter, list_jobs
 from coordinator.ledger.states import JobState
+from coordinator.options import CoordinatorOptions
 from coordinator.protocol.ask import ask_presence
 from coordinator.protocol.tls import Guard
-from coordinator.service import Coordinator, utc_now
+from coordinator.service import Coordinator
 from coordinator.settings import CoordinatorSettings
 from factory.eval.process.run import Pace
 from factory.eval.remote.intake import Intake
@@ -97,12 +99,14 @@ def run_fleet(
         root,
         run_plan,
         catalog,
-        door.listen,
-        settings=_SETTINGS,
-        guard=door.guard,
-        checker=ResultJudge(tasks),
-        evaluation=evaluation,
-        connect=door.connect,
+        CoordinatorOptions(
+            listen=door.listen,
+            settings=_SETTINGS,
+            guard=door.guard,
+            checker=ResultJudge(tasks),
+            evaluation=evaluation,
+            connect=door.connect,
+        ),
     ) as coordinator:
         door.tell(coordinator.endpoints)
         is_over = False

@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from schemas.support import portable
+from schemas.support.numpy_types import Floats, Ints
 
 __all__ = [
     "AuthoredMesh",
-    "Floats",
     "Vector",
     "block",
     "bounds",
@@ -39,8 +38,6 @@ __all__ = [
     "uncapped",
 ]
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Vector = tuple[float, float, float]
 
 
@@ -56,8 +53,8 @@ class AuthoredMesh:
     """
 
     points: Floats
-    counts: Integers
-    indices: Integers
+    counts: Ints
+    indices: Ints
     st: Floats | None = None
 
 

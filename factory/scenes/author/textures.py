@@ -13,12 +13,12 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from factory.scenes.author.artwork import ARTWORK
+from schemas.support.numpy_types import Floats
 
 __all__ = ["TEXTURES", "TEXTURE_SIZE", "Pixels", "draw_texture"]
 
 TEXTURE_SIZE = 512
 Pixels = npt.NDArray[np.uint8]
-Floats = npt.NDArray[np.float64]
 
 
 def _clouds(rng: Generator, falloff: float, stretch: float = 1.0) -> Floats:

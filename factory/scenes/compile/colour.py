@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from schemas.support.numpy_types import Floats
 from schemas.terms import COLOUR_NAMES
 
 __all__ = ["dominant_name", "lab_of", "linear_of", "name_indices", "srgb_of"]
@@ -32,8 +33,6 @@ _NEUTRAL_VOTE = 0.5
 """Weight of a black, gray or white sample: a blue chair on a black base is a blue chair."""
 _BLACK_BELOW = 30.0
 """Lightness below which an achromatic colour is called black. It includes charcoal, which looks black indoors."""
-
-Floats = NDArray[np.float64]
 
 
 def linear_of(srgb: ArrayLike) -> Floats:

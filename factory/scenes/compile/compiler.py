@@ -15,27 +15,28 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.compile.collider import solid_triangles, weld
-from factory.scenes.compile.floor import find_floor_height
 from factory.scenes.compile.geometry import Geometry, lay_out_geometry
 from factory.scenes.compile.listing import HIGHEST_BOTTOM_M, list_targets, with_colours, with_far_tier
 from factory.scenes.compile.objects import assign_objects, number_objects
-from factory.scenes.compile.occupancy import build_occupancy
 from factory.scenes.compile.shade import triangle_areas
 from factory.scenes.compile.textures import TextureBook, load_textures
 from factory.scenes.importer import Extraction, Part, extract_stage
 from factory.scenes.importer.assets import read_asset
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
+from factory.scenes.navigation.collider import solid_triangles, weld
+from factory.scenes.navigation.floor import find_floor_height
+from factory.scenes.navigation.occupancy import build_occupancy
+from factory.scenes.navigation.reach import Terrain, sees_matrix
 from factory.scenes.rules import RuleBook, load_rules
-from factory.scenes.survey.reach import Terrain, sees_matrix
 from factory.scenes.survey.spawns import MIN_SPAWNS, survey_spawns
 from factory.scenes.targets.candidates import Candidate, find_candidates
-from factory.scenes.targets.edits import apply_candidate_edits, apply_target_edits, recoloured
+from factory.scenes.targets.target_edits import apply_candidate_edits, apply_target_edits, recoloured
 from factory.scenes.targets.target_list import TargetList
 from factory.scenes.version import COMPILER_VERSION
 from schemas.config import SpawnConfig
 from schemas.errors import WorldError
 from schemas.scene import CompiledScene, Instance, SceneInfo, Target
+from schemas.support.numpy_types import Floats
 from workers.geometry.grid import Grid
 
 __all__ = ["compile_extraction", "compile_stage"]
@@ -45,8 +46,6 @@ _SANE_SPREAD = 5.0
 _FARTHEST_M = 9000.0
 _SEE_THROUGH = 0.3
 _MAX_NOTES = 200
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from factory.scenes.compile.shade import target_colour
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
-from factory.scenes.survey.reach import SEE_RANGE_M, Terrain, is_reachable, ring_tiers
+from factory.scenes.navigation.reach import SEE_RANGE_M, Terrain, is_reachable, ring_tiers
 from factory.scenes.targets.candidates import Candidate
 from schemas.scene import Target
 from schemas.terms import Tier

@@ -15,6 +15,7 @@ from factory.scenes.compile.colour import dominant_name, linear_of, srgb_of
 from factory.scenes.compile.textures import TextureBook
 from factory.scenes.importer import Part
 from factory.scenes.rules import split_name
+from schemas.support.numpy_types import Floats
 
 __all__ = [
     "corner_colours",
@@ -29,8 +30,6 @@ __all__ = [
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _LAMP_WORDS = re.compile(r"(^|_)(lamp|light|screen|window)s?(_|$)")
 _SAMPLES = 2000
-
-Floats = NDArray[np.float64]
 
 
 def triangle_areas(triangles: Floats) -> Floats:

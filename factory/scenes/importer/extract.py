@@ -32,12 +32,11 @@ from factory.scenes.importer.outside_files import ReadableFolder
 from factory.scenes.importer.stage import BROKEN_PRIM, PrimPlacement, find_unseen, open_stage, walk_stage
 from factory.scenes.limits import USUAL_LIMITS, StageLimits
 from schemas.errors import WorldError
+from schemas.support.numpy_types import Floats
 
 __all__ = ["Extraction", "Part", "extract_stage"]
 
 _COLLIDER_NAME = re.compile(r"colli(sion|der)|(^|_)(ucx|ubx|phys(ics)?)(_|$)", re.IGNORECASE)
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.support.numpy_types import Floats, Ints
+
 __all__ = ["Triangulation", "is_closed", "triangulate"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _NONE = np.zeros((0, 3), np.int64)
 
 

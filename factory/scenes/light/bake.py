@@ -20,6 +20,7 @@ from factory.scenes.light.smooth import fill_hidden, smooth_charts
 from factory.scenes.light.texels import Texels, lay_texels
 from factory.scenes.light.tone import tone
 from factory.scenes.light.unwrap import unwrap
+from schemas.support.numpy_types import Bools, Floats, Ints
 
 __all__ = ["LightMap", "bake_light"]
 
@@ -30,10 +31,6 @@ _HIDDEN_GAIN, _DARK_GAIN = 0.0, 0.4
 """Relative texel density of charts inside solid objects, and of charts that no lamp reaches."""
 _MIDDLE_GREY = 0.5
 """Mean reflectance without exposure correction."""
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
+
+from schemas.support.numpy_types import Floats, Ints
 
 __all__ = ["Charts", "find_charts", "number_rows"]
 
@@ -15,9 +16,6 @@ _WELD_M = 1e-4
 _NORMAL_STEP = 1 / 64
 _PLANE_STEP_M = 0.02
 _PLANE_SHIFT = 0.37  # walls and floors have round coordinates; the boundary between two planes must not
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

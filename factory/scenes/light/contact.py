@@ -6,8 +6,9 @@ Pure. Does not use lamps.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from schemas.support.numpy_types import Floats
 
 __all__ = ["contact_shade"]
 
@@ -19,8 +20,6 @@ _UP = 0.95
 _FADE_M, _DEPTH = 0.065, 0.78
 _REACH_M = 0.3
 _MOST_SAMPLES = 4_000_000
-
-Floats = NDArray[np.float64]
 
 
 def contact_shade(triangles: Floats, floor_m: float, points: Floats, normals: Floats) -> Floats:

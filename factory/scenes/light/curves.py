@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts, number_rows
 from schemas.support import portable
+from schemas.support.numpy_types import Floats, Ints
 
 __all__ = ["Bends", "corner_normals", "find_bends"]
 
@@ -25,9 +26,6 @@ _WELD_M = 1e-4
 _BENT_COS = math.cos(math.radians(2.0))
 _BENT_SLOPE = 0.08
 """Change of the unit normal along a side above which the side needs at least two texels."""
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

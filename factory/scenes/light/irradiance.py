@@ -7,13 +7,13 @@ more rays, the same for all, so that the light is smooth over small charts.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factory.scenes.light.charts import number_rows
 from factory.scenes.light.lamps import Lamps, light_from, nearest_lamps
 from factory.scenes.light.rays import Caster
 from factory.scenes.light.texels import PATTERN_SIDE, Texels
 from schemas.support import portable
+from schemas.support.numpy_types import Bools, Floats, Ints, Singles
 
 __all__ = ["Rays", "lamp_light", "sky_light"]
 
@@ -24,10 +24,6 @@ _HIDDEN_SHARE = 0.35
 _CHUNK = 1 << 13
 """Number of texels per batch; the working set of a batch fits the processor cache."""
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Rays = tuple[int, int]
 """Number of rays of a texel on a flat chart and on a curved chart."""
 

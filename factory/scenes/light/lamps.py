@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts
+from schemas.support.numpy_types import Floats, Singles
 
 __all__ = ["Lamps", "find_lamps", "light_from", "nearest_lamps"]
 
@@ -16,9 +17,6 @@ _MOST = 512
 _HUNG_HEIGHT_M, _HUNG_SIDE_M, _HUNG_EVERY_M = 2.6, 0.6, 4.0
 _NEAR_M2 = 0.15
 """Offset of squared distances, square metres; prevents overexposure of walls next to a lamp."""
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
 
-__all__ = ["Caster"]
+from schemas.support.numpy_types import Floats, Singles
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+__all__ = ["Caster"]
 
 
 class Caster:

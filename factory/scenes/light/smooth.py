@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.support.numpy_types import Bools, Floats, Ints
+
 __all__ = ["fill_hidden", "smooth_charts"]
 
 _FILL_ROUNDS = 12
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 
 def smooth_charts(values: Floats, known: Bools, owner: Ints) -> tuple[Floats, Bools]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts
 from factory.scenes.light.curves import Bends
 from factory.scenes.light.unwrap import Unwrap
+from schemas.support.numpy_types import Bools, Floats, Ints
 
 __all__ = ["PATTERN_SIDE", "Texels", "lay_texels"]
 
@@ -18,10 +18,6 @@ PATTERN_SIDE = 3
 _LIFT_M = 0.006
 _LARGE = 8
 """Minimum length of the shorter side of a large flat chart, texels."""
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

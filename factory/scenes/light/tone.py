@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.support.numpy_types import Floats
+
 __all__ = ["tone"]
 
 _SKY_SHARE, _FLOOR = 0.42, 0.03
@@ -25,8 +27,6 @@ _WHITE = 3.0
 _LAMP_TINT = np.array((1.0, 0.965, 0.885))
 _SKY_TINT = np.array((0.94, 0.975, 1.0))
 _GAMMA = 2.2
-
-Floats = NDArray[np.float64]
 
 
 def tone(sky: Floats, direct: Floats, measured: NDArray[np.bool_], grey: Floats) -> NDArray[np.uint8]:

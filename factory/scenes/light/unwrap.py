@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from factory.scenes.light.charts import Charts
+from schemas.support.numpy_types import Floats, Ints
 
 __all__ = ["TooManyPieces", "Unwrap", "unwrap"]
 
@@ -22,9 +22,6 @@ _BUDGET = 512_000
 _MAX_SIDE = 1024
 _TINY = 0.75
 """Width in texels below which a chart gets a single texel."""
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class TooManyPieces(ValueError):

@@ -1,1 +1,1 @@
-"""Surveys a compiled floor: reachable targets, spawn points and their quality. Pure and deterministic."""
+"""Surveys a compiled floor: spawn points and their quality. Pure and deterministic."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from factory.scenes.survey.reach import Terrain
+from factory.scenes.navigation.reach import Terrain
+from schemas.support.numpy_types import Floats
 from workers.geometry.grid import DISC_RADIUS_M
 
 __all__ = ["MIN_SPAWNS", "survey_spawns"]
@@ -18,8 +19,6 @@ MIN_SPAWNS = 40
 _USUAL, _MANY, _BIG_AREA_M2 = 64, 96, 250.0
 _HEADINGS, _MIN_FREE_HEADINGS = 16, 12
 _CLOSEST_M = 0.3
-
-Floats = NDArray[np.float64]
 
 
 def survey_spawns(terrain: Terrain) -> NDArray[np.float32]:

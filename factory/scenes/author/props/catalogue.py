@@ -13,9 +13,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.random import Generator
 
-from factory.scenes.author.geometry import Floats, bounds
+from factory.scenes.author.geometry import bounds
 from factory.scenes.author.materials import PropPiece
 from factory.scenes.author.props import clinic, clutter, office, safety, seating, storage, wall
+from schemas.support.numpy_types import Floats
 
 __all__ = ["CATALOGUE", "CatalogueEntry", "PropBuilder", "PropModel"]
 

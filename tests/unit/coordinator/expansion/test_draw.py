@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from coordinator.expansion.apportion import apportion, webster_sequence
 from coordinator.expansion.builtin import BUILTIN_PLANS
-from coordinator.expansion.cells import empty_splits
-from coordinator.expansion.draw import PlannedJob, cells, expand, find_impossible, pool, redraw, to_job
+from coordinator.expansion.cells import cells, empty_splits
+from coordinator.expansion.draw import PlannedJob, expand, find_impossible, redraw, to_job
 from coordinator.expansion.file import shrink
+from coordinator.expansion.scene_cells import scene_cells
 from schemas.errors import InvalidPlan
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import BUILTIN_CATEGORIES, ExpertName, Split, Tier
@@ -182,9 +183,9 @@ def test_the_planner_may_start_where_straight_drivers_may_not():
     plan = Plan(name="x", scenes=(ScenePlan(name="hospital", episodes=5),), splits={Split.TRAIN_ID: 1.0})
     target = make_target("chair", 1, 1).model_copy(update={"straight_tiers": ()})
     entry = make_entry("hospital", [target])
-    args = (plan.scenes[0], entry, Split.TRAIN_ID, Tier.FAR)
-    assert pool(plan, *args) == ()
-    assert pool(plan.model_copy(update={"expert": ExpertName.PLANNER}), *args) == (target,)
+    planner = plan.model_copy(update={"expert": ExpertName.PLANNER})
+    pools = [scene_cells(each, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.FAR) for each in (plan, planner)]
+    assert pools == [(), (target,)]
 
 
 def test_an_attempts_generator_depends_on_seed_index_and_attempt():

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from coordinator.expansion.builtin import BUILTIN_PLANS
 from coordinator.expansion.catalog import Catalog
-from coordinator.expansion.draw import PlannedJob, expand, pool, redraw
+from coordinator.expansion.draw import PlannedJob, expand, redraw
 from coordinator.expansion.file import shrink
-from coordinator.expansion.instances import Side, shared_categories, sides_of
+from coordinator.expansion.instances import Side, shared_categories
+from coordinator.expansion.scene_cells import scene_cells
 from schemas.plan import Plan, ScenePlan
 from schemas.terms import ExpertName, Split, Tier
 from tests.builders.catalog import make_catalog, make_entry, make_target
@@ -52,19 +53,19 @@ def test_no_instance_is_trained_and_evaluated_on_even_after_redraws(chairs: int,
     plan, catalog = office_plan(60, seed=seed), hospital_of(chairs, bins)
     jobs = with_redraws(plan, catalog, 4)
     assert not named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION)
-    assert shared_categories(sides_of(plan, plan.scenes[0], catalog["hospital"]), catalog["hospital"]) == ()
+    assert shared_categories(scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides, catalog["hospital"]) == ()
 
 
 def test_without_the_promise_instances_are_shared() -> None:
     plan, catalog = office_plan(disjoint_instances=False), hospital_of(3, 3)
-    assert sides_of(plan, plan.scenes[0], catalog["hospital"]) == {}
+    assert scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides == {}
     jobs = list(expand(plan, catalog))
     assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION)
 
 
 def test_each_category_gives_training_its_share_of_instances() -> None:
     plan, catalog = office_plan(), hospital_of(39, 12)
-    sides = sides_of(plan, plan.scenes[0], catalog["hospital"])
+    sides = scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides
     count = Counter((name.rsplit("_", 1)[0], side) for name, side in sides.items())
     assert count == {
         ("chair", Side.TRAIN): 26,
@@ -76,7 +77,7 @@ def test_each_category_gives_training_its_share_of_instances() -> None:
 
 def test_a_single_instance_is_shared_and_named() -> None:
     plan, catalog = office_plan(), hospital_of(6, 1)
-    sides = sides_of(plan, plan.scenes[0], catalog["hospital"])
+    sides = scene_cells(plan, plan.scenes[0], catalog["hospital"]).sides
     assert shared_categories(sides, catalog["hospital"]) == ("trash_can",)
     jobs = with_redraws(plan, catalog)
     assert named(jobs, Split.TRAIN_ID) & named(jobs, *EVALUATION) == {"trash_can_000"}
@@ -87,11 +88,11 @@ def test_instances_that_start_from_most_tiers_are_given_to_both_sides() -> None:
     targets += [make_target("chair", n, n + 1) for n in (6, 7)]
     entry = make_entry("hospital", targets)
     plan = office_plan(splits={Split.TRAIN_ID: 0.9, Split.VAL_ID: 0.1})
-    sides = sides_of(plan, plan.scenes[0], entry)
+    sides = scene_cells(plan, plan.scenes[0], entry).sides
     assert {sides["chair_006"], sides["chair_007"]} == {Side.TRAIN, Side.EVALUATION}
     for split in plan.splits:
         for tier in Tier:
-            assert pool(plan, plan.scenes[0], entry, split, tier)
+            assert scene_cells(plan, plan.scenes[0], entry).pool(split, tier)
 
 
 def test_a_tier_with_one_target_shares_it_rather_than_emptying_a_cell() -> None:
@@ -99,21 +100,21 @@ def test_a_tier_with_one_target_shares_it_rather_than_emptying_a_cell() -> None:
     targets += [make_target("trash_can", n, n + 9, tiers=[Tier.NEAR, Tier.MID]) for n in range(5)]
     entry = make_entry("hospital", [*targets, make_target("chair", 5, 6)])
     plan = office_plan(splits={Split.TRAIN_ID: 0.6, Split.TEST_ID: 0.4})
-    sides = sides_of(plan, plan.scenes[0], entry)
+    sides = scene_cells(plan, plan.scenes[0], entry).sides
     assert shared_categories(sides, entry) == ("chair",)
-    assert pool(plan, plan.scenes[0], entry, Split.TEST_ID, Tier.FAR)
-    assert pool(plan, plan.scenes[0], entry, Split.TRAIN_ID, Tier.FAR)
+    assert scene_cells(plan, plan.scenes[0], entry).pool(Split.TEST_ID, Tier.FAR)
+    assert scene_cells(plan, plan.scenes[0], entry).pool(Split.TRAIN_ID, Tier.FAR)
 
 
 def test_sides_depend_on_plan_and_scene_only_and_follow_the_expert() -> None:
     catalog = hospital_of(9, 9)
-    first, second = (sides_of(office_plan(), office_plan().scenes[0], catalog["hospital"]) for _ in range(2))
+    first, second = (scene_cells(office_plan(), office_plan().scenes[0], catalog["hospital"]).sides for _ in range(2))
     assert first == second
     other = office_plan(seed=7)
-    assert sides_of(other, other.scenes[0], catalog["hospital"]) != first
+    assert scene_cells(other, other.scenes[0], catalog["hospital"]).sides != first
     nowhere = hospital_of(9, 9, tiers=())
     planner = office_plan(expert=ExpertName.PLANNER)
-    assert sides_of(planner, planner.scenes[0], nowhere["hospital"]) == {}
+    assert scene_cells(planner, planner.scenes[0], nowhere["hospital"]).sides == {}
 
 
 def test_the_balanced_plan_keeps_its_categories_even() -> None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from factory.scenes.compile.collider import solid_triangles, weld
-from factory.scenes.compile.floor import find_floor_height, floor_triangles
-from factory.scenes.compile.occupancy import GridFrame, build_occupancy, draw_band
 from factory.scenes.importer import Part
 from factory.scenes.importer.material import Surface
+from factory.scenes.navigation.collider import solid_triangles, weld
+from factory.scenes.navigation.floor import find_floor_height, floor_triangles
+from factory.scenes.navigation.occupancy import GridFrame, build_occupancy, draw_band
 from schemas.errors import WorldError
+from schemas.support.numpy_types import Floats
 
-Floats = NDArray[np.float64]
 FRAME = GridFrame((0.0, 0.0), 0.05, (40, 40))
 _FACES = [(0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7), (0, 1, 5), (0, 5, 4)]
 _FACES += [(1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7)]

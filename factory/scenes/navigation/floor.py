@@ -6,9 +6,9 @@ Pure. Does not detect obstacles.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from schemas.errors import WorldError
+from schemas.support.numpy_types import Floats
 
 __all__ = ["FLOOR_TOLERANCE_M", "find_floor_height", "floor_triangles"]
 
@@ -17,8 +17,6 @@ FLOOR_TOLERANCE_M = 0.03
 _BIN_M = 0.02
 _MIN_AREA_M2 = 2.0
 _MIN_SHARE = 0.4
-
-Floats = NDArray[np.float64]
 
 
 def _facing_up(triangles: Floats) -> tuple[Floats, Floats]:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from factory.scenes.compile.floor import floor_triangles
+from factory.scenes.navigation.floor import floor_triangles
 from schemas.errors import WorldError
+from schemas.support.numpy_types import Bools, Floats
 from workers.geometry.grid import FREE, HIDING, OCCUPIED
 
 __all__ = ["BAND_M", "GridFrame", "build_occupancy", "draw_band"]
@@ -26,9 +27,6 @@ RESOLUTION_M = 0.05
 _PAD_M = 0.5
 _FLOOR_BEYOND_M = 6.0
 _MAX_CELLS = 16_000_000
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factory.scenes.importer import Part
+from schemas.support.numpy_types import Floats
 
 __all__ = ["COLLIDER_TOP_M", "solid_triangles", "weld"]
 
@@ -20,8 +21,6 @@ FLOOR_SKIN_M = 0.005
 """Height above the floor up to which geometry counts as floor, metres."""
 _WELD_M = 1e-4
 _PROXY_MARGIN_M = 0.1
-
-Floats = NDArray[np.float64]
 
 
 def solid_triangles(visible: Sequence[Part], colliders: Sequence[Part], floor_m: float) -> Floats:

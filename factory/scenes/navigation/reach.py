@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.config import SpawnConfig
 from schemas.scene import Target
+from schemas.support.numpy_types import Bools, Floats
 from schemas.terms import TIER_RANGE_M, Tier
 from workers.geometry.grid import Grid, are_within, body_centre, straight_end
 
@@ -25,9 +26,6 @@ MIN_STARTS = 3
 """Minimum number of valid lattice poses of a tier, so that random sampling finds one."""
 _ARRIVAL_SHARES = (1.0, 0.85, 0.7, 0.5, 0.3)
 _BEARINGS, _HEADINGS, _RINGS = 48, 16, 6
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,86 @@
+"""Compares the episodes that a directory holds with those that the ledger records. Reads no file and no ledger."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+__all__ = ["GONE", "ArchiveDifference", "ListedFile", "RecordedFile", "describe_difference", "diff_archive"]
+
+GONE = "its file is missing"
+"""Why an episode is made again whose file is missing."""
+
+
+class ListedFile(NamedTuple):
+    """One episode file as found."""
+
+    size: int
+    """Bytes."""
+    sha256: str | None = None
+    """Digest; `None` when it was not computed, and is then not compared."""
+    fault: str = ""
+    """Why the file cannot be read; empty when it can."""
+
+
+class RecordedFile(NamedTuple):
+    """One episode file as the ledger records it."""
+
+    size: int
+    """Bytes."""
+    sha256: str | None = None
+    """Digest."""
+    gateway: str | None = None
+    """Gateway that keeps the file; `None` when it is kept in the directory that is compared."""
+
+
+@dataclass(frozen=True)
+class ArchiveDifference:
+    """Episode numbers by what was found, each in ascending order."""
+
+    same: tuple[int, ...]
+    """Listed as recorded."""
+    missing: tuple[int, ...]
+    """Recorded in this directory and not listed."""
+    unknown: tuple[int, ...]
+    """Listed and not recorded."""
+    changed: Mapping[int, str]
+    """Listed with other contents than recorded, with the difference in words."""
+    elsewhere: tuple[int, ...]
+    """Listed as recorded, and recorded at a gateway; these are no part of `same`."""
+
+    @property
+    def strays(self) -> tuple[int, ...]:
+        """Unknown and changed episodes: files that the ledger does not own as they are."""
+        return tuple(sorted((*self.unknown, *self.changed)))
+
+
+def diff_archive(listed: Mapping[int, ListedFile], recorded: Mapping[int, RecordedFile]) -> ArchiveDifference:
+    """Compares files with records.
+
+    Args:
+        listed: the files of one directory, by episode number.
+        recorded: the ledger's records, by episode number.
+    """
+    both = sorted(listed.keys() & recorded.keys())
+    changed = {index: words for index in both if (words := describe_difference(listed[index], recorded[index]))}
+    whole = [index for index in both if index not in changed]
+    gone = sorted(recorded.keys() - listed.keys())
+    return ArchiveDifference(
+        same=tuple(index for index in whole if recorded[index].gateway is None),
+        missing=tuple(index for index in gone if recorded[index].gateway is None),
+        unknown=tuple(sorted(listed.keys() - recorded.keys())),
+        changed=changed,
+        elsewhere=tuple(index for index in whole if recorded[index].gateway is not None),
+    )
+
+
+def describe_difference(found: ListedFile | None, record: RecordedFile) -> str:
+    """Returns in words what differs between a file, `None` when it is missing, and its record; empty when nothing."""
+    if found is None:
+        return GONE
+    if found.size != record.size:
+        return f"{found.size} bytes; in the ledger {record.size}"
+    if found.fault or found.sha256 in (None, record.sha256):
+        return found.fault
+    return f"SHA-256 {found.sha256}; in the ledger {record.sha256}"

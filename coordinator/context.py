@@ -1,0 +1,84 @@
+"""What the parts of a running coordinator share, opened in order. Starts no network and gives out no job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from coordinator.archive.contract import Archive
+from coordinator.archive.opening import open_archive
+from coordinator.ledger.opening import ledger_url_of, open_run
+from coordinator.ledger.run_ledger import RunLedger
+from coordinator.meters import Meters
+from coordinator.options import CoordinatorOptions
+from coordinator.protocol.protocol import Terms
+from coordinator.recovery.reconcile import reconcile
+from coordinator.recovery.renewal import renew_ledger
+from coordinator.settings import CoordinatorSettings
+from coordinator.tables.checkpoint import is_checkpoint_owed
+from coordinator.transfer.puller import Judge
+from coordinator.validation.validator import Validator
+
+__all__ = ["RunContext", "open_context"]
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """Archive, ledger and judge of one run, reconciled with each other."""
+
+    terms: Terms
+    """Of the run."""
+    settings: CoordinatorSettings
+    """Numbers that change no byte of the dataset."""
+    archive: Archive
+    """Holds the dataset; no other coordinator can open it."""
+    ledger: RunLedger
+    """Its writer has been started."""
+    checker: Judge
+    """Judges bundles."""
+    clock: Callable[[], datetime]
+    """The time."""
+    meters: Meters
+    """What is counted while the coordinator runs."""
+    are_tables_owed: bool
+    """Whether the dataset's tables do not show what the ledger holds."""
+
+
+def open_context(stack: ExitStack, root: Path, terms: Terms, options: CoordinatorOptions) -> RunContext:
+    """Opens the judge, the archive and the ledger of a run, and brings archive and ledger to agree.
+
+    Args:
+        stack: closes them.
+        root: directory of the run.
+        terms: of the run.
+        options: of the coordinator.
+
+    Raises:
+        UsageError: the directory holds another plan.
+        WorldError: another coordinator works there, or the disk refuses.
+    """
+    url = ledger_url_of(root, options.ledger_url)
+    checker = options.checker or Validator(options.settings.pullers)
+    stack.callback(checker.close)
+    archive = stack.enter_context(open_archive(root, options.store))
+    renew_ledger(archive, url, terms.catalog)
+    ledger = stack.enter_context(RunLedger(url, terms.plan.run, options.clock))
+    are_tables_owed = _reconcile(archive, ledger, terms, checker, options)
+    return RunContext(
+        terms, options.settings, archive, ledger, checker, options.clock, Meters(), are_tables_owed=are_tables_owed
+    )
+
+
+def _reconcile(archive: Archive, ledger: RunLedger, terms: Terms, checker: Judge, options: CoordinatorOptions) -> bool:
+    planned = terms.evaluation.planned if terms.evaluation is not None else None
+    is_new = open_run(ledger.engine, terms.plan, terms.catalog, terms.lease_ttl_s, options.clock(), planned)
+    for name, entry in terms.catalog.items():
+        archive.add_scene(entry.path, name, entry.sha256)
+    reconciled = reconcile(archive, ledger.engine, terms, checker, options.clock())
+    ledger.start_writer()
+    with ledger.reading() as connection:
+        is_owed = is_checkpoint_owed(archive, connection)
+    return bool(is_new or reconciled.adopted or reconciled.requeued or is_owed)

@@ -1,0 +1,64 @@
+"""The cells of a scene in a plan: quotas and the targets that each may name, computed once per expansion. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from coordinator.expansion.catalog import Catalog, SceneEntry
+from coordinator.expansion.cells import Cells, cells
+from coordinator.expansion.instances import Side, Sides, side_of, sides_of, startable_tiers
+from schemas.plan import Plan, ScenePlan
+from schemas.scene import Target
+from schemas.terms import Split, Tier
+
+__all__ = ["SceneCells", "all_sides", "categories_of", "each_scene", "scene_cells"]
+
+
+@dataclass(frozen=True)
+class SceneCells:
+    """One scene of a plan, ready to be drawn from."""
+
+    plan: Plan
+    scene: ScenePlan
+    entry: SceneEntry
+    """The scene as compiled."""
+    quota: Cells
+    """Episodes of each cell."""
+    sides: Sides
+    """Side of each instance that is kept apart."""
+
+    def pool(self, split: Split, tier: Tier) -> tuple[Target, ...]:
+        """Returns the targets a cell may name: of the split's categories and side, and startable by the expert."""
+        categories = categories_of(self.scene, split)
+        sides = {} if split is Split.TEST_OOD_OBJ else self.sides
+        return tuple(
+            target
+            for target in self.entry.info.targets
+            if target.category in categories
+            and tier in startable_tiers(self.plan, target)
+            and sides.get(target.target_id, Side.SHARED) in (side_of(split), Side.SHARED)
+        )
+
+
+def scene_cells(plan: Plan, scene: ScenePlan, entry: SceneEntry) -> SceneCells:
+    """Returns the cells of one scene of a plan."""
+    quota = cells(plan, scene)
+    return SceneCells(plan, scene, entry, quota, sides_of(plan, scene, entry, quota))
+
+
+def each_scene(plan: Plan, catalog: Catalog) -> Iterator[SceneCells]:
+    """Yields the cells of every scene, in the order of the plan."""
+    for scene in plan.scenes:
+        yield scene_cells(plan, scene, catalog[scene.name])
+
+
+def all_sides(plan: Plan, catalog: Catalog) -> dict[str, Sides]:
+    """Returns the sides of every scene that has any."""
+    return {each.scene.name: each.sides for each in each_scene(plan, catalog) if each.sides}
+
+
+def categories_of(scene: ScenePlan, split: Split) -> tuple[str, ...]:
+    """Returns the categories that a split of a scene names."""
+    seen, held_out = scene.categories
+    return held_out if split is Split.TEST_OOD_OBJ else seen

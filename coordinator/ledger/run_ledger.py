@@ -1,0 +1,76 @@
+"""The ledger of one run while its coordinator runs: one engine writes, another reads. Decides nothing about jobs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import datetime
+
+from coordinator.ledger import claims
+from coordinator.ledger.engine import open_reader, open_writer
+from coordinator.ledger.reading.look import Connection, damage_translated
+from coordinator.ledger.reading.progress import count_frames, read_progress
+from coordinator.ledger.writer import Writer
+from schemas.errors import WorldError
+from schemas.support.closing import Closing
+from schemas.wire import Progress
+
+__all__ = ["RESTART_REMEDY", "RunLedger"]
+
+RESTART_REMEDY = "start again: the ledger is rebuilt from the episodes"
+
+
+class RunLedger(Closing):
+    """An open ledger.
+
+    Args:
+        url: of the database.
+        run: name of the run.
+        clock: the time.
+    """
+
+    def __init__(self, url: str, run: str, clock: Callable[[], datetime]) -> None:
+        self._url, self._run, self._clock = url, run, clock
+        with ExitStack() as stack:
+            self.engine = open_writer(url)
+            """Writes; used directly only before `start_writer`."""
+            stack.callback(self.engine.dispose)
+            self._reader = open_reader(url)
+            stack.callback(self._reader.dispose)
+            self._stack = stack.pop_all()
+
+    def start_writer(self) -> None:
+        """Starts the one thread that writes from here on: `writer`."""
+        self.writer = self._stack.enter_context(Writer(self.engine))
+        """Commits in groups."""
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """Yields a reading connection.
+
+        Raises:
+            WorldError: the ledger was damaged or removed meanwhile.
+        """
+        if self.writer.damage:
+            raise WorldError(f"the ledger of run {self._run} is damaged: {self.writer.damage}; {RESTART_REMEDY}")
+        with damage_translated(self._url), self._reader.connect() as connection:
+            yield connection
+
+    def progress(self) -> Progress:
+        """Returns where the run stands."""
+        with self.reading() as connection:
+            return read_progress(connection, self._clock())
+
+    def figures(self) -> tuple[Progress, int]:
+        """Returns where the run stands and how many frames are archived."""
+        with self.reading() as connection:
+            return read_progress(connection, self._clock()), count_frames(connection)
+
+    def is_finished(self) -> bool:
+        """Returns whether no job can change any more without an operator."""
+        with self.reading() as connection:
+            return not claims.has_open_jobs(connection)
+
+    def close(self) -> None:
+        """Commits what is queued and closes the database."""
+        self._stack.close()

@@ -1,0 +1,71 @@
+"""Writes the dataset's tables while the run goes on and once more at its end. Decides nothing about jobs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+
+import structlog
+
+from coordinator.context import RunContext
+from coordinator.ledger import claims
+from coordinator.ledger.run_ledger import RESTART_REMEDY
+from coordinator.tables.checkpoint import write_checkpoint
+from coordinator.tables.split_tables import write_split_tables
+from schemas.dataset_meta import GateOutcome
+from schemas.errors import WorldError
+
+__all__ = ["TableWriter"]
+
+_THUMBNAILS_S = 2.0
+"""Time for thumbnails at the end of a run that is not finished."""
+
+log = structlog.get_logger(__name__)
+
+
+class TableWriter:
+    """Keeps the tables of one run up to date; an evaluation has none.
+
+    Args:
+        run: shared parts of the coordinator.
+        gate: what a pilot found before a new run.
+    """
+
+    def __init__(self, run: RunContext, gate: Sequence[GateOutcome]) -> None:
+        self._run, self._gate = run, tuple(gate)
+        self._has_written = False
+        self._changed = threading.Event()
+        if run.are_tables_owed:
+            self._changed.set()
+
+    def note_change(self) -> None:
+        """Makes the next `write` write."""
+        self._changed.set()
+
+    def write(self) -> None:
+        """Writes the tables when something changed since the last time."""
+        run, terms = self._run, self._run.terms
+        if not self._changed.is_set() or terms.evaluation is not None:
+            return
+        self._changed.clear()
+        try:
+            with run.ledger.reading() as connection:
+                is_over = not claims.has_open_jobs(connection)
+                # the first and the last time from the ledger alone, whatever became of the file meanwhile
+                anew = is_over or not self._has_written
+                write_checkpoint(run.archive, connection, terms.plan, terms.catalog, run.clock(), self._gate, anew=anew)
+            self._has_written = True
+        except Exception:
+            self._changed.set()  # they are still owed
+            raise
+
+    def write_splits(self) -> None:
+        """Runs once, at the end, as it reads a frame of each new episode; a run that is stopped limits its time."""
+        if self._run.terms.evaluation is not None or self._changed.is_set():
+            return  # the tables that they are made from are not up to date
+        try:
+            limit_s = None if self._run.ledger.is_finished() else _THUMBNAILS_S
+        except WorldError as error:
+            log.warning("split_tables_not_written", error=str(error), remedy=RESTART_REMEDY)
+            return
+        write_split_tables(self._run.archive, limit_s)
