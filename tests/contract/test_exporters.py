@@ -255,10 +255,12 @@ def test_missing_package_is_named_with_its_extra(
 ) -> None:
     required = find_exporter(name).requires
     for module in required:
-        monkeypatch.setitem(sys.modules, module, None)
         remedy = re.escape(install_command(EXTRA_OF.get(module)))
-        with pytest.raises(UsageError, match=rf"needs the package {module}, which is not installed; .*{remedy}"):
-            run_export(order(dataset, tmp_path / "out", name))
+        message = rf"needs the package {module}, which is not installed; .*{remedy}"
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, module, None)
+            with pytest.raises(UsageError, match=message):
+                run_export(order(dataset, tmp_path / "out", name))
     assert not (tmp_path / "out").exists()
 
 
